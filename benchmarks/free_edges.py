@@ -31,7 +31,7 @@ from record import report, write_to
 
 from falsework import Assembly, Direction, StabilityOracle, load_structure, make_task
 from falsework.assembly import HELD, INSTALLED, REMOVED, States, complete_state
-from falsework.search import BeamSearch, BeamSettings, SupportGuide
+from falsework.search import BeamSearch, BeamSettings, Oracle, SupportGuide
 from falsework.stability import Verdicts
 
 Case = Literal["first", "strip", "last"]
@@ -60,13 +60,17 @@ class Options:
     """File to which the records are appended."""
 
 
-class FromRest:
+class FromRest(Oracle):
     """Oracle without contact history."""
 
     def __init__(self, oracle: StabilityOracle) -> None:
         """Wrap an oracle."""
         self._oracle = oracle
-        self.holds_keep_stable = oracle.holds_keep_stable
+
+    @property
+    def holds_keep_stable(self) -> bool:
+        """As of the oracle."""
+        return self._oracle.holds_keep_stable
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """See `falsework.search.problem.oracle.Oracle`."""

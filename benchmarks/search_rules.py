@@ -118,7 +118,7 @@ def _patch_few_ahead() -> None:
     from falsework.search import strategies
     from falsework.search.beam.backjumping import BackjumpingSettings
 
-    vars(strategies)["_ROWS_AHEAD"] = BackjumpingSettings().lookahead
+    vars(strategies)["AHEAD"] = BackjumpingSettings().lookahead
 
 
 def _probe_few_ahead(note: Note) -> None:

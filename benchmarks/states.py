@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework import Assembly, StabilityOracle, Task
 from falsework.assembly import States
-from falsework.search import BeamSearch, BeamSettings
+from falsework.search import BeamSearch, BeamSettings, Oracle
 from falsework.stability import Verdicts
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.settings import EQUILIBRIUM
 
 REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72")
 
 
-class Recorder:
+class Recorder(Oracle):
     """Wrapper of an oracle that records its queries."""
 
     def __init__(self, oracle: StabilityOracle) -> None:
@@ -26,8 +26,15 @@ class Recorder:
         self.states: list[States] = []
         self.parents: list[States] = []
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.oracle, name)
+    @property
+    def holds_keep_stable(self) -> bool:
+        """As of the oracle."""
+        return self.oracle.holds_keep_stable
+
+    @property
+    def replayer(self) -> Replayer | None:
+        """As of the oracle."""
+        return self.oracle.replayer
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """Return verdicts as `StabilityOracle`; states without near ones, such as ends of a task, are not recorded."""

@@ -15,7 +15,7 @@ from search_rules import ALL, EACH, LEFT_OUT, RULES, acts_in, each_of, parts_of,
 
 from falsework import StabilityOracle, StabilitySettings, Task, load_structure
 from falsework.assembly import States
-from falsework.search import SupportGuide, strategies
+from falsework.search import Oracle, SupportGuide, strategies
 from falsework.search.beam import backjumping, beam, failed_moves, nogoods
 from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
 from falsework.search.problem import guide
@@ -41,7 +41,7 @@ def restored() -> Iterator[None]:
                 setattr(kind, name, value)
 
 
-class Chance:
+class Chance(Oracle):
     """Oracle that finds a share of all states stable, by chance but always the same ones."""
 
     def __init__(self, share: float) -> None:
@@ -76,7 +76,7 @@ def begin(what: str, name: str) -> None:
 
 def few_ahead() -> None:
     """Ask for the settings of a beam of free edges under `equilibrium`."""
-    BackjumpingSettings(lookahead=vars(strategies)["_ROWS_AHEAD"]).beam(1)
+    BackjumpingSettings(lookahead=vars(strategies)["AHEAD"]).beam(1)
 
 
 USES: dict[str, Callable[[], Any]] = {

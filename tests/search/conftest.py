@@ -6,12 +6,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from falsework import Assembly, StabilityOracle, Task, Verdict, load_structure
+from falsework.search import Oracle
 from falsework.stability import Proof, Verdicts
 
 State = tuple[int, ...]
@@ -29,7 +31,7 @@ def verdicts_of(stable: NDArray[np.bool_], undecided: NDArray[np.bool_] | None =
 
 
 @dataclass
-class RuleOracle:
+class RuleOracle(Oracle):
     """An installed part stands if one of its sets of supports is there; a held part needs none.
 
     So a hold never hurts, as under the criterion `equilibrium`.
@@ -38,6 +40,7 @@ class RuleOracle:
     supports: list[list[frozenset[int]]]
     asked: list[NDArray[np.uint8]] = field(default_factory=list)
     holds_keep_stable: bool = True
+    replayer: Any = None
 
     def verdicts(
         self,

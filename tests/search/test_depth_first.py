@@ -9,7 +9,7 @@ import pytest
 from baselines.depth_first import DepthFirstSearch, DepthFirstSettings
 
 from falsework import Assembly, Direction, Outcome, StabilityOracle, Task
-from falsework.search import SearchProgress
+from falsework.search import Oracle, SearchProgress
 
 BOTH = pytest.mark.parametrize("direction", list(Direction))
 
@@ -83,7 +83,7 @@ def test_an_interruption_loses_no_move(rules: Any) -> None:
     oracle = rules.arch(6)
     task = Task.from_rules(rules.ground(6), 2, fixed=[2])
 
-    class Impatient:
+    class Impatient(Oracle):
         """Raises on every other call."""
 
         calls = 0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from falsework import Assembly, Outcome, StabilityOracle, Task
-from falsework.search import ExhaustiveSearch
+from falsework.search import ExhaustiveSearch, Oracle
 
 
 @pytest.mark.parametrize("robots", [1, 2, 3])
@@ -97,7 +97,7 @@ def test_gives_up_honestly(rules: Any) -> None:
 
 
 def test_no_proof_on_undecided_verdicts(rules: Any) -> None:
-    class Unsure:
+    class Unsure(Oracle):
         def verdicts(self, states: Any, *, near: Any = None, require_certificate: bool = False) -> Any:
             stable = (states == states[:, 1:2])[:, 1:].all(axis=1)  # of the two ends alone
             return rules.verdicts(stable, ~stable)
@@ -114,7 +114,7 @@ def test_no_plan_between_ends_that_do_not_stand(rules: Any, end: str, sure: bool
     """Free blocks come apart in any order, but not from or to a state that is not stable itself."""
     task = Task.from_rules(rules.ground(4), 1)
 
-    class OneEnd:
+    class OneEnd(Oracle):
         def verdicts(self, states: Any, *, near: Any = None, require_certificate: bool = False) -> Any:
             wrong = (states == getattr(task, end)).all(axis=1)
             return rules.verdicts(~wrong, None if sure else wrong)

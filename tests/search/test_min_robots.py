@@ -182,7 +182,7 @@ def test_a_plan_with_too_few_robots_ends_with_the_proof(
     assert failure.proven
     assert planning.result.notes[0] in failure.text
     # A bound that has no time left leaves the search as it was.
-    monkeypatch.setattr("falsework.search.find._BOUND_SECONDS", 1e-9)
+    monkeypatch.setattr("falsework.search.find._BOUND_AFTER", 1e-9)
     unproven = find_plans(assembly, robots=2, oracle=oracle, deadline=3)
     assert unproven.result.outcome is Outcome.NOT_FOUND
     assert unproven.deadline_passed

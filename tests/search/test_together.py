@@ -41,7 +41,7 @@ from falsework.interop.instruction_table import instructions_csv
 from falsework.interop.tracks import tracks_of
 from falsework.replanning import difference
 from falsework.replanning.executed_steps import ExecutedSteps
-from falsework.search import Demands, ExhaustiveSearch
+from falsework.search import Demands, ExhaustiveSearch, Oracle
 from falsework.search.margins.demands import MarginOracle
 from falsework.search.plans import plan_rules
 from falsework.search.plans.plan_check import validate_plan
@@ -80,7 +80,7 @@ def drawn(seed: int, count: int, region: tuple[int, int, int]) -> list[Cells]:
             return [frozenset(piece) for piece in pieces]
 
 
-class EveryStateStands:
+class EveryStateStands(Oracle):
     """Oracle for which only geometry matters."""
 
     holds_keep_stable = True

@@ -18,7 +18,6 @@ from falsework.replanning.result import ReplanResult, Stage
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.deadline import Deadline
-from falsework.search.problem.regrasp_route import RegraspRoute
 from falsework.search.problem.result import Outcome, Route, SearchResult, insertion_steps
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
@@ -280,8 +279,7 @@ class ReplanSession:
 
     def _route(self, states: States) -> Route:
         """Return the route through states in the order of assembly."""
-        kind = RegraspRoute if self.task.allow_regrasp else Route
-        return kind.from_states(states[::-1].copy())
+        return Route.from_states(states[::-1].copy())
 
     def _with_built(self, route: Route) -> tuple[Route, Task]:
         assert self.built is not None

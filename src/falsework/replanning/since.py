@@ -14,7 +14,7 @@ from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, held_coun
 from falsework.errors import StateError
 from falsework.replanning.executed_steps import ExecutedSteps
 from falsework.search.plans.plan import Plan
-from falsework.search.problem.regrasp_route import actions_between
+from falsework.search.problem.result import Route
 from falsework.stability.verdict import Proof, Verdict
 
 
@@ -80,7 +80,7 @@ class SiteSteps:
         whole = replace(
             plan,
             states=done,
-            actions=actions_between(done),
+            actions=Route.from_states(done).actions,
             verdicts=(*plan.verdicts[: step + 1], *(Verdict.UNDECIDED,) * new),
             proofs=(*plan.proofs[: step + 1], *(Proof.NONE,) * new),
             residuals=np.append(plan.residuals[: step + 1], np.zeros(new)),
@@ -103,7 +103,7 @@ def with_places(plan: Plan, assembly: Assembly) -> Plan:
     return replace(
         plan,
         states=states,
-        actions=actions_between(states),
+        actions=Route.from_states(states).actions,
         identity=assembly.identity,
         part_names=tuple(assembly.names),
         boundary=assembly.boundary,

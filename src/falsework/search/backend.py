@@ -6,20 +6,65 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 from falsework.errors import InputError
 from falsework.search.beam.beam import BeamSearch
+from falsework.search.beam.level_search import Beams
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.device.beam import DeviceBeam
-from falsework.search.device.oracle import tensor_oracle
+from falsework.search.device.oracle import DeviceOracle, HostOracle, tensor_oracle
+from falsework.search.margins.demands import MarginOracle
+from falsework.search.problem.guide import Guide
+from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Task
 from falsework.stability.contact.press_oracle import PressOracle
 from falsework.utils.distributed import init_distributed
-from falsework.utils.tensors import import_torch
+from falsework.utils.tensors import choose_device, import_torch
 
 if TYPE_CHECKING:
     from falsework.stability.oracle import StabilityOracle
+
+
+Backend = Literal["cpu", "torch", "cuda"]
+"""Where the beams of a planner search: arrays on the processor, tensors on the processor, or tensors on a GPU."""
+
+
+def beams_on(backend: Backend, task: Task, oracle: StabilityOracle) -> Beams:
+    """Return the beams of a backend, for a planner.
+
+    Args:
+        backend: where they search.
+        task: rules between start and target.
+        oracle: decides stability; its problem and settings are those of the solver of the GPU.
+
+    Raises:
+        InputError: no such backend or device, or a task or an oracle that beams on tensors do not know.
+        DependencyError: a package that the backend needs is not installed.
+    """
+    if backend not in get_args(Backend):
+        raise InputError(f"there is no backend {backend!r}; give {', '.join(get_args(Backend))}")
+    if backend == "cpu":
+        return BeamSearch
+    presses = oracle.replayer is not None and oracle.settings.holds.presses
+    unknown = {
+        "repeated holds": task.allow_regrasp,
+        "steps of several parts": task.together is not None,
+        "margins": isinstance(oracle, MarginOracle),
+        "robots that press (holds of a mode other than locked)": presses,
+    }
+    what = next((what for what, is_so in unknown.items() if is_so), None)
+    if what is not None:
+        raise InputError(f"the backend {backend} knows no {what}; leave them out, or use the backend cpu")
+    device = choose_device("cuda" if backend == "cuda" else "cpu")
+    on_device = DeviceOracle(oracle, device) if backend == "cuda" else None
+
+    def beam(
+        task: Task, oracle: Oracle, settings: BeamSettings = BeamSettings(), *, guide: Guide | None = None
+    ) -> DeviceBeam:
+        return DeviceBeam(task, on_device or HostOracle(oracle), settings, guide=guide, device=device)
+
+    return beam
 
 
 @contextmanager

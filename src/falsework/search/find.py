@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,7 @@ from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.props import keep_props, without_props
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
+from falsework.search.backend import Backend, beams_on
 from falsework.search.margins.demands import MarginOracle
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
@@ -31,8 +32,6 @@ from falsework.search.plans.state_proofs import prove
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.hold_bound import HoldBound
-from falsework.search.problem.oracle import Oracle
-from falsework.search.problem.regrasp_route import RegraspRoute
 from falsework.search.problem.result import (
     Outcome,
     Progress,
@@ -54,9 +53,8 @@ from falsework.utils.display.notebook import or_notebook
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
 _BOUND_AFTER = 10.0
-"""Seconds of processor time without a plan after which a search pauses to try to prove that robots are too few ..."""
-_BOUND_SECONDS = 5.0
-"""... for so many seconds at most."""
+"""Seconds of processor time without a plan after which a search pauses to try to prove that robots are too few, for
+half as many seconds at most."""
 FIRST_SHARE = 0.5
 """Share of a deadline for plans with the reserve; the rest is for plans without, where there are none."""
 PLANS = StabilitySettings(reserve=1.1)
@@ -101,6 +99,7 @@ def find_plans(
     deadline: float | None = None,
     checkpoint: Path | str | None = None,
     forces: bool = True,
+    backend: Backend = "cpu",
     **rules: Unpack[TaskRules],
 ) -> Planning:
     """Find a plan, or several that differ as much as possible, and prove every state of them stable.
@@ -122,14 +121,18 @@ def find_plans(
         checkpoint: file to which the search is saved regularly, and from which it resumes if it exists; removed at the
             end.
         forces: keep the contact forces that prove each state in the plans.
+        backend: where beams search: `cpu`; `cuda`, with wide beams and verdicts on a GPU; or `torch`, the same on the
+            processor. The last two know neither robots that press, nor repeated holds and props, nor steps of several
+            parts, nor margins, nor checkpoints.
         rules: see `TaskRules`. Without them the complete structure is disassembled.
 
     Returns:
         Plans with verdicts and proofs; none if there is none, or none was found.
 
     Raises:
-        InputError: a checkpoint of another task, a task and rules together, rules that the structure cannot keep, or a
-            deadline of zero or less.
+        InputError: a checkpoint of another task, a task and rules together, rules that the structure cannot keep, a
+            deadline of zero or less, or what the backend does not know.
+        DependencyError: a package that the backend needs is not installed.
     """
     named = [*rules, *(["robots"] if robots is not None else [])]
     if task is not None and named:
@@ -142,7 +145,14 @@ def find_plans(
     progress = or_notebook(progress, "searching")
     if oracle is None:
         task = task or make_task(assembly, 2 if robots is None else robots, **rules)
-        more = {"settings": settings, "guide": guide, "progress": progress, "stop": stop, "forces": forces}
+        more: dict[str, Any] = {
+            "settings": settings,
+            "guide": guide,
+            "progress": progress,
+            "stop": stop,
+            "forces": forces,
+        }
+        more["backend"] = backend
         weaker = replace(stability, reserve=1.0)
         first, begun = StabilityOracle(assembly, stability), time.perf_counter()
         again = stability.reserve > 1.0 and first.replayer is not None
@@ -157,10 +167,14 @@ def find_plans(
     clock = Deadline(deadline)
     task = task or make_task(assembly, 2 if robots is None else robots, **rules)
     guide = guide or SupportGuide(assembly)
-    planner = _resume(checkpoint, task, timed(oracle, clock), settings, guide)
+    planner = Planner(task, timed(oracle, clock), settings, guide=guide, beams=beams_on(backend, task, oracle))
+    if checkpoint is not None:
+        planner.check_saved()
+        if Path(checkpoint).exists():
+            planner = Planner.load(checkpoint, task, timed(oracle, clock), settings, guide=guide)
     result = _run(
         planner,
-        lambda: HoldBound(assembly, task, oracle.settings, Deadline(min(_BOUND_SECONDS, max(clock.left, 1e-3)))),
+        lambda: HoldBound(assembly, task, oracle.settings, Deadline(min(_BOUND_AFTER / 2, max(clock.left, 1e-3)))),
         progress=_saving(planner, checkpoint, progress),
         stop=lambda: clock.passed or (stop is not None and stop()),
     )
@@ -267,7 +281,7 @@ def prove_route(
         if len(used) < len(assembly.props):
             states = np.ascontiguousarray(route.states[:, np.concatenate([np.arange(bare), bare + used])])
             assembly = keep_props(assembly, used.tolist())
-            route, oracle, replay = RegraspRoute.from_states(states), StabilityOracle(assembly, oracle.settings), None
+            route, oracle, replay = Route.from_states(states), StabilityOracle(assembly, oracle.settings), None
     if oracle.replayer is None:
         verdicts, arrays = prove(route.states, oracle, forces=forces)
         plan = Plan.from_route(route, assembly, task, verdicts[::-1], oracle.settings.claim)
@@ -350,16 +364,6 @@ def _run(
         result = replace(result, outcome=refuted, interrupted=False, limit="", notes=(barrier.text,))
     counters = result.counters + SearchCounters(asked=test.asked)
     return replace(result, counters=counters, seconds=result.seconds + seconds)
-
-
-def _resume(
-    checkpoint: Path | str | None, task: Task, oracle: Oracle, settings: PlannerSettings, guide: Guide
-) -> Planner:
-    planner = Planner(task, oracle, settings, guide=guide)
-    if checkpoint is None:
-        return planner
-    planner.check_saving()
-    return Planner.load(checkpoint, task, oracle, settings, guide=guide) if Path(checkpoint).exists() else planner
 
 
 def _saving(planner: Planner, checkpoint: Path | str | None, progress: Progress | None) -> Progress | None:

@@ -27,17 +27,16 @@ Maximised = Literal["friction", "tilt", "push"]
 
 _TRIALS = 8
 """Searches after the first; each narrows the interval between a demand that a plan meets and one that none met."""
-_AT_BOUND = 1.02
-"""The search ends when the weakest step is within this factor of the bound."""
+_EFFORT = 500
+"""Verdicts that the longest search counts for at least."""
 _CLOSE = 1.05
 """The search ends when no plan was found for this many times what the weakest step keeps."""
 _ASIDE = 1.005
-"""The bound itself is tried, divided by this: both ends of the plan are barely stable at it."""
-_FIRST = 2.0
-"""Factor from the margin reached to the next demand where no bound is known; a bound nearer than that is tried."""
-_EFFORT, _LEAST_EFFORT = 2, 1000
-"""Verdicts after which the search for a stronger plan ends: so many times those of the longest search that
-found a plan, and at least so many."""
+"""The bound itself is tried, divided by this: both ends of the plan are barely stable at it. The search ends when the
+weakest step is within the fourth power of it, which margins, exact to 1 %, cannot tell apart."""
+_TWICE = 2
+"""Factor from the margin reached to the next demand where no bound is known; a bound nearer than that is tried. The
+search for a stronger plan ends after so many times the verdicts of the longest search that found a plan."""
 
 
 def maximise_margin(
@@ -86,7 +85,7 @@ def maximise_margin(
     stronger: list[_Stronger] = []
     cut = False
     for _ in range(_TRIALS):
-        if missed <= reached * _CLOSE or bound <= reached * _AT_BOUND:
+        if missed <= reached * _CLOSE or bound <= reached * _ASIDE**4:
             break
         cut = stop is not None and stop()
         if cut:
@@ -94,7 +93,7 @@ def maximise_margin(
         level = _next(reached, missed, bound)
         trial = MarginOracle(assembly, stability, structs.replace(demands, **{kind: level}))
         planner = Planner(task, trial, settings, guide=SupportGuide(assembly))
-        budget = _Budget(max(_EFFORT * effort, _LEAST_EFFORT), progress, stop)
+        budget = _Budget(_TWICE * max(effort, _EFFORT), progress, stop)
         found = planner.run(progress=budget.note, stop=budget.is_spent)
         seconds += found.seconds
         if found.found:
@@ -179,8 +178,8 @@ class _Budget:
 def _next(reached: float, missed: float, bound: float) -> float:
     """Return the next demand: the bound itself where it is near, else the middle on a logarithmic scale."""
     if np.isinf(missed):
-        return _FIRST * reached
-    if missed == bound <= _FIRST * reached:
+        return _TWICE * reached
+    if missed == bound <= _TWICE * reached:
         return bound / _ASIDE
     return float(np.sqrt(max(reached, missed / 64) * missed))
 

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from falsework.errors import InputError
 from falsework.search.beam.backjumping import BackjumpingBeam
 from falsework.search.beam.beam import BeamSearch
+from falsework.search.beam.level_search import Beams
 from falsework.search.plans.route_tests import RouteTests
-from falsework.search.problem.guide import Guide, NoveltyGuide
+from falsework.search.problem.guide import Guide, NoveltyGuide, SupportGuide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import (
     Outcome,
@@ -27,18 +28,19 @@ from falsework.search.problem.result import (
     insertion_steps,
     unstable_end,
 )
+from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
-from falsework.search.regrasp.exhaustive import ExhaustiveRegraspSearch
 from falsework.search.settings import PlannerSettings
-from falsework.search.strategies import EDGES, Portfolio, Strategy, moves_together, regrasps, start
-from falsework.search.together_beam import TogetherBeam
+from falsework.search.strategies import EDGES, Portfolio, moves_together, regrasps, start
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
-FORMAT = "falsework.planner/10"
+FORMAT = "falsework.planner/11"
 
 _MOST_FALLS = 64
 """Number of routes with a failing replay before an attempt is given up."""
+_NUMBERS = "_round", "_turn", "_rank", "_high", "_trial_reached"
+"""Numbers that say where a search stands."""
 
 
 class Planner:
@@ -56,6 +58,7 @@ class Planner:
         settings: PlannerSettings = PlannerSettings(),
         *,
         guide: Guide | None = None,
+        beams: Beams = BeamSearch,
     ) -> None:
         """Begin with nothing.
 
@@ -64,31 +67,33 @@ class Planner:
             oracle: decides stability.
             settings: effort of the search.
             guide: scores actions; `SupportGuide` is a good one. Repeated holds need one.
+            beams: of the backend to search with, see `falsework.search.backend.beams_on`.
 
         Raises:
             InputError: a judge or alternatives, where parts are held again, or alternatives, where steps may move
                 several.
         """
-        self.regrasps = regrasps(task, settings)
-        """Whether plans may hold parts again."""
-        self.together = moves_together(task, settings)
-        """Whether steps may move several parts."""
+        self.regrasps, self.together = regrasps(task, settings), moves_together(task, settings)
+        """Whether plans may hold parts again, and whether steps may move several parts."""
         self.task = task.judged_by(oracle)
         self.settings = settings
         self.routes: list[Route] = []
         """Plans found so far; the first keeps missing parts out longest."""
         self.states = np.empty((0, task.part_count), dtype=np.uint8)
         """States found by the searches for alternative plans, shape (count, parts)."""
-        self._oracle, self._falls = oracle, 0
+        self._oracle, self._make_beam, self._falls = oracle, beams, 0
         self.tests = RouteTests(oracle, settings, task.part_count)
         """Of complete routes, with their replays and the one that falls last."""
-        self._edge_guide = self._preferring("edges_first", guide)
-        self._guide = self._preferring("held_neighbours", guide) or guide
+        self._guide, self._edge_guide = guide, None
+        known = self.tests.replayer is not None or self.task.holds_keep_stable
+        if isinstance(guide, SupportGuide) and known:  # not where histories matter and are not kept
+            self._edge_guide = guide.edges_first(self.task)
+            self._guide = guide.held_neighbours(self.task) or guide
         self._stage = "plan"
         self._left = list(self._portfolio.names)
         """Strategies of the present search that have not given up."""
         self._round = self._turn = 0
-        self._beams: dict[str, Strategy] = {}
+        self._beams: dict[str, Search] = {}
         self._last: dict[str, SearchResult] = {}
         """How far each of these came."""
         self._rank, self._high, self._trial_reached = 0, 0, -1
@@ -158,15 +163,24 @@ class Planner:
         self._seconds += time.perf_counter() - begun
         return self._result(interrupted)
 
-    def check_saving(self) -> None:
-        """Raise InputError if the search cannot be saved: plans may hold parts again, or steps may move several."""
-        if self.regrasps or self.together:
-            what = "repeated holds" if self.regrasps else "several parts in one step"
+    def check_saved(self) -> None:
+        """Raise unless the search can be saved.
+
+        Raises:
+            InputError: plans may hold parts again, steps may move several, or beams are on tensors.
+        """
+        what = "repeated holds" if self.task.allow_regrasp else "beams on tensors" if self._wide else ""
+        what = what or "several parts in one step" * self.together
+        if what:
             raise InputError(f"a search with {what} cannot be saved; leave out the checkpoint")
 
     def save(self, path: Path | str) -> None:
-        """Write the current search, to be resumed by `load`; raise as `check_saving`."""
-        self.check_saving()
+        """Write the current search, to be resumed by `load`.
+
+        Raises:
+            InputError: it cannot be saved, see `check_saved`.
+        """
+        self.check_saved()
         beams, arrays = {}, {}
         for key, beam in self._beams.items():
             assert isinstance(beam, BackjumpingBeam)
@@ -177,12 +191,8 @@ class Planner:
             "settings": _settings_header(self.settings),
             "stage": self._stage,
             "left": self._left,
-            "round": self._round,
-            "turn": self._turn,
-            "rank": self._rank,
             "trial": list(self._trial),
-            "high": self._high,
-            "trial_reached": self._trial_reached,
+            "numbers": [getattr(self, name) for name in _NUMBERS],
             "counters": vars(self._counters),
             "seconds": self._seconds,
             "beams": beams,
@@ -217,10 +227,9 @@ class Planner:
 
     def _restore(self, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
         self._stage, self._left = str(header["stage"]), [str(name) for name in header["left"]]
-        self._round, self._turn = int(header["round"]), int(header["turn"])
-        self._rank, self._high = int(header["rank"]), int(header["high"])
         self._trial = tuple(int(steps) for steps in header["trial"])
-        self._trial_reached = int(header["trial_reached"])
+        for name, number in zip(_NUMBERS, header["numbers"], strict=True):
+            setattr(self, name, int(number))
         self._counters = SearchCounters(**header["counters"])
         self._seconds = float(header["seconds"])
         self.states = arrays["states"]
@@ -229,20 +238,20 @@ class Planner:
         task = self.task.postpone(self._trial)
         for name, packed in header["beams"].items():
             inner = {key.removeprefix(f"{name}_"): array for key, array in arrays.items() if key.startswith(f"{name}_")}
-            beam = BackjumpingBeam.unpack(packed, inner, task, self._oracle, guide=self.beam_guide(name))
-            self._beams[name] = beam
+            guide = self.beam_guide(name)
+            self._beams[name] = BackjumpingBeam.unpack(packed, inner, task, self._oracle, guide=guide)
 
     def _advance(self, report: Progress, stop: Stop | None) -> bool:
         """Run the strategy whose turn it is, and decide on the next; True if it was interrupted."""
         portfolio, name = self._portfolio, self._left[self._turn]
         if name not in self._beams:
             rules = self.task.postpone(self._trial), self._oracle, portfolio, self.settings.seed
-            self._beams[name] = start(name, *rules, self.beam_guide)
+            self._beams[name] = start(name, *rules, self.beam_guide, self._make_beam)
         beam, paused = self._beams[name], False
 
         def halt() -> bool:
             nonlocal paused
-            paused = beam.asked >= portfolio.allowance(self._round)
+            paused = portfolio.is_over(self._round, name, beam)
             return paused or (stop is not None and stop())
 
         result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
@@ -250,19 +259,8 @@ class Planner:
             self._turn += 1
         elif result.interrupted:
             return True
-        elif self._stage == "alternatives":
-            self._gather(beam, result, stop)
-        elif result.found and not self.tests.passes(result.routes[0], beam.replay_summary(), stop):
-            self._falls += 1
-            if self._falls < _MOST_FALLS:
-                beam.forbid(self.tests.forbidden)
-            else:
-                limit = f"{self._falls} plans were found, and in each a state tips or the replay fails"
-                self._failed(replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit))
         elif result.found:
-            begin = not self.routes
-            self.routes = [result.routes[0]]
-            self._next_trial(begin=begin)
+            self._test(beam, result, stop)
         else:
             self._failed(result)
         if self._turn >= len(self._left):
@@ -282,31 +280,41 @@ class Planner:
         self._falls = 0
         return not self._left
 
-    def _gather(self, beam: Strategy, result: SearchResult, stop: Stop | None) -> None:
-        """Keep the states of a search for another plan, and continue with the next."""
-        if result.found and isinstance(beam, BackjumpingBeam):
+    def _test(self, beam: Search, result: SearchResult, stop: Stop | None) -> None:
+        """Test the route found, and go on to the next search, or leave the state out in which it fails."""
+        route = result.routes[0]
+        if self._stage == "alternatives" and isinstance(beam, BackjumpingBeam):
             self.states = np.concatenate([self.states, beam.search.states()])
-        if result.found and self.tests.passes(result.routes[0], beam.replay_summary(), stop):
-            self.routes.append(result.routes[0])
-            self._drop_beams()
-        elif result.found and self._falls < _MOST_FALLS:
+        if not self.tests.passes(route, beam.replay_summary(), stop):
             self._falls += 1
-            beam.forbid(self.tests.forbidden)
-        elif self._give_up():
-            self._finish()
-        if len(self.routes) == self.settings.alternatives:
-            self._finish()
+            if self._falls < _MOST_FALLS:
+                beam.forbid(self.tests.forbidden)
+            else:
+                limit = f"{self._falls} plans were found, and in each a state tips or the replay fails"
+                self._failed(replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit))
+        elif self._stage != "alternatives":
+            begin = not self.routes
+            self.routes = [route]
+            self._next_trial(begin=begin)
+        else:
+            self.routes.append(route)
+            self._drop_beams()
+            if len(self.routes) == self.settings.alternatives:
+                self._finish()
 
     def _failed(self, result: SearchResult) -> None:
         """Try the next attempt, or give this trial up."""
         decided = result.outcome is Outcome.PROVED_IMPOSSIBLE and not len(self.tests.forbidden)
         if self.regrasps or self.together:
             # Beams in which parts are held once, or move alone, prove nothing; even without a proof, nothing is left.
-            widest = self._beams[self._left[self._turn]]
-            decided = isinstance(widest, (ExhaustiveRegraspSearch, TogetherBeam)) and widest.examined_all
+            decided = self._beams[self._left[self._turn]].examined_all
             if not decided:
                 result = replace(result, outcome=Outcome.NOT_FOUND)
         over = self._give_up() or decided
+        if self._stage == "alternatives":
+            if over:
+                self._finish()
+            return
         if self._stage == "plan":
             if decided or self._failure is None or result.reached >= self._failure.reached:
                 self._failure = result
@@ -324,7 +332,12 @@ class Planner:
 
     @property
     def _portfolio(self) -> Portfolio:
-        return Portfolio.from_settings(self.settings, self._stage, self.task, edges=self._edge_guide is not None)
+        edges = self._edge_guide is not None
+        return Portfolio.from_settings(self.settings, self._stage, self.task, edges=edges, wide=self._wide)
+
+    @property
+    def _wide(self) -> bool:
+        return self._make_beam is not BeamSearch
 
     def _finish(self) -> None:
         self._drop_beams()
@@ -353,11 +366,6 @@ class Planner:
         if self.settings.alternatives == 1:
             self._finish()
 
-    def _preferring(self, what: str, guide: Guide | None) -> Guide | None:
-        """Return a heuristic of `SupportGuide`; None where it has none, or histories matter and are not kept."""
-        known = self.tests.replayer is not None or self.task.holds_keep_stable
-        return getattr(guide, what, lambda _: None)(self.task) if known else None
-
     def beam_guide(self, beam: str) -> Guide | None:
         """Return the guide of a beam, by its name."""
         if beam == EDGES:
@@ -368,23 +376,12 @@ class Planner:
         counters = self.counters
         routes = self.routes or [route for route in [self.tests.doubted] if route is not None]
         if routes:
-            notes = ()
-            if interrupted and self.routes:
-                what = "gathering alternatives" if self._stage == "alternatives" else "postponing missing parts"
-                notes = (f"interrupted while {what}; the plan is complete",)
-            return SearchResult(
-                outcome=Outcome.FOUND,
-                routes=tuple(routes),
-                direction=Direction.DISASSEMBLY,
-                steps=self.task.steps,
-                reached=self.task.steps,
-                deepest=self.task.target[None],
-                rejected=self.states[:0],
-                counters=counters,
-                seconds=self._seconds,
-                interrupted=interrupted,
-                notes=notes,
-            )
+            what = "gathering alternatives" if self._stage == "alternatives" else "postponing missing parts"
+            halted = interrupted and bool(self.routes)
+            notes = (f"interrupted while {what}; the plan is complete",) * halted
+            steps, ends = self.task.steps, (self.task.target[None], self.states[:0])
+            found = Outcome.FOUND, tuple(routes), Direction.DISASSEMBLY, steps, steps, *ends
+            return SearchResult(*found, counters, self._seconds, interrupted, notes=notes)
         best = self._failure
         for running in self._last.values():
             best = running if best is None or running.reached > best.reached else best

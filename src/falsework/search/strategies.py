@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
-from falsework.assembly.state import States, held_count
+from falsework.assembly.state import held_count
 from falsework.errors import InputError
-from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
-from falsework.search.beam.histories import ReplaySummary
+from falsework.search.beam.backjumping import WIDENING, BackjumpingBeam, BackjumpingSettings
+from falsework.search.beam.beam import BeamSearch
+from falsework.search.beam.level_search import Beams
+from falsework.search.beam.settings import AHEAD
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
-from falsework.search.problem.result import Progress, SearchCounters, SearchResult, Stop
+from falsework.search.problem.search import Search
 from falsework.search.problem.task import STAGE, Direction, Task
 from falsework.search.regrasp.beam import RegraspBeam
 from falsework.search.regrasp.exhaustive import ExhaustiveRegraspSearch
@@ -30,44 +31,9 @@ EVERYWHERE = "everywhere"
 TOGETHER = "together-"
 """Before the name of a direction: beam in which steps may move several parts, at last without a limit."""
 
-_EDGES_FIRST = 300
-"""Parts from which free edges are closed in the first turn under `equilibrium`, not in the second: most smaller shells
-need it not, and the first turn of another beam costs large ones more than their plan."""
 _FIRST_SHARE = 8
 """Verdicts for each part of the structure that each strategy may ask for in the first round, and twice as many in each
 further one. Searches without dead ends take half as many."""
-_TRIAL_WIDTH = 4
-"""Widest beam for a plan with missing parts later: independent of the width for the first plan."""
-_NOVEL_WIDTHS = 4, 16
-"""Narrowest and widest beam for a plan unlike others: one state a level leaves no choice."""
-_ROWS_AHEAD = 16
-"""States that a beam which closes free edges first keeps ahead under `equilibrium`, where it keeps to its rows."""
-
-
-class Strategy(Protocol):
-    """Search that can be paused, and told of states to leave out."""
-
-    @property
-    def asked(self) -> int:
-        """Verdicts requested so far."""
-        ...
-
-    @property
-    def counters(self) -> SearchCounters:
-        """Work done so far."""
-        ...
-
-    def run(self, widest: int, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Search until the goal is reached, a beam wider than `widest` would be needed, or `stop` returns true."""
-        ...
-
-    def forbid(self, states: States) -> None:
-        """Leave states out from now on, shape (count, parts)."""
-        ...
-
-    def replay_summary(self) -> ReplaySummary | None:
-        """Return the replay of the route found, see `Histories.summary`; None where it is not known."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -87,8 +53,18 @@ class Portfolio:
         """Return the verdicts that a strategy may ask for up to and with a round, counted from 0."""
         return np.inf if self.share is None else self.share * (2.0 ** (round + 1) - 1.0)
 
+    def is_over(self, round: int, name: str, search: Search) -> bool:
+        """Return whether the turn of a strategy in a round is over.
+
+        The first turn of the beam of free edges ends at its first dead end too: where edges have to be closed first, it
+        hardly comes to one, and most shells need not.
+        """
+        return (round == 0 and name == EDGES and search.dead_ends > 0) or search.asked >= self.allowance(round)
+
     @classmethod
-    def from_settings(cls, settings: PlannerSettings, stage: str, task: Task, *, edges: bool = False) -> Portfolio:
+    def from_settings(
+        cls, settings: PlannerSettings, stage: str, task: Task, *, edges: bool = False, wide: bool = False
+    ) -> Portfolio:
         """Return the strategies of a search.
 
         Args:
@@ -96,14 +72,20 @@ class Portfolio:
             stage: `plan`, `postpone` or `alternatives`.
             task: the rules.
             edges: in stage `plan`, a beam that closes free edges first takes turns too.
+            wide: beams are as wide as they may be from the beginning, which costs little on tensors.
         """
+        if wide:
+            narrow = cls.from_settings(settings, stage, task, edges=edges)
+            share = None if narrow.share is None else narrow.widest * narrow.share
+            return replace(narrow, narrowest=narrow.widest, share=share)
         names = [direction.value for direction in settings.directions]
         if stage == "postpone":
-            return cls(tuple(names), 1, min(_TRIAL_WIDTH, settings.width))
+            return cls(tuple(names), 1, min(WIDENING, settings.width))
         if stage == "alternatives":
             # Disassembly leaves more freedom in the order of removal than assembly.
             names.sort(key=lambda name: name != Direction.DISASSEMBLY)
-            narrowest, widest = (min(width, settings.width) for width in _NOVEL_WIDTHS)
+            # One state a level leaves no choice.
+            narrowest, widest = (min(width, settings.width) for width in (WIDENING, WIDENING**2))
             return cls(tuple(names), narrowest, widest)
         share = _FIRST_SHARE * task.part_count
         if regrasps(task, settings):
@@ -113,8 +95,7 @@ class Portfolio:
         if moves_together(task, settings):  # plans that move one part at a time come first, as they are simpler
             names += [TOGETHER + name for name in names]
         if edges and Direction.ASSEMBLY in settings.directions:
-            first = not task.holds_keep_stable or task.part_count >= _EDGES_FIRST
-            names.insert(0 if first else 1, EDGES)
+            names.insert(0, EDGES)
         return cls(tuple(names), 1, settings.width, share)
 
 
@@ -155,9 +136,15 @@ def direction_of(name: str) -> Direction:
 
 
 def start(
-    name: str, task: Task, oracle: Oracle, portfolio: Portfolio, seed: int, guide_of: Callable[[str], Guide | None]
-) -> Strategy:
-    """Return a strategy at its beginning; `guide_of` returns the guide of each."""
+    name: str,
+    task: Task,
+    oracle: Oracle,
+    portfolio: Portfolio,
+    seed: int,
+    guide_of: Callable[[str], Guide | None],
+    beams: Beams = BeamSearch,
+) -> Search:
+    """Return a strategy at its beginning, with beams of some backend; `guide_of` returns the guide of each."""
     direction, guide = direction_of(name), guide_of(name)
     if name == EVERYWHERE:
         return ExhaustiveRegraspSearch(task, oracle)
@@ -168,5 +155,6 @@ def start(
         return TogetherBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
     settings = BackjumpingSettings(direction, portfolio.narrowest, seed)
     if name == EDGES and task.holds_keep_stable:
-        settings = replace(settings, lookahead=_ROWS_AHEAD)
-    return BackjumpingBeam(replace(task, allow_regrasp=False, together=None), oracle, settings, guide=guide)
+        settings = replace(settings, lookahead=AHEAD)  # few, so that it keeps to its rows
+    alone = replace(task, allow_regrasp=False, together=None)
+    return BackjumpingBeam(alone, oracle, settings, guide=guide, beams=beams)

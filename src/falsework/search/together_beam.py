@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from dataclasses import dataclass
 
@@ -19,12 +18,12 @@ from falsework.search.problem.result import (
     Progress,
     Route,
     SearchCounters,
-    SearchProgress,
     SearchResult,
     Stop,
     beam_failure,
     unstable_end,
 )
+from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 from falsework.search.regrasp.exhaustive import STATE_LIMIT
 from falsework.search.regrasp.histories import PathHistories
@@ -45,7 +44,7 @@ class _Candidate:
     """Whether a step that only fixes parts leads there from a stable state."""
 
 
-class TogetherBeam:
+class TogetherBeam(Search):
     """Beam over the states of a task in which steps may move several parts.
 
     A hold counts as one step of a part, and its removal as another, however many parts are removed at once. States are
@@ -73,7 +72,6 @@ class TogetherBeam:
         self._oracle, self._guide = oracle, guide
         self._stable: dict[bytes, bool] = {}
         self._kept = self._seen = 0
-        self._seconds = 0.0
         self.gave_up = False
         """Whether the limit on states was exceeded."""
         self._farthest, self._deepest, self._rejected = 0, list[bytes](), list[bytes]()
@@ -85,7 +83,7 @@ class TogetherBeam:
         self.width = width
         self.parent: dict[bytes, bytes] = {}
         """States kept, each with the one that it was reached from."""
-        replayer = getattr(self._oracle, "replayer", None) if self.direction is Direction.ASSEMBLY else None
+        replayer = self._oracle.replayer if self.direction is Direction.ASSEMBLY else None
         self._histories = None if replayer is None else PathHistories(replayer, self.parent)
         self._waiting: list[dict[bytes, _Candidate]] = [{} for _ in range(self.task.steps + 1)]
         self._waiting[0][origin] = _Candidate(b"", 0.0, True)
@@ -94,107 +92,83 @@ class TogetherBeam:
         self._left_out = self._refused = False
 
     @property
-    def asked(self) -> int:
-        """Verdicts requested so far."""
-        return self.judge.asked
-
-    @property
     def counters(self) -> SearchCounters:
-        """Work done so far."""
+        """See `Search.counters`."""
         return SearchCounters(self._kept, self._seen, self.judge.asked, self.judge.rejected)
 
     @property
     def found(self) -> bool:
-        """Whether the goal is reached."""
+        """See `Search.found`."""
         return self.task.goal(self.direction).tobytes() in self.parent
 
     @property
-    def examined_all(self) -> bool:
-        """Whether the search came to its end with no state left out: no other finds a plan then."""
-        ended = self._stage == self.task.steps and not self._queue
-        return ended and not (self._left_out or self._refused or self.gave_up or self.judge.forbidden)
+    def _ended_without(self) -> bool:
+        """Whether no state waits for its turn."""
+        return self._stage == self.task.steps and not self._queue
 
-    def replay_summary(self) -> None:
-        """Return None: the replay of the route found is not kept."""
+    @property
+    def done(self) -> bool:
+        """See `Search.done`."""
+        nothing_left = self._ended_without and (not self._left_out or bool(np.isinf(self.width)))
+        return self.found or self.gave_up or nothing_left
+
+    @property
+    def examined_all(self) -> bool:
+        """See `Search.examined_all`."""
+        return self._ended_without and not (self._left_out or self._refused or self.gave_up or self.judge.forbidden)
 
     def forbid(self, states: States) -> None:
-        """Exclude states, such as one in which a replay fails, and restart; the search then proves nothing."""
+        """Exclude states and restart; the search then proves nothing. See `Search.forbid`."""
         for state in states:
             self.judge.forbidden.add(state.tobytes())
             self._stable[state.tobytes()] = False
         self._begin(self.width)
 
     def run(self, widest: int = 1, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Search until the goal is reached, every state was examined, the limit is exceeded, or `stop` ends it.
-
-        Args:
-            widest: width from which on the beam has no limit.
-            progress: called after all states of one sum.
-            stop: called before each batch of states; true ends the search, which can then be run on.
-        """
-        failed = unstable_end(self.task, self._oracle)
-        if failed is not None:
-            return failed
+        """See `Search.run`; from `widest` on the beam has no limit."""
         self.moves.stop = stop
-        begun, interrupted = time.perf_counter(), False
-        try:
-            while not self.found and not self.gave_up:
-                if self._stage == self.task.steps and not self._queue:
-                    if not self._left_out or np.isinf(self.width):
-                        break
-                    wider = self.width * WIDENING
-                    self._begin(wider if wider <= widest else np.inf)
-                if stop is not None and stop():
-                    interrupted = True
-                    break
-                if self._queue and self._room > 0:
-                    self._examine()
-                    continue
-                if progress is not None and self._stage >= 0:
-                    seconds = self._seconds + time.perf_counter() - begun
-                    kept = int(self.width - self._room) if np.isfinite(self.width) else len(self.parent)
-                    counts = self._stage, self.task.steps, kept, int(min(self.width, STATE_LIMIT)), self.judge.asked
-                    progress(SearchProgress(self.direction, *counts, seconds))
-                self._next_stage()
-        except KeyboardInterrupt:
-            interrupted = True
-        self._seconds += time.perf_counter() - begun
-        return self.result(interrupted=interrupted)
+        failed = unstable_end(self.task, self._oracle)
+        return failed or super().run(widest, progress=progress, stop=stop)
 
-    def result(self, *, interrupted: bool = False) -> SearchResult:
-        """Return the result so far; `interrupted` if the search was stopped from outside."""
-        parts, judge, outcome, limit = self.task.part_count, self.judge, Outcome.NOT_FOUND, ""
-        if self.found:
-            outcome = Outcome.FOUND
-        elif self.gave_up:
-            limit = f"gave up after {STATE_LIMIT} states with up to {self.moves.largest} parts at once"
-        elif not interrupted:
-            outcome, limit = beam_failure(
-                STATE_LIMIT, not self._left_out, judge.undecided, judge.sliding, self.moves.caveat
+    def step(self) -> bool:
+        """Examine some states of the present sum, turn to those of the next, or begin again with a wider beam."""
+        if self._ended_without:
+            wider = self.width * WIDENING
+            self._begin(wider if wider <= self._widest else np.inf)
+        elif self._queue and self._room > 0:
+            self._examine()
+        else:
+            self._next_stage()
+        return True
+
+    def route(self) -> Route:
+        """See `Search.route`."""
+        return Route.back_from(self.task.goal(self.direction), self.parent, self.direction)
+
+    def _failure(self) -> tuple[Outcome, str]:
+        if self.gave_up:
+            return (
+                Outcome.NOT_FOUND,
+                f"gave up after {STATE_LIMIT} states with up to {self.moves.largest} parts at once",
             )
+        return beam_failure(STATE_LIMIT, not self._left_out, *self._open(), self.moves.caveat)
+
+    def _farthest_states(self) -> tuple[int, States, States]:
         deepest, rejected = (
-            np.array([state_of_key(key) for key in keys[:REPORTED_STATES]], dtype=np.uint8).reshape(-1, parts)
+            np.array([state_of_key(key) for key in keys[:REPORTED_STATES]], dtype=np.uint8)
             for keys in (self._deepest, self._rejected)
         )
+        parts = self.task.part_count
+        return self._farthest, deepest.reshape(-1, parts), rejected.reshape(-1, parts)
+
+    def _place(self) -> tuple[int, int, int]:
+        kept = int(self.width - self._room) if np.isfinite(self.width) else len(self.parent)
+        return max(self._stage, 0), kept, int(min(self.width, STATE_LIMIT))
+
+    def _notes(self, outcome: Outcome) -> tuple[str, ...]:
         # Where a disassembly ends, turns or ways in several moves might lead on.
-        ends = outcome is Outcome.PROVED_IMPOSSIBLE and self.direction is Direction.DISASSEMBLY and len(rejected) == 0
-        notes = (self.moves.first_motions(deepest[0]),) if ends else ()
-        return SearchResult(
-            outcome=outcome,
-            routes=(self._route(),) if self.found else (),
-            direction=self.direction,
-            steps=self.task.steps,
-            reached=self._farthest,
-            deepest=deepest,
-            rejected=rejected,
-            counters=self.counters,
-            seconds=self._seconds,
-            interrupted=interrupted,
-            limit=limit,
-            undecided=judge.undecided,
-            sliding=judge.sliding,
-            notes=notes,
-        )
+        ends = outcome is Outcome.PROVED_IMPOSSIBLE and self.direction is Direction.DISASSEMBLY and not self._rejected
+        return (self.moves.first_motions(state_of_key(self._deepest[0])),) if ends else ()
 
     def _next_stage(self) -> None:
         """Turn to the states of the next sum."""
@@ -271,11 +245,3 @@ class TogetherBeam:
         allowed = np.zeros((1, 2 * len(state)), dtype=bool)
         allowed[0, actions] = True
         return np.asarray(self._guide(state[None], allowed, self.direction))[0, actions]
-
-    def _route(self) -> Route:
-        chain, key = [], self.task.goal(self.direction).tobytes()
-        while key:
-            chain.append(state_of_key(key))
-            key = self.parent[key]
-        states = np.array(chain if self.direction is Direction.ASSEMBLY else chain[::-1])
-        return Route.from_states(states)

@@ -157,6 +157,10 @@ class StabilityOracle:
             self._cache.store(states[rest[falls]], verdict[rest[falls]], residual[rest[falls]])
         return verdict != Verdict.UNSTABLE
 
+    def keeps(self, states: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether states keep the margins that are demanded, none here. Shape (batch,)."""
+        return np.ones(len(as_states(states, self.assembly.boundary)), dtype=bool)
+
     def _certify(self, states: States, near: States | None) -> Verdicts:
         """Return verdicts with certificates: from what is remembered of states or of near ones, else from rest.
 

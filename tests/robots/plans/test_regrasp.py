@@ -28,8 +28,9 @@ from falsework.robots.plans.robot_plan_file import (
     save_robot_plan,
 )
 from falsework.robots.plans.timeline import arm_shares, event_times
+from falsework.search import Oracle
 from falsework.search.plans.plan_check import validate_plan
-from falsework.search.problem.regrasp_route import RegraspRoute
+from falsework.search.problem.result import Route
 from falsework.search.together.rule import InterlockedSets
 from falsework.stability import Verdicts
 from falsework.viewer.pictures.gantt import bars_of
@@ -214,7 +215,7 @@ def test_a_grasp_that_cannot_leave_is_the_last_choice(sunk: Assembly, roofed: Ce
     assert next(graph.edges(stays.node, NEAR), None) is None  # the next grasp must be one that can leave
 
 
-class Rules:
+class Rules(Oracle):
     """Five parts that can leave in one order only, and the sets of them that must be held where others are gone."""
 
     holds_keep_stable, replayer = True, None
@@ -288,7 +289,7 @@ def test_a_planned_release_is_carried_out_at_once(
 
     def prepared(check: SolvabilityCheck, stop: Any = None) -> Any:
         result = prepare(check, stop)
-        check.follow([RegraspRoute.from_states(np.array(states))])
+        check.follow([Route.from_states(np.array(states))])
         return result
 
     task = make_task(sunk, begun, allow_regrasp=True)

@@ -10,6 +10,7 @@ import numpy as np
 from falsework import Direction, Task
 from falsework.search import BeamSettings
 from falsework.search.device.beam import DeviceBeam
+from falsework.search.device.oracle import TensorOracle
 from falsework.utils.distributed import ProcessGroup, init_distributed
 
 PARTS = 18
@@ -23,12 +24,14 @@ SEARCHES = (
 )
 
 
-def neighbours_stand(states: Any, parents: Any) -> Any:
+class NeighboursStand(TensorOracle):
     """An installed part stands on either of the two before it, or on the ground beside it."""
-    present = states > 0
-    support = present.roll(1, 1) | present.roll(2, 1)
-    support[:, 1::5] = True
-    return ((states != 1) | support).all(dim=1).to(states.dtype).char() * 2 - 1
+
+    def __call__(self, states: Any, parents: Any) -> Any:
+        present = states > 0
+        support = present.roll(1, 1) | present.roll(2, 1)
+        support[:, 1::5] = True
+        return ((states != 1) | support).all(dim=1).to(states.dtype).char() * 2 - 1
 
 
 def search_all(device: str, shards: ProcessGroup) -> dict[str, Any]:
@@ -36,7 +39,7 @@ def search_all(device: str, shards: ProcessGroup) -> dict[str, Any]:
     task = Task.from_rules(np.arange(PARTS) == 0, 3)
     arrays: dict[str, Any] = {}
     for index, settings in enumerate(SEARCHES):
-        search = DeviceBeam(task, neighbours_stand, settings, device=device, shards=shards)
+        search = DeviceBeam(task, NeighboursStand(), settings, device=device, shards=shards)
         result = search.run()
         arrays[f"states {index}"] = search.states()
         arrays[f"parent {index}"] = np.concatenate([level.parent for level in search.levels])

@@ -9,7 +9,7 @@ import pytest
 
 from falsework import Direction, StabilityOracle, StateGraph, Task, load_structure
 from falsework.errors import InputError
-from falsework.search.device.oracle import HostOracle
+from falsework.search.device.oracle import HostOracle, TensorOracle
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[gpu]'")
 
@@ -106,7 +106,7 @@ def test_parts_leave_only_where_there_is_a_way_out() -> None:
 
 
 def test_states_left_open_are_not_kept() -> None:
-    class Unsure:
+    class Unsure(TensorOracle):
         def __call__(self, states: Any, parents: Any) -> Any:
             return torch.zeros(len(states), dtype=torch.int8)
 

@@ -19,8 +19,9 @@ from falsework import (
 )
 from falsework.assembly import complete_state
 from falsework.search import SupportGuide
+from falsework.search.beam.backjumping import BackjumpingBeam
+from falsework.search.find import Planning
 from falsework.search.planner import Planner
-from falsework.search.planning import Planning
 from falsework.search.problem.edge_rows import edge_rows
 from falsework.search.strategies import EDGES, Portfolio
 from falsework.stability.settings import EQUILIBRIUM
@@ -106,14 +107,19 @@ def test_one_robot_and_standing_parts_leave_the_guide_as_it_is(vault: Assembly) 
     assert guide.edges_first(make_task(vault, 3, target=target)) is None
 
 
-def test_under_equilibrium_edges_come_second_in_small_shells_and_first_in_large_ones(vault: Assembly) -> None:
-    for assembly, place in ((vault, 1), (load_structure("vault:parts=350"), 0)):
-        task = make_task(assembly, 2).judged_by(StabilityOracle(assembly, EQUILIBRIUM))
-        guide = SupportGuide(assembly)
-        assert guide.edges_first(task) is not None
-        assert guide.edges_first(make_task(assembly, 1).judged_by(StabilityOracle(assembly, EQUILIBRIUM))) is None
-        portfolio = Portfolio.from_settings(PlannerSettings(), "plan", task, edges=True)
-        assert portfolio.names.index(EDGES) == place
+def test_the_first_turn_of_edges_ends_at_their_first_dead_end(vault: Assembly) -> None:
+    """Whatever the number of parts; all other turns end by verdicts alone."""
+    oracle = StabilityOracle(vault, EQUILIBRIUM)
+    task = make_task(vault, 2).judged_by(oracle)
+    portfolio, search = (
+        Portfolio.from_settings(PlannerSettings(), "plan", task, edges=True),
+        BackjumpingBeam(task, oracle),
+    )
+    assert portfolio.names[0] == EDGES
+    assert not any(portfolio.is_over(0, name, search) for name in portfolio.names)
+    search.search.conflicts.learn(task.target, 0)
+    over = {(number, name) for number in (0, 1) for name in portfolio.names if portfolio.is_over(number, name, search)}
+    assert over == {(0, EDGES)}
 
 
 def test_under_equilibrium_most_parts_wait_for_the_rows_before() -> None:

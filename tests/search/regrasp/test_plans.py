@@ -35,7 +35,7 @@ from falsework.search.plans.plan_check import validate_plan, validate_proofs
 from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict, save_plan
 from falsework.search.plans.plan_model import plan_schema
 from falsework.search.plans.plan_source import structure_of_plan
-from falsework.search.problem.regrasp_route import RegraspRoute
+from falsework.search.problem.result import Route
 from falsework.search.regrasp.exhaustive import ExhaustiveRegraspSearch
 
 
@@ -48,7 +48,7 @@ def regrasped(small_arch: Assembly, arch_oracle: StabilityOracle) -> Plan:
     for part, value in ((first, 2), (second, 2), (first, 1), (first, 2), (second, 1), (first, 1)):
         states.append(states[-1].copy())
         states[-1][part] = value
-    route = RegraspRoute.from_states(np.concatenate([states, plan.route.states[1:]]))
+    route = Route.from_states(np.concatenate([states, plan.route.states[1:]]))
     return prove_route(route, small_arch, make_task(small_arch, 2, allow_regrasp=True), arch_oracle)
 
 
@@ -166,7 +166,7 @@ def test_a_plan_has_only_the_props_that_it_uses(propped_arch: Assembly) -> None:
     arch = keep_props(propped_arch, [])
     plain = find_plans(arch, robots=2, forces=False).plans[0]
     away = np.zeros((len(plain.states), len(propped_arch.props)), dtype=np.uint8)
-    route = RegraspRoute.from_states(np.concatenate([plain.route.states, away], axis=1))
+    route = Route.from_states(np.concatenate([plain.route.states, away], axis=1))
     task = make_task(propped_arch, 2, allow_regrasp=True, props=1)
     plan = prove_route(route, propped_arch, task, StabilityOracle(propped_arch))
     assert plan.props == ()

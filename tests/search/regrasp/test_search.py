@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from falsework import Direction, Outcome, PlannerSettings, Task
-from falsework.search import ExhaustiveSearch
+from falsework.search import ExhaustiveSearch, Oracle
 from falsework.search.planner import Planner
 from falsework.search.problem.regrasp_moves import RegraspMoves
 from falsework.search.regrasp.beam import RegraspBeam
@@ -146,7 +146,7 @@ def test_stopped_within_a_level_a_beam_can_be_run_on(rules: Any, direction: Dire
 
 
 @dataclass
-class SeesawOracle:
+class SeesawOracle(Oracle):
     """Seesaws: while just one of two parts is there, the beam below them must be held; a beam goes after its load.
 
     Here, unlike where each part has supports of its own, a hold that was needed may not be needed any more.

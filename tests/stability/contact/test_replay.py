@@ -119,7 +119,7 @@ def test_a_search_that_forgets_histories_finds_the_same_plan(
     dome: Assembly, dome_states: NDArray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Only the histories of a few levels fit into memory; the others are computed anew."""
-    monkeypatch.setattr("falsework.search.beam.histories._HISTORY_BYTES", 1 << 16)
+    monkeypatch.setattr("falsework.search.beam.paths._HISTORY_BYTES", 1 << 16)
     (plan,) = find_plans(dome, make_task(dome, 2)).plans
     assert (plan.states == dome_states).all()
     assert plan.replay == replayed(dome, plan)

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.robots.kernels.coordination import Swept, conflicts
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
+from falsework.search.problem.oracle import Oracle
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.verdict import Verdicts
 
@@ -139,14 +141,26 @@ class JointHolds:
         return self.grips.swept(grips[0].robot, np.array([grip.configuration for grip in grips]))
 
 
-class HoldingOracle:
+class HoldingOracle(Oracle):
     """Stability oracle that leaves states undecided whose held parts no arms can hold together."""
 
     def __init__(self, oracle: StabilityOracle, joint: JointHolds) -> None:
         """Query `oracle` for the states that `joint` does not exclude."""
         self._oracle, self._joint = oracle, joint
-        self.holds_keep_stable, self.replayer = oracle.holds_keep_stable, oracle.replayer
-        self.keeps = getattr(oracle, "keeps", None)
+
+    @property
+    def holds_keep_stable(self) -> bool:
+        """As of the oracle."""
+        return self._oracle.holds_keep_stable
+
+    @property
+    def replayer(self) -> Replayer | None:
+        """As of the oracle."""
+        return self._oracle.replayer
+
+    def keeps(self, states: States) -> Mask:
+        """As of the oracle."""
+        return self._oracle.keeps(states)
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """Return verdicts as `falsework.search.problem.oracle.Oracle`; excluded states stay undecided."""

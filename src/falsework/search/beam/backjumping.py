@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any
 
@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.search.beam.beam import BeamSearch
-from falsework.search.beam.histories import ReplaySummary
+from falsework.search.beam.level_search import Beams
 from falsework.search.beam.nogoods import luby
-from falsework.search.beam.settings import BeamSettings
+from falsework.search.beam.settings import AHEAD, BeamSettings
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
-from falsework.search.problem.result import Progress, SearchCounters, SearchResult, Stop
+from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchResult, Stop
+from falsework.search.problem.search import ReplaySummary, Search
 from falsework.search.problem.task import Direction, Task
 
 WIDENING = 4
-"""A beam that restarts is so many times wider."""
-_LOOKAHEAD_PER_WIDTH = 16
-"""States without a need for a verdict that wide beams keep at least, as a multiple of the width."""
+"""A beam that restarts is so many times wider. Beams for missing parts restart once; those for other plans begin so
+wide, and restart once."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class BackjumpingSettings:
     """Width to begin with."""
     seed: int = 0
     """Same seed, same machine, same result."""
-    lookahead: int = 64
+    lookahead: int = WIDENING * AHEAD
     """States without a need for a verdict that narrow beams keep, so that the next level has a choice; with fewer,
     little but what the guide puts first is tried."""
 
@@ -44,14 +44,14 @@ class BackjumpingSettings:
             width=width,
             direction=self.direction,
             diversity="none",
-            lookahead=max(self.lookahead, _LOOKAHEAD_PER_WIDTH * width),
+            lookahead=max(self.lookahead, AHEAD * width),
             commit=width == 1,
             number=conflicts,
             seed=self.seed,
         )
 
 
-class BackjumpingBeam:
+class BackjumpingBeam(Search):
     """Beam search with conflict-directed backjumping and restarts.
 
     Robots mostly hold a chain of parts, one after the other, until it closes and all can be let go of; whether it
@@ -68,12 +68,15 @@ class BackjumpingBeam:
         settings: BackjumpingSettings = BackjumpingSettings(),
         *,
         guide: Guide | None = None,
+        beams: Beams = BeamSearch,
     ) -> None:
-        """Begin narrow, at the origin of the direction."""
-        self.settings = settings
-        self.search = BeamSearch(task, oracle, settings.beam(settings.width), guide=guide)
+        """Begin narrow, at the origin of the direction, with a beam of some backend."""
+        self.task, self.direction, self.settings = task, settings.direction, settings
+        self.search = beams(task, oracle, settings.beam(settings.width), guide=guide)
         self._farthest = self._since = 0
         """Farthest level since the last restart, and conflicts since it was reached."""
+        self._over = False
+        """Whether a jump would lead beyond the origin, and a restart beyond the width of the present run."""
 
     @property
     def infeasible(self) -> bool:
@@ -81,45 +84,80 @@ class BackjumpingBeam:
         return self.search.done and not self.search.found and self.search.exhaustive
 
     @property
+    def found(self) -> bool:
+        """See `Search.found`."""
+        return self.search.found
+
+    @property
+    def done(self) -> bool:
+        """See `Search.done`."""
+        return self.found or self.infeasible or self._over
+
+    @property
+    def dead_ends(self) -> int:
+        """See `Search.dead_ends`."""
+        return self.search.conflicts.count
+
+    @property
     def asked(self) -> int:
-        """Verdicts requested so far."""
+        """See `Search.asked`."""
         return self.search.asked
 
     @property
     def counters(self) -> SearchCounters:
-        """Work done so far."""
+        """See `Search.counters`."""
         return self.search.counters
 
     def forbid(self, states: States) -> None:
-        """Leave states out from now on, see `BeamSearch.forbid`."""
+        """See `Search.forbid`."""
         self.search.forbid(states)
 
+    def route(self) -> Route:
+        """See `Search.route`."""
+        return self.search.route()
+
     def replay_summary(self) -> ReplaySummary | None:
-        """Return the replay of the route found, see `BeamSearch.replay_summary`."""
+        """See `Search.replay_summary`."""
         return self.search.replay_summary()
 
-    def run(self, widest: int, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Search until the goal is reached, a beam wider than `widest` would be needed, or `stop` returns true.
+    def run(self, widest: int = 0, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        """See `Search.run`."""
+        self._over = False
+        return super().run(widest, progress=progress, stop=stop)
 
-        Args:
-            widest: limit on the width; run again with a larger one to go on.
-            progress: called after every level.
-            stop: asked before every level.
-        """
-        while True:
-            result = self.search.run(progress=progress, stop=stop)
-            if result.interrupted or result.found or self.infeasible:
-                return result
-            if not self.jump_back() and not self._restart(widest):
-                if not result.undecided and not result.sliding:
-                    limit = f"beams up to a width of {self.search.settings.width} died; wider ones may come through"
-                    result = replace(result, limit=limit)
-                return result
+    def step(self) -> bool:
+        """Find the next level; where there is none, jump back from the dead end, or restart wider."""
+        stepped = self.search.step()
+        if self.search.done and not self.found and not self.infeasible:
+            self._over = not self.jump_back() and not self._restart()
+        return stepped
+
+    def _failure(self) -> tuple[Outcome, str]:
+        outcome, limit = self.search._failure()
+        if not self.infeasible and not any(self._open()):
+            limit = f"beams up to a width of {self.search.settings.width} died; wider ones may come through"
+        return outcome, limit
+
+    def _farthest_states(self) -> tuple[int, States, States]:
+        return self.search._farthest_states()
+
+    def _place(self) -> tuple[int, int, int]:
+        return self.search._place()
+
+    def _open(self) -> tuple[int, int]:
+        return self.search._open()
+
+    def _notes(self, outcome: Outcome) -> tuple[str, ...]:
+        return self.search._notes(outcome)
+
+    def _ended(self) -> None:
+        self.search._ended()
 
     def pack(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Return the search as it stands: plain values, and arrays."""
+        assert isinstance(self.search, BeamSearch)
         header, arrays = self.search.pack()
-        own = {"farthest": self._farthest, "since": self._since}
+        own = {"farthest": self._farthest, "since": self._since, "seconds": self._seconds}
         return header | {"jumps": own, "base": asdict(self.settings)}, arrays
 
     @classmethod
@@ -140,7 +178,12 @@ class BackjumpingBeam:
         base = header["base"] | {"direction": Direction(header["base"]["direction"])}
         beam = cls(task, oracle, BackjumpingSettings(**base))
         beam.search = BeamSearch.unpack(header, arrays, task, oracle, guide=guide)
-        beam._farthest, beam._since = int(header["jumps"]["farthest"]), int(header["jumps"]["since"])
+        jumps = header["jumps"]
+        beam._farthest, beam._since, beam._seconds = (
+            int(jumps["farthest"]),
+            int(jumps["since"]),
+            float(jumps["seconds"]),
+        )
         return beam
 
     def jump_back(self) -> bool:
@@ -158,10 +201,10 @@ class BackjumpingBeam:
         search.rewind(back, self.settings.beam(search.settings.width, conflicts.count))
         return True
 
-    def _restart(self, widest: int) -> bool:
+    def _restart(self) -> bool:
         """Begin again with a wider beam, which may make all choices; False if it would be too wide."""
         width = self.search.settings.width * WIDENING
-        if width > widest:
+        if width > self._widest:
             return False
         conflicts = self.search.conflicts
         conflicts.refuted.clear()

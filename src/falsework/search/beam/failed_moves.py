@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 
-_CHUNK_MOVES = 16_384
-
 
 class FailedMoves:
     """Memory of moves whose state was rejected, by the values of the moved part and of those in contact with it.
@@ -47,14 +45,10 @@ class FailedMoves:
         Returns:
             Shape (batch,).
         """
-        keys = np.empty(len(part), dtype=np.uint64)
-        for begin in range(0, len(part), _CHUNK_MOVES):
-            rows = slice(begin, begin + _CHUNK_MOVES)
-            ring = self._ring[part[rows]]
-            values = np.take_along_axis(states[rows], np.minimum(ring, states.shape[1] - 1), axis=1)
-            keys[rows] = np.bitwise_xor.reduce(self._around[ring, values], axis=1)
-            keys[rows] ^= self._moved[part[rows], states[rows][np.arange(len(ring)), part[rows]]]
-        return keys
+        ring = self._ring[part]
+        values = np.take_along_axis(states, np.minimum(ring, states.shape[1] - 1), axis=1)
+        own = self._moved[part, states[np.arange(len(part)), part]]
+        return np.bitwise_xor.reduce(self._around[ring, values], axis=1) ^ own
 
     def failed(self, keys: NDArray[np.uint64]) -> Mask:
         """Return which moves failed when they were last tried. Shape (batch,)."""

@@ -9,14 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States, held_count
-from falsework.search.problem.hashing import StateHash, merge
+from falsework.search.problem.hashing import StateHash, chunks, merge
 from falsework.search.problem.task import Direction, Task
 
 Rows = NDArray[np.int64]
-
-_CHUNK_STATES = 4096
-_WORTH_PACKING = 16_384
-"""Bytes of states from which a level is packed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +58,7 @@ class PackedLevel:
 
 def pack(level: Level | PackedLevel) -> Level | PackedLevel:
     """Return a level, packed if it takes less than half of the memory: states of narrow beams are mostly alike."""
-    if isinstance(level, PackedLevel) or level.states.nbytes < _WORTH_PACKING:
+    if isinstance(level, PackedLevel):
         return level
     packed = PackedLevel(level)
     return packed if 2 * packed.size < level.states.nbytes else level
@@ -165,8 +161,8 @@ def expand(task: Task, direction: Direction, level: States, state_hash: StateHas
     frontier = Frontier(task, direction, level, legal, moves, fixing)
     if task.clearance is not None and direction is Direction.ASSEMBLY:
         candidates = frontier.candidates()
-        for begin in range(0, len(candidates), _CHUNK_STATES):
-            rows = candidates[begin : begin + _CHUNK_STATES]
+        for piece in chunks(len(candidates)):
+            rows = candidates[piece]
             dead = rows[task.dead_ends(frontier.states(rows), direction)]
             moves.ravel()[dead] = fixing.ravel()[dead] = False
     return frontier

@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-import time
-from abc import ABC, abstractmethod
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from falsework.assembly.state import States
+from falsework.assembly.state import HELD, Mask, States, held_count
 from falsework.errors import InputError
 from falsework.search.beam.frontier import Level, PackedLevel
+from falsework.search.beam.nogoods import Nogoods
 from falsework.search.beam.settings import BeamSettings
-from falsework.search.problem.result import Progress, Route, SearchProgress, SearchResult, Stop
+from falsework.search.problem.guide import Guide
+from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.result import REPORTED_STATES, Outcome, Route, beam_failure
+from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 
 
-class LevelSearch(ABC):
+class LevelSearch(Search):
     """Search level by level from one end of a task, each level one move from the last."""
 
     levels: list[Level | PackedLevel]
     """Levels so far, from the origin on."""
 
-    def __init__(self, task: Task, settings: BeamSettings) -> None:
+    def __init__(self, task: Task, settings: BeamSettings, guide: Guide | None) -> None:
         """Begin without a level.
 
         Raises:
@@ -32,11 +36,17 @@ class LevelSearch(ABC):
             raise InputError(
                 "beams of levels move one part at a time; search with find_plans, or without parts_at_once"
             )
-        self.task, self.settings = task, settings
+        self.task, self.settings, self._guide = task, settings, guide
+        self.direction = settings.direction
+        self.conflicts = Nogoods()
+        """Dead ends, which a search that jumps back adds to."""
         self._levels: list[Any] = []
         """The same where the search keeps them; entries have `states`."""
-        self._dead = False
-        self._seconds = 0.0
+        self._whole: list[bool] = []
+        """For each level after the first, and for the attempt at the next if dead: no stable state was left out."""
+        self._dead = not task.contains(task.origin(settings.direction)[None])[0]
+        self._farthest = 0
+        self._deepest = self._rejected = np.empty((0, task.part_count), dtype=np.uint8)
 
     @property
     def found(self) -> bool:
@@ -48,70 +58,116 @@ class LevelSearch(ABC):
         """Whether the goal is reached or nothing is left to expand."""
         return self._dead or self.found
 
+    @property
+    def exhaustive(self) -> bool:
+        """Whether no state was left out so far: if so and the search is dead, there is no plan."""
+        return all(self._whole)
+
     def states(self) -> States:
         """Return all states kept so far, level by level from the origin. Shape (count, parts)."""
         empty = np.empty((0, self.task.part_count), dtype=np.uint8)
         return np.concatenate([empty, *(level.states for level in self.levels)])
 
-    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Step until the goal is reached, nothing is left, or `stop` or the keyboard interrupts the search.
-
-        Args:
-            progress: called after every level.
-            stop: asked before every level, of several processes in all alike; true stops the search, which can then be
-                run on.
-
-        Returns:
-            A found route, or how far the search came; `interrupted` after an interruption.
-        """
-        begun = time.perf_counter()
-        interrupted = False
-        try:
-            while not self.done:
-                if stop is not None and stop():
-                    interrupted = True
-                    break
-                self._advance()
-                if progress is not None:
-                    progress(self._report(self._seconds + time.perf_counter() - begun))
-        except KeyboardInterrupt:
-            interrupted = True
-        len(self.levels)  # brings those on a device to the host, which belongs to the time
-        self._seconds += time.perf_counter() - begun
-        return self.result(interrupted=interrupted)
-
     def route(self) -> Route:
         """Return the best scored way from start to target, in disassembly order; only once `found`."""
         if not self.found:
             raise InputError("the beam search has not reached its goal; there is no route yet")
-        row, states = 0, []
-        for level in reversed(self.levels):
-            states.append(level.states[row])
-            row = int(level.parent[row])
+        states = [self.levels[number].states[row] for number, row in self._backtrace()]
         if self.settings.direction is Direction.DISASSEMBLY:
             states.reverse()
         return Route.from_states(np.array(states))
 
-    @abstractmethod
-    def result(self, *, interrupted: bool = False) -> SearchResult:
-        """Return the result so far; `interrupted` if the search was stopped from outside."""
+    def _failure(self) -> tuple[Outcome, str]:
+        return beam_failure(self.settings.width, self.exhaustive, *self._open(), self.task.caveat)
 
-    @abstractmethod
-    def _advance(self) -> None:
-        """Find the next level, or do what is to be done where there is none."""
+    def _farthest_states(self) -> tuple[int, States, States]:
+        # A beam that was taken back may be less far now than where it died before.
+        if len(self.levels) > self._farthest:
+            return len(self.levels) - 1, self.levels[-1].states[:REPORTED_STATES], self._rejected[:0]
+        return max(self._farthest, 1) - 1, self._deepest, self._rejected
+
+    def _place(self) -> tuple[int, int, int]:
+        level = len(self._levels) - 1
+        return level, len(self._levels[-1].states) if self._levels else 0, self.settings.width
+
+    def choices(self) -> Iterator[tuple[int, int]]:
+        """Yield the choices on the way to the best scored state of the last level that led to a dead end, latest first.
+
+        Yields:
+            Level and the action chosen there: first those that fixed the parts that robots hold in all states of the
+            last level, then the first of each chain of held parts before.
+        """
+        bound = (self.levels[-1].states == HELD).all(axis=0) & (self.task.origin(self.settings.direction) != HELD)
+        fewest, held_after, action = self.task.robots, 0, -1
+        for number, row in self._backtrace():
+            state = self.levels[number].states[row]
+            held = int(held_count(state[None], self.task.boundary)[0])
+            bound, binds = bound & (state == HELD), (bound & (state != HELD)).any()
+            if binds or (not bound.any() and held <= fewest and held < held_after):
+                yield number, action
+            if not bound.any():
+                fewest = min(fewest, held)
+            held_after, action = held, int(self.levels[number].action[row])
+
+    def before(self, number: int) -> States:
+        """Return the state at a level on the way to the best scored one, shape (parts,)."""
+        row = next(row for level, row in self._backtrace() if level == number)
+        return self.levels[number].states[row]
+
+    def rewind(self, level: int, settings: BeamSettings) -> None:
+        """Discard all levels after `level` and continue from there with other settings.
+
+        Raises:
+            InputError: settings for the other direction, or a level that was not reached.
+        """
+        if settings.direction is not self.settings.direction or not 0 <= level < len(self._levels):
+            raise InputError(f"cannot rewind a beam search of {len(self._levels)} levels to level {level}")
+        del self._levels[level + 1 :], self._whole[level:]
+        self.settings, self._dead = settings, False
+
+    def _go_back(self, level: int) -> None:
+        """Go back to before a level in which states were ruled out."""
+        self._whole = [*self._whole[:level], *([False] * (len(self._levels) - level))]
+        self.rewind(max(level - 1, 0), self.settings)
 
     @property
-    @abstractmethod
-    def _asked(self) -> int:
-        """Verdicts asked for."""
+    def _whole_before(self) -> bool:
+        """Whether no stable state was left out up to the last level."""
+        return all(self._whole[: len(self._levels) - 1])
 
-    def _report(self, seconds: float) -> SearchProgress:
-        return SearchProgress(
-            self.settings.direction,
-            len(self._levels) - 1,
-            self.task.steps,
-            len(self._levels[-1].states) if self._levels else 0,
-            self.settings.width,
-            self._asked,
-            seconds,
-        )
+    def _guided(self, states: States, legal: Mask) -> NDArray[np.floating] | None:
+        """Return the guide's scores of legal actions, shapes (level, parts) and (level, 2 parts).
+
+        Raises:
+            InputError: scores of another shape.
+        """
+        if self._guide is None:
+            return None
+        scores = np.asarray(self._guide(states, legal, self.settings.direction))
+        if scores.shape != legal.shape:
+            raise InputError(f"the guide returned scores of shape {scores.shape}; expected {legal.shape}")
+        return scores
+
+    def _died(self, rejected: States) -> None:
+        """Note that there is no next level, and some of the states that might have been in it."""
+        self._dead = True
+        if len(self._levels) > self._farthest:
+            self._farthest = len(self._levels)
+            self._deepest, self._rejected = self.levels[-1].states[:REPORTED_STATES], rejected
+
+    def _backtrace(self) -> Iterator[tuple[int, int]]:
+        """Yield levels and rows of the way to the best scored state of the last level, that state first."""
+        row, levels = 0, self.levels
+        for number in range(len(levels) - 1, -1, -1):
+            yield number, row
+            row = int(levels[number].parent[row])
+
+
+class Beams(Protocol):
+    """Constructor of the beams of one backend, such as `BeamSearch`."""
+
+    def __call__(
+        self, task: Task, oracle: Oracle, settings: BeamSettings = ..., *, guide: Guide | None = None
+    ) -> LevelSearch:
+        """Return a beam at the origin of its direction."""
+        ...

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 
 _REMEMBERED_STATES = 4096
-"""States whose refuted choices are remembered; of a few hundred parts each, so a few megabytes."""
+"""States whose refuted choices are remembered, those refuted last: of a few hundred parts each, a few megabytes."""
 
 
 class Nogoods:

@@ -1,4 +1,4 @@
-"""Ways by which a beam reaches its states: deferred verdicts, and contact histories."""
+"""Ways by which a beam reaches its states: deferred verdicts, and in the order of assembly contact histories."""
 
 from __future__ import annotations
 
@@ -9,14 +9,24 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.search.beam.frontier import Frontier, Level, PackedLevel, Rows
-from falsework.search.beam.replays import Replays
 from falsework.search.problem.oracle import CountingOracle
+from falsework.search.problem.search import ReplaySummary
+from falsework.stability.holds import Press
 
 if TYPE_CHECKING:
+    from falsework.stability.contact.history import History
     from falsework.stability.contact.varied_replay import AnyReplayer
 
+_HISTORY_BYTES = 256 << 20
+"""Memory for histories; the earliest are computed anew where they are needed again, which costs time alone."""
 
-class BeamPaths:
+
+def histories_in_memory(history: History) -> int:
+    """Return how many contact histories of the size of one a search keeps."""
+    return _HISTORY_BYTES // max(history.nbytes, 1)
+
+
+class Exits:
     """Ways to the states of a beam."""
 
     def __init__(self, levels: list[Level | PackedLevel], judge: CountingOracle, replayer: AnyReplayer | None) -> None:
@@ -27,8 +37,15 @@ class BeamPaths:
             judge: asked for the deferred verdicts.
             replayer: of the structure; None where contact histories do not matter.
         """
-        self._levels, self._judge = levels, judge
-        self.replays = None if replayer is None else Replays(replayer, levels)
+        self._levels, self._judge, self._replayer = levels, judge, replayer
+        self.refused = False
+        """Whether a candidate for the next level failed the test of its way."""
+        self._next: dict[int, History] = {}
+        """Histories of candidates for the next level."""
+        self._most: float = np.inf
+        self._known: list[dict[int, History | None]] = []
+        self._known_steps: list[dict[int, tuple[float, int, tuple[Press, ...]]]] = []
+        """Of the states at rest: the largest movement of a part, that part, and the presses of the step."""
 
     def stable_ancestors(self) -> States:
         """Return for each state of the last level the nearest on the way to it that is known to be stable."""
@@ -44,14 +61,11 @@ class BeamPaths:
         return states
 
     def stable(self, rows: NDArray[np.int64], level: int = -1) -> Mask:
-        """Request the deferred verdicts on the ways to states of a level; return which ways are stable.
+        """Request the deferred verdicts on the ways to states of a level; return which ways are stable, shape (rows,).
 
         Args:
             rows: states of the level.
             level: index of the level.
-
-        Returns:
-            Shape (rows,).
         """
         here = self._levels[level]
         waiting = np.unique(rows[here.grounded[rows] == 0])
@@ -65,30 +79,88 @@ class BeamPaths:
                 here.grounded[waiting] = np.where(stable, 1, -1)
         return here.grounded[rows] > 0
 
-    def verifier(self, frontier: Frontier) -> PathVerifier:
-        """Return the test of the ways to candidates for the next level."""
-        return PathVerifier(self, frontier, self._judge)
-
-
-class PathVerifier:
-    """Test of stable candidates: their ways are stable too, and come to rest with contact history."""
-
-    def __init__(self, paths: BeamPaths, frontier: Frontier, judge: CountingOracle) -> None:
-        self.refused = False
-        """Whether a candidate failed the test."""
-        self._paths, self._frontier, self._judge = paths, frontier, judge
-
-    def __call__(self, rows: Rows) -> Mask:
-        """See `falsework.search.beam.selection.Verifier`."""
-        frontier, replays = self._frontier, self._paths.replays
-        good = self._paths.stable(frontier.parent(rows))
-        if replays is not None and good.any():
-            rows = rows[good]
-            rests = replays.comes_to_rest(rows, frontier.parent(rows), frontier.states(rows))
+    def verifier(self, frontier: Frontier, rows: Rows) -> Mask:
+        """Return which stable candidates are reached by ways that are stable too, and come to rest. Shape (rows,)."""
+        good = self.stable(frontier.parent(rows))
+        if self._replayer is not None and good.any():
+            rows, level = rows[good], len(self._levels) - 1
+            rests = np.zeros(len(rows), dtype=bool)
+            origins = self._levels[level].states
+            for k, (row, origin, state) in enumerate(
+                zip(rows, frontier.parent(rows), frontier.states(rows), strict=True)
+            ):
+                history = self._history(level, int(origin))
+                if history is not None:
+                    rests[k], after = self._replayer.step(history, origins[origin], state)
+                    if rests[k]:
+                        self._next[int(row)] = after
             self._judge.sliding += int((~rests).sum())
             good[good] = rests
         self.refused = self.refused or not good.all()
         return good
 
+    def keep(self, rows: Rows) -> None:
+        """Take over the histories of the candidates that became the last level, and forget the earliest beyond room."""
+        for place, row in enumerate(rows.tolist()):
+            if row in self._next:
+                self._put(len(self._levels) - 1, place, self._next[row])
+        self._next = {}
+        count = sum(map(len, self._known))
+        for known in self._known[1:-1]:
+            if count <= self._most:
+                break
+            count -= len(known)
+            known.clear()
 
-__all__ = ["BeamPaths", "PathVerifier"]
+    def rewind(self, level: int) -> None:
+        """Forget all levels after `level`."""
+        self._next = {}
+        del self._known[level + 1 :], self._known_steps[level + 1 :]
+
+    def summary(self) -> ReplaySummary | None:
+        """Return the replay of the way to the first state of the last level; None where it does not come to rest."""
+        row, level = 0, len(self._levels) - 1
+        if self._replayer is None or self._history(level, row) is None:
+            return None
+        most, presses = (0.0, -1), list[tuple[Press, ...]]()
+        for number in range(level, -1, -1):
+            moved, part, pressed = self._known_steps[number][row]
+            most = max(most, (moved, part))
+            presses.append(pressed)
+            row = int(self._levels[number].parent[row])
+        return most[0], most[1], None, tuple(presses[::-1])
+
+    def _history(self, level: int, row: int) -> History | None:
+        """Return the history of a state of a level; None where the way to it does not stand."""
+        replayer = self._replayer
+        assert replayer is not None
+        self._fit(len(self._levels))
+        way = [row]  # back to a state whose history is known, or to the first level
+        while way[-1] not in self._known[level + 1 - len(way)] and len(way) <= level:
+            way.append(int(self._levels[level + 1 - len(way)].parent[way[-1]]))
+        first = level + 1 - len(way)
+        if way[-1] not in self._known[first]:
+            start = replayer.replay(self._levels[0].states[way[-1]][None])
+            self._put(0, way[-1], start.histories[0] if start.histories else None)
+        history = self._known[first][way[-1]]
+        for at in range(first + 1, level + 1):
+            before, after = way[level + 1 - at], way[level - at]
+            if history is not None:
+                states = self._levels[at - 1].states[before], self._levels[at].states[after]
+                rests, history = replayer.step(history, *states)
+                history = history if rests else None
+            self._put(at, after, history)
+        return history
+
+    def _put(self, level: int, row: int, history: History | None) -> None:
+        """Remember the history of a state, None where the way to it does not stand."""
+        self._fit(level + 1)
+        self._known[level][row] = history
+        if history is not None:
+            self._most = histories_in_memory(history)
+            self._known_steps[level][row] = history.moved, history.part, history.presses
+
+    def _fit(self, count: int) -> None:
+        """Make room for the histories of `count` levels."""
+        self._known.extend({} for _ in range(count - len(self._known)))
+        self._known_steps.extend({} for _ in range(count - len(self._known_steps)))

@@ -14,9 +14,6 @@ from falsework.search.problem.task import Direction
 
 Array = NDArray[np.float64]
 
-_FEW = 1 << 15
-"""Moves of all states of a level up to which all candidates are sorted."""
-
 
 @dataclass(frozen=True, eq=False)
 class Scores:
@@ -40,13 +37,11 @@ class Scores:
 class Priorities:
     """Order in which candidates are tried: those that leave more robots free first, then the better scored."""
 
-    def __init__(self, scores: Scores, rng: np.random.Generator, few: int = _FEW) -> None:
-        """Begin without looking at any candidate; equal ones will be in random order, and up to `few` all sorted."""
+    def __init__(self, scores: Scores, rng: np.random.Generator) -> None:
+        """Begin without looking at any candidate; equal ones will be in random order."""
         self._scores, self._frontier, self._rng = scores, scores.frontier, rng
         parts = scores.frontier.task.part_count
         self._begin = 0 if scores.frontier.direction is Direction.DISASSEMBLY else parts
-        self.few = scores.frontier.fixing.size <= few
-        """Whether sorting all candidates takes no longer than finding the best."""
         self._place: NDArray[np.int64] | None = None
 
     @cached_property
@@ -71,9 +66,6 @@ class Priorities:
         """Gap between numbers of held parts: wider than all scores, so that it decides first."""
         if not len(self._frontier):
             return 1.0
-        if self.few:
-            score = self._scores.of(self._frontier.candidates())
-            return score.max() - score.min() + 1.0
         others = self._scores.of(np.concatenate([self.loose, self._turned]))
         most = max(self._table.max(initial=-np.inf, where=self._half), others.max(initial=-np.inf))
         return most - min(self._table.min(initial=np.inf, where=self._half), others.min(initial=np.inf)) + 1.0

@@ -4,32 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import Mask, States
+from falsework.assembly.state import States
 from falsework.search.beam.failed_moves import FailedMoves
 from falsework.search.beam.frontier import Frontier, Rows
 from falsework.search.beam.k_means import k_means
+from falsework.search.beam.paths import Exits
 from falsework.search.beam.scores import Priorities, Scores
+from falsework.search.beam.settings import AHEAD
 from falsework.search.problem.oracle import CountingOracle
 
-
-class Verifier(Protocol):
-    """Second test of candidates with a stable verdict."""
-
-    def __call__(self, rows: Rows) -> Mask:
-        """Return which candidates are reached by states that are stable too, and come to rest. Shape (rows,)."""
-        ...
-
-
-_RETRIES = 16
-"""Moves that failed before which are tried again at a level, for each state wanted."""
 _VERDICT_BATCH = 2
-"""Candidates asked for at once at least, once the first were not enough: enough to share two cores. The first mostly
-are, and a stable state costs ten times the verdict of one that falls."""
+"""Candidates asked for at once at least, once the first were not enough: the states beyond those wanted leave the next
+level a choice."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +48,8 @@ class Selector:
     """Breaks ties and seeds the clusters."""
     stable_ancestors: States
     """For each state of the level one near it that is known to be stable, shape (level, parts)."""
+    judge: CountingOracle
+    """Asked for verdicts."""
     failures: FailedMoves | None = None
     """Moves that failed before, which are tried last."""
 
@@ -81,71 +73,58 @@ class Selector:
         rank = np.arange(len(sample)) - np.repeat(begin, np.diff(np.append(begin, len(sample))))
         return np.concatenate([sample[order[np.argsort(rank, kind="stable")]], rows[room:]])
 
-    def select_from_all(self, judge: CountingOracle, width: int) -> Selection:
+    def select_from_all(self, width: int) -> Selection:
         """Ask for every candidate, then keep `width` stable ones, as in the paper."""
         frontier, rows = self.frontier, self.frontier.candidates()
         stable = frontier.free(rows)
         asked = rows[~stable]
         if len(asked):
-            stable[~stable] = judge.stable(frontier.states(asked), self.stable_ancestors[frontier.parent(asked)])
+            stable[~stable] = self.judge.stable(frontier.states(asked), self.stable_ancestors[frontier.parent(asked)])
         kept = self.order(rows[stable], self.scores.of, width)[:width]
         return self._selection(kept, rows[~stable])
 
-    def select_lazily(
-        self,
-        judge: CountingOracle,
-        width: int,
-        lookahead: int,
-        verifier: Verifier,
-        *,
-        commit: bool,
-    ) -> Selection:
+    def select_lazily(self, width: int, lookahead: int, ways: Exits, *, commit: bool) -> Selection:
         """Ask only until `width` states are found stable; keep `lookahead` more that a fixed part leads to.
 
         States that leave more robots free come first, then the better scored.
 
         Args:
-            judge: asked in the order of promise.
             width: states to keep among those that a removal, or in assembly a release, leads to.
             lookahead: states to keep among those that fixing a part leads to; their verdicts wait until a descendant is
                 kept.
-            verifier: second test of candidates with a stable verdict.
+            ways: second test of candidates with a stable verdict.
             commit: once `width` are found, drop states that keep more robots busy than these.
         """
         frontier, promise = self.frontier, Priorities(self.scores, self.rng)
         loose = self.order(promise.loose, promise.of, width)
-        proven, rejected = self._verify_untried_first(judge, loose, width, verifier)
+        proven, rejected = self._verify_untried_first(loose, width, ways)
         most_held = np.inf
         if commit and len(proven) >= width:
             most_held = float(frontier.held(proven).max())
-        if promise.few or self.clustered:
+        if self.clustered:
             fixed = self.order(np.flatnonzero(frontier.fixing), promise.of, lookahead)
             fixed = fixed[frontier.held(fixed) <= most_held][:lookahead]
         else:
             fixed = promise.best_fixing(lookahead, most_held)
         return self._selection(np.concatenate([proven, fixed]), rejected)
 
-    def _verify_untried_first(
-        self, judge: CountingOracle, waiting: Rows, wanted: int, verifier: Verifier
-    ) -> tuple[Rows, Rows]:
+    def _verify_untried_first(self, waiting: Rows, wanted: int, ways: Exits) -> tuple[Rows, Rows]:
         """As `_verify_in_order`; moves that failed before are tried last."""
         if self.failures is None or not len(waiting):
-            return self._verify_in_order(judge, waiting, wanted, verifier)
+            return self._verify_in_order(waiting, wanted, ways)
         frontier = self.frontier
         keys = self.failures.keys(frontier.states(waiting), frontier.part(waiting))
         failed = self.failures.failed(keys)
-        again = np.flatnonzero(failed)[: _RETRIES * wanted]
+        again = np.flatnonzero(failed)[: AHEAD * wanted]
         order = np.concatenate([np.flatnonzero(~failed), again])
         waiting, keys = waiting[order], keys[order]
-        kept, rejected = self._verify_in_order(judge, waiting, wanted, verifier)
+        kept, rejected = self._verify_in_order(waiting, wanted, ways)
         for rows, stable in ((kept, True), (rejected, False)):
             place = np.isin(waiting, rows)
             self.failures.learn(keys[place], np.full(int(place.sum()), stable))
         return kept, rejected
 
-    def _verify_in_order(
-        self, judge: CountingOracle, waiting: Rows, wanted: int, verifier: Verifier
-    ) -> tuple[Rows, Rows]:
+    def _verify_in_order(self, waiting: Rows, wanted: int, ways: Exits) -> tuple[Rows, Rows]:
         """The first stable candidates of a list, about `wanted` of them, and those found not stable on the way."""
         frontier = self.frontier
         kept: list[Rows] = [waiting[:0]]
@@ -153,9 +132,9 @@ class Selector:
         position = 0
         while wanted > 0 and position < len(waiting):
             batch = waiting[position : position + (max(wanted, _VERDICT_BATCH) if position else wanted)]
-            stable = judge.stable(frontier.states(batch), self.stable_ancestors[frontier.parent(batch)])
+            stable = self.judge.stable(frontier.states(batch), self.stable_ancestors[frontier.parent(batch)])
             if stable.any():
-                stable[stable] = verifier(batch[stable])
+                stable[stable] = ways.verifier(frontier, batch[stable])
             kept.append(batch[stable])
             rejected.append(batch[~stable])
             position += len(batch)

@@ -9,6 +9,10 @@ from falsework.errors import InputError
 from falsework.search.problem.task import Direction
 from falsework.utils.quantity import check_seed
 
+AHEAD = 16
+"""Candidates beyond those that a beam keeps for their verdicts, for each state of its width: states ahead without a
+need for a verdict, and moves that failed before and are tried again. More are a wider choice for the next level."""
+
 Diversity = Literal["k-means", "none"]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from copy import copy
 from typing import TYPE_CHECKING, Protocol
 
-from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.oracle import Criterion, Oracle
 from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import import_torch, put
 
@@ -17,11 +17,13 @@ if TYPE_CHECKING:
     from falsework.stability.oracle import StabilityOracle
 
 
-class TensorOracle(Protocol):
-    """Stability oracle for batches of states on a device.
+class TensorOracle(Criterion, Protocol):
+    """Stability oracle for batches of states on a device; if `holds_keep_stable`, holds are not checked."""
 
-    If its attribute `holds_keep_stable` is true, as of `StabilityOracle`, holds are not checked.
-    """
+    @property
+    def holds_keep_stable(self) -> bool:
+        """As of `Criterion`."""
+        return False
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
         """Return verdicts, each with a proof found in float64.
@@ -40,7 +42,7 @@ class HostOracle:
     """Oracle on the CPU for states on any device."""
 
     def __init__(self, oracle: Oracle) -> None:
-        self.holds_keep_stable = bool(getattr(oracle, "holds_keep_stable", False))
+        self.holds_keep_stable = oracle.holds_keep_stable
         self._oracle = oracle
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:

@@ -29,8 +29,8 @@ from falsework.utils.tensors import import_torch, mix, place_in_group, uniform
 if TYPE_CHECKING:
     import torch
 
-_SPARE = 4
-"""Candidates checked for each state that is kept, since some are unstable."""
+SPARE = 4
+"""Candidates looked at for each state that is kept: for verdicts, since some are unstable, and for clusters."""
 _NUMBERS = 1 << 23
 """Parts of all states of a level of searches that run together, at most; there are fewer candidates than that, which
 take some 150 bytes each while they are sorted."""
@@ -182,7 +182,7 @@ class _Beams:
         while len(levels) <= self._steps and not self._dead:
             level = levels[-1]
             candidates = self._candidates(level, len(levels))
-            level = next_level(self._rules, level, candidates, self._stable, self._width, _SPARE)
+            level = next_level(self._rules, level, candidates, self._stable, self._width, SPARE)
             level = level.take((~self._rules.dead_ends(level.states)).nonzero()[:, 0])
             if len(level.states) == 0:
                 break

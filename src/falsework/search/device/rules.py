@@ -76,6 +76,10 @@ class TensorRules:
         """
         return self._legal.legal(states, goals)
 
+    def held(self, states: torch.Tensor) -> torch.Tensor:
+        """Return the number of parts that robots hold in each state. Shape (batch,)."""
+        return ((states == HELD) & self._loose).sum(dim=1)
+
     def goals(self, states: torch.Tensor) -> torch.Tensor:
         """Return the default goals: that of the task, with boundary and fixed parts as in each state.
 
@@ -106,7 +110,7 @@ class TensorRules:
         goals = self.goals(states) if goals is None else goals
         forward = (self._stage[goals.long()] >= self._stage[states.long()]).all(dim=1)
         still = ((states == goals) | self._touchable).all(dim=1)
-        first, last = (((s == HELD) & self._loose).sum(dim=1) <= self.task.robots for s in (states, goals))
+        first, last = (self.held(given) <= self.task.robots for given in (states, goals))
         return forward & still & first & last
 
     def put(self, states: ArrayLike | torch.Tensor) -> torch.Tensor:

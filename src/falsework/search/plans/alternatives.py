@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
+from falsework.search.problem.hashing import chunks
 from falsework.search.problem.result import Route, Stop
 from falsework.search.problem.state_graph import StateGraph
 
-_CHUNK = 8192
 _TRIES = 200
 _WEIGHT_CHANGES = 12
 """Changes of weights for each choice."""
@@ -192,8 +192,8 @@ class _Farthest:
         gain = np.zeros(len(graph.source), dtype=np.float32)
         if removed > 1:
             removals = np.flatnonzero(graph.action >= parts)
-            for begin in range(0, len(removals), _CHUNK):
-                edges = removals[begin : begin + _CHUNK]
+            for piece in chunks(len(removals)):
+                edges = removals[piece]
                 part = graph.action[edges] - parts
                 present = (graph.states[graph.source[edges]] != REMOVED) & (rank >= 0)
                 gain[edges] = (present & (rank < rank[part][:, None])).sum(axis=1)

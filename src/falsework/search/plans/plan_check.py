@@ -27,14 +27,13 @@ from falsework.search.plans.plan_report import (
 )
 from falsework.search.plans.plan_rules import broken_rule
 from falsework.search.plans.plan_source import structure_of_plan
+from falsework.search.plans.state_proofs import PROVED_AT_ONCE
+from falsework.search.problem.hashing import chunks
 from falsework.stability.certificate import StabilityCriterion, residuals_in_order, verify_certificates
 from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_arrays import StateArrays
-
-_SOLVED_AT_ONCE = 64
-"""States whose certificates are in memory together while they are found and checked."""
 
 
 def check_identity(plan: Plan, assembly: Assembly) -> None:
@@ -170,8 +169,8 @@ def _solve(
         progress: as for `validate_plan`.
     """
     claim, largest, certified, oracle = settings.claim, 0.0, 0, None
-    for first in range(0, count, _SOLVED_AT_ONCE):
-        rows = np.arange(first, min(first + _SOLVED_AT_ONCE, count))
+    for piece in chunks(count, PROVED_AT_ONCE):
+        rows = np.arange(piece.start, piece.stop)
         residual = np.full(len(rows), np.inf) if carried is None else carried[rows]
         proven = residual <= claim.tolerance
         left = rows[~proven] if carried is None else rows[~proven][:1]  # which is bad, one way or the other

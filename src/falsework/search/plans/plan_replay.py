@@ -9,8 +9,7 @@ import numpy as np
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.search.problem.deadline import DeadlineExceeded
-from falsework.search.problem.timed_replayer import PIECE
+from falsework.search.problem.deadline import PIECE, DeadlineExceeded
 from falsework.stability.contact.history import ReplaySettings
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.varied_replay import AllVariations

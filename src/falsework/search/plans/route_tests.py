@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.assembly.state import States
-from falsework.search.beam.histories import ReplaySummary
 from falsework.search.plans.plan_replay import Acceptance, PlanReplay
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Route, Stop, barred_row
+from falsework.search.problem.search import ReplaySummary
 from falsework.search.settings import PlannerSettings
 from falsework.stability.contact.varied_replay import VariableReplayer
 
@@ -40,11 +40,11 @@ class RouteTests:
         """Of the routes that stand in their replays, and that the judge does not accept, the one built farthest."""
         self.forbidden = np.empty((0, parts), dtype=np.uint8)
         """Excluded states, shape (count, parts)."""
-        self.replayer: VariableReplayer | None = getattr(oracle, "replayer", None)
+        self.replayer: VariableReplayer | None = oracle.replayer
         """Replayer of complete routes; None where there is no history to take into account."""
         self._settings = settings
         self._acceptance = Acceptance(self.replayer, robust=settings.robust, judge=settings.judge)
-        self._keeps = getattr(oracle, "keeps", None)
+        self._oracle = oracle
 
     def passes(self, route: Route, known: ReplaySummary | None = None, stop: Stop | None = None) -> bool:
         """Return whether the replay of a route comes to rest in every state; exclude the first state that fails.
@@ -59,11 +59,10 @@ class RouteTests:
         Raises:
             KeyboardInterrupt: `stop` returned true before the judge was done.
         """
-        if self._keeps is not None:
-            weak = np.flatnonzero(~self._keeps(route.states[1:-1])) + 1
-            if len(weak):
-                self.forbidden = np.concatenate([self.forbidden, route.states[weak]])
-                return False
+        weak = np.flatnonzero(~self._oracle.keeps(route.states[1:-1])) + 1
+        if len(weak):
+            self.forbidden = np.concatenate([self.forbidden, route.states[weak]])
+            return False
         if self.replayer is None:
             return True
         states = route.states[::-1]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.assembly.state import States
+from falsework.search.problem.hashing import chunks
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
 
-_PROVED_AT_ONCE = 64
+PROVED_AT_ONCE = 64
 """States whose contact forces are in memory together, unless all are kept."""
 
 
@@ -27,8 +28,8 @@ def prove(states: States, oracle: StabilityOracle, *, forces: bool) -> tuple[Ver
     verdicts = Verdicts.all_undecided(len(states))
     kept = StateArrays(len(states), oracle.problem.points, 3) if forces else None
     for beside in (-1, 1):
-        for first in range(0, len(states), _PROVED_AT_ONCE):
-            rows = np.arange(first, min(first + _PROVED_AT_ONCE, len(states)))
+        for piece in chunks(len(states), PROVED_AT_ONCE):
+            rows = np.arange(piece.start, piece.stop)
             rows = rows[~verdicts.stable[rows]]
             if not len(rows):
                 continue

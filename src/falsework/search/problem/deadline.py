@@ -10,11 +10,10 @@ import numpy as np
 
 from falsework.errors import InputError
 
-_AT_ONCE = 16
-"""States checked between two checks of the time, at first ..."""
-_LEAST, _MOST = 4, 8192
-_SLICE = 0.02
-"""... and then as many as take about so many seconds."""
+PIECE = 8
+"""States judged, or steps replayed, between two checks of the time at first. Batches of verdicts then adapt ..."""
+_MOST, _SLICE = 8192, 0.02
+"""... up to so many, as many as take about so many seconds. Both change no result."""
 
 
 def check_deadline(deadline: float | None) -> None:
@@ -90,7 +89,7 @@ class AdaptiveBatchSize:
 
     def __init__(self, *, limited: bool) -> None:
         """Begin small if there is a deadline; otherwise take all at once."""
-        self.batch = _AT_ONCE if limited else _MOST
+        self.batch = PIECE if limited else _MOST
         self._limited = limited
 
     @contextmanager
@@ -100,4 +99,4 @@ class AdaptiveBatchSize:
         yield
         if self._limited:
             taken = max(time.perf_counter() - begun, 1e-6)
-            self.batch = int(min(max(self.batch * min(_SLICE / taken, 2.0), _LEAST), _MOST))
+            self.batch = int(min(max(self.batch * min(_SLICE / taken, 2.0), 1), _MOST))

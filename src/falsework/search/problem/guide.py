@@ -18,10 +18,6 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
 
 
-_SMALL = 300
-"""Parts up to which a product with a dense matrix takes less time than looking up neighbours."""
-_EDGE = 1.0
-"""Shares of support that a place at a free edge counts as, on top of its row."""
 _ROW, _STRICT_ROW = 0.3, 3.0
 """Shares of support that each row nearer to the edge counts as: with few robots, where a row that does not close waits
 for what is behind it, and with many, which would hold the ends of all these rows."""
@@ -65,11 +61,6 @@ class SupportGuide:
         own, other = first.T
         whole = np.bincount(own, area, parts)
         share = np.divide(area, whole[own], out=np.zeros(len(area)), where=whole[own] > 0)
-        self._matrix = None
-        if parts <= _SMALL:
-            self._matrix = np.zeros((parts, parts), dtype=np.float32)
-            self._matrix[other, own] = share
-            return
         count = np.bincount(own, minlength=parts)
         place = np.arange(len(own)) - np.repeat(np.cumsum(count) - count, count)
         # Rows are filled up with a part that does not exist and is never present.
@@ -80,10 +71,7 @@ class SupportGuide:
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float32]:
         """See `Guide`."""
-        if self._matrix is not None:
-            support = (states != REMOVED).astype(np.float32) @ self._matrix
-        else:
-            support = self._sparse(states)
+        support = self._supports(states)
         if direction is Direction.DISASSEMBLY:
             support = -support
         return np.concatenate([support, support], axis=1)
@@ -113,7 +101,7 @@ class SupportGuide:
         """Row of each part, where there are rows behind free edges."""
         return edge_rows(self._pairs, self._boundary)
 
-    def _sparse(self, states: States) -> NDArray[np.float32]:
+    def _supports(self, states: States) -> NDArray[np.float32]:
         """Return the shares of all parts; states of a level mostly differ from the first near a few parts only."""
         batch, parts = states.shape
         present = np.zeros((batch, parts + 1), dtype=bool)
@@ -179,7 +167,7 @@ class EdgeGuide:
             weight: of a row, relative to the scores of `base`.
         """
         self._base = base
-        worth = (rows == 0) * _EDGE - weight * rows
+        worth = (rows == 0) - weight * rows  # a place at an edge counts as full support
         self._worth = np.concatenate([worth, worth]).astype(np.float32)
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.floating]:

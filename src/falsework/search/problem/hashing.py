@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,14 @@ from falsework.assembly.state import States
 
 Hashes = NDArray[np.uint64]
 
-_CHUNK_STATES = 4096
+CHUNK = 4096
+"""States that are written down at once where many are only read; it bounds memory and changes no result."""
+
+
+def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
+    """Yield slices of at most `size` that cover `count` entries."""
+    for begin in range(0, count, size):
+        yield slice(begin, min(begin + size, count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +44,7 @@ class StateHash:
         """Return the hashes of states `(batch, parts)`, shape (batch,)."""
         hashes = np.empty(len(states), dtype=np.uint64)
         part = np.arange(len(self.words))
-        for begin in range(0, len(states), _CHUNK_STATES):
-            rows = slice(begin, begin + _CHUNK_STATES)
+        for rows in chunks(len(states)):
             hashes[rows] = np.bitwise_xor.reduce(self.words[part, states[rows]], axis=1)
         return hashes
 
@@ -63,8 +69,8 @@ def merge(hashes: Hashes, rows: Callable[[NDArray[np.intp]], States]) -> tuple[N
     _, first, inverse = np.unique(hashes, return_index=True, return_inverse=True)
     inverse = inverse.reshape(-1)
     repeated = np.flatnonzero(first[inverse] != np.arange(len(hashes)))
-    for begin in range(0, len(repeated), _CHUNK_STATES):
-        chunk = repeated[begin : begin + _CHUNK_STATES]
+    for piece in chunks(len(repeated)):
+        chunk = repeated[piece]
         if not np.array_equal(rows(chunk), rows(first[inverse[chunk]])):
             _, first, inverse = np.unique(rows(np.arange(len(hashes))), axis=0, return_index=True, return_inverse=True)
             inverse = inverse.reshape(-1)
@@ -108,8 +114,7 @@ class StateIndex:
             open_rows, slot = open_rows[inside], slot[inside]
             place = self._order[slot]
             same = np.zeros(len(open_rows), dtype=bool)
-            for begin in range(0, len(open_rows), _CHUNK_STATES):
-                part = slice(begin, begin + _CHUNK_STATES)
+            for part in chunks(len(open_rows)):
                 same[part] = (self._states[place[part]] == rows(open_rows[part])).all(axis=1)
             found[open_rows[same]] = place[same]
             # Same hash, another state: look at the next entry with this hash, if there is one.

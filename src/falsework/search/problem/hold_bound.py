@@ -21,14 +21,12 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
-from falsework.search.problem.deadline import Deadline, DeadlineExceeded
+from falsework.search.problem.deadline import PIECE, Deadline, DeadlineExceeded
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import residual_bound_of_velocity
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 
-_BATCH = 8
-"""States judged between two looks at the clock."""
 _NAMED = 5
 """Parts of a core that a sentence names."""
 _NEGLIGIBLE = (1e-5, 1e-8)
@@ -179,7 +177,7 @@ class HoldBound:
         state[part] = INSTALLED
         beside = np.flatnonzero(core & self._beside[part])
         choices = combinations(beside.tolist(), min(holds, len(beside)))
-        while some := list(islice(choices, _BATCH)):
+        while some := list(islice(choices, PIECE)):
             if self._clock.passed:
                 raise DeadlineExceeded
             rows = np.repeat(state[None], len(some), axis=0)
@@ -213,8 +211,8 @@ class HoldBound:
 
     def _some_hold(self, states: States, holds: int) -> bool:
         """Return whether one of the states may be in equilibrium with `holds` more parts held."""
-        for begin in range(0, len(states), _BATCH):
-            rows = states[begin : begin + _BATCH]
+        for begin in range(0, len(states), PIECE):
+            rows = states[begin : begin + PIECE]
             if self._clock.passed:
                 raise DeadlineExceeded
             if self.asked >= self._stop_at:

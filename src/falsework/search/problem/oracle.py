@@ -3,17 +3,48 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from falsework.assembly.state import Mask, States
+from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdicts
 
+if TYPE_CHECKING:
+    from falsework.stability.contact.varied_replay import VariableReplayer
 
-class Oracle(Protocol):
-    """Stability oracle for batches of states; `falsework.stability.StabilityOracle` is one."""
+
+class Criterion(Protocol):
+    """What decides which moves of a task need a verdict."""
+
+    @property
+    def holds_keep_stable(self) -> bool:
+        """Whether a stable state stays stable when a part of it is held; see `Task.holds_keep_stable`."""
+        ...
+
+
+class Oracle(Criterion, Protocol):
+    """Stability oracle for batches of states; `falsework.stability.StabilityOracle` is one.
+
+    A class that inherits from it has to define `verdicts` alone: by default every move needs a verdict, states have no
+    history, and no margins are demanded.
+    """
+
+    @property
+    def holds_keep_stable(self) -> bool:
+        """As of `Criterion`."""
+        return False
+
+    @property
+    def replayer(self) -> VariableReplayer | None:
+        """Replayer of sequences of states; None where there is no history to take into account."""
+        return None
+
+    @property
+    def settings(self) -> StabilitySettings | None:
+        """Settings of the verdicts, by which robots carry groups of parts; None where these cannot be judged."""
+        return None
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """Return verdicts on states.
@@ -25,9 +56,13 @@ class Oracle(Protocol):
         """
         ...
 
+    def plausible(self, states: States, parents: States) -> Mask:
+        """Return which states a replay may find at rest, given stable ones that are one move away. Shape (batch,)."""
+        return self.verdicts(states, near=parents).stable
 
-Screen = Callable[[States, States], Mask]
-"""Test of states, given stable ones that are one move away; see `StabilityOracle.plausible`."""
+    def keeps(self, states: States) -> Mask:
+        """Return which stable states keep all margins that are demanded. Shape (batch,)."""
+        return np.ones(len(states), dtype=bool)
 
 
 class CountingOracle:
@@ -43,8 +78,8 @@ class CountingOracle:
         self.forbidden: set[bytes] = set()
         """States at which a replay failed: counted as sliding without a verdict."""
         self.seconds = 0.0
-        self.screen: Screen | None = None
-        """Test that takes the place of verdicts where a replay decides: it rejects what falls by a cheap proof."""
+        self.replayed = False
+        """Whether replays decide, so that `Oracle.plausible`, which rejects what falls by a cheap proof, is enough."""
         self._batch = batch
 
     def stable(self, states: States, parents: States) -> Mask:
@@ -61,8 +96,8 @@ class CountingOracle:
         stable = np.zeros(len(states), dtype=bool)
         for begin in range(0, len(states), self._batch):
             rows = slice(begin, begin + self._batch)
-            if self.screen is not None:
-                stable[rows] = self.screen(states[rows], parents[rows])
+            if self.replayed:
+                stable[rows] = self.oracle.plausible(states[rows], parents[rows])
             else:
                 verdicts = self.oracle.verdicts(states[rows], near=parents[rows])
                 stable[rows] = verdicts.stable

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, REMOVED, States
+from falsework.assembly.state import HELD, REMOVED, States, state_of_key
 from falsework.errors import NotFoundError
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Direction, Task
@@ -92,12 +92,34 @@ class Route:
 
     @classmethod
     def from_states(cls, states: States) -> Route:
-        """Return the route through consecutive states, each one move from the next, in disassembly order."""
+        """Return the route through consecutive states, each one move from the next, in disassembly order.
+
+        Action `i` holds part `i`, or with repeated holds releases it if it is held; `parts + i` removes it, or places
+        it if it is a prop.
+        """
         before, after = states[:-1], states[1:]
         # Of several parts that a step removes, it is named after the first that is held.
-        part = ((before != after) & ((before == HELD) | (after == HELD))).argmax(axis=1)
-        holds = after[np.arange(len(after)), part] == HELD
+        changed = before != after
+        held = changed & ((before == HELD) | (after == HELD))
+        part = np.where(held.any(axis=1), held.argmax(axis=1), changed.argmax(axis=1))
+        rows = np.arange(len(after))
+        holds = (before[rows, part] != REMOVED) & (after[rows, part] != REMOVED)
         return cls(states, np.where(holds, part, part + states.shape[1]).astype(np.int64))
+
+    @classmethod
+    def back_from(cls, last: States, parent: Mapping[bytes, bytes], direction: Direction) -> Route:
+        """Return the route to a state through the states that each was reached from; the first has none.
+
+        Args:
+            last: shape (parts,).
+            parent: by the bytes of a state those of the one before; empty ones for the first.
+            direction: of the search that reached it.
+        """
+        chain, key = list[States](), last.tobytes()
+        while key:
+            chain.append(state_of_key(key))
+            key = parent[key]
+        return cls.from_states(np.array(chain if direction is Direction.ASSEMBLY else chain[::-1]))
 
     def __repr__(self) -> str:
         return f"<Route of {counted(len(self.actions), 'step')}>"
@@ -272,11 +294,10 @@ def progress_text(reached: int, steps: int, *, backwards: bool) -> str:
 def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
     """Return the failed search if the start or the target of a task is not stable, else None."""
     ends = np.stack([task.start, task.target])
-    keeps = getattr(oracle, "keeps", None)
     oracle.verdicts(ends, require_certificate=True)  # asks whether they tip, which is known from then on
     verdicts = oracle.verdicts(ends)
-    if keeps is not None and verdicts.stable.all():
-        verdicts.verdict[~keeps(ends)] = Verdict.SLIDES
+    if verdicts.stable.all():
+        verdicts.verdict[~oracle.keeps(ends)] = Verdict.SLIDES
     if verdicts.stable.all():
         return None
     row = int(np.argmin(verdicts.stable))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
-from falsework.search.problem.hashing import StateHash, StateIndex, merge
+from falsework.search.problem.hashing import StateHash, StateIndex, chunks, merge
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Criterion
@@ -33,7 +33,6 @@ _KINDS: dict[str, type] = {
     "missing": list,
     "postponed": list,
 }
-_CHUNK_STATES = 1024
 
 
 def criterion_of(task: Task) -> Criterion:
@@ -95,8 +94,8 @@ class StateGraph:
         index = StateIndex(states, state_hash)
         hashes = state_hash(states)
         edges = []
-        for begin in range(0, len(states), _CHUNK_STATES):
-            chunk = states[begin : begin + _CHUNK_STATES]
+        for piece in chunks(len(states)):
+            begin, chunk = piece.start, states[piece]
             row, action = np.nonzero(task.moves(chunk, Direction.DISASSEMBLY))
             part = action % task.part_count
             new = task.moved_value(action, Direction.DISASSEMBLY)
@@ -294,8 +293,7 @@ def _check(graph: StateGraph, path: Path | str) -> None:
     elif (graph.level[graph.target] != graph.level[graph.source] + 1).any():
         damage = "an edge is not a legal action"
     else:
-        for begin in range(0, edges, 64 * _CHUNK_STATES):
-            rows = slice(begin, begin + 64 * _CHUNK_STATES)
+        for rows in chunks(edges):
             after = graph.task.follow(states[graph.source[rows]], graph.action[rows], Direction.DISASSEMBLY)
             if not np.array_equal(after, states[graph.target[rows]]):
                 damage = "an edge does not lead where it says"

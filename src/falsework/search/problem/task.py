@@ -27,6 +27,7 @@ from falsework.assembly.state import (
 )
 from falsework.errors import InputError, StateError
 from falsework.search.problem.legal_moves import LegalMoves
+from falsework.search.problem.oracle import Criterion
 from falsework.search.problem.together import Together
 from falsework.utils.quantity import counted
 
@@ -201,9 +202,9 @@ class Task:
         props = int((self.target[parts:] != self.start[parts:]).sum())
         return int(STAGE[self.target[:parts]].sum() - STAGE[self.start[:parts]].sum()) + props
 
-    def judged_by(self, oracle: object) -> Task:
+    def judged_by(self, oracle: Criterion) -> Task:
         """Return the same task with the moves that need no verdict under the criterion of an oracle."""
-        return replace(self, holds_keep_stable=bool(getattr(oracle, "holds_keep_stable", False)))
+        return replace(self, holds_keep_stable=oracle.holds_keep_stable)
 
     @cached_property
     def caveat(self) -> str:

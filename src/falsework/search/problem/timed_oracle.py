@@ -8,14 +8,14 @@ import numpy as np
 
 from falsework.assembly.state import Mask, States
 from falsework.search.problem.deadline import AdaptiveBatchSize, Deadline, DeadlineExceeded
-from falsework.search.problem.oracle import Oracle, Screen
+from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdict, Verdicts
 
 
-class TimedOracle:
+class TimedOracle(Oracle):
     """Oracle that checks the deadline between small batches, so that any search can be stopped."""
 
     def __init__(
@@ -33,15 +33,23 @@ class TimedOracle:
         """Number of states checked."""
         self.limited = clock.limited
         """Whether there is a deadline, so that batches must be small."""
-        self.holds_keep_stable = bool(getattr(oracle, "holds_keep_stable", False))
-        self.settings: StabilitySettings | None = getattr(oracle, "settings", None)
-        """Of the oracle, for the groups that robots carry."""
-        self.replayer = replayer
-        """Replays the routes of searches; None where there is no history to take into account."""
-        self._oracle = oracle
-        self._screen: Screen = getattr(oracle, "plausible", lambda states, near: oracle.verdicts(states).stable)
-        self._clock = clock
+        self._oracle, self._replayer, self._clock = oracle, replayer, clock
         self._between = between or (lambda: None)
+
+    @property
+    def holds_keep_stable(self) -> bool:
+        """As of the oracle."""
+        return self._oracle.holds_keep_stable
+
+    @property
+    def replayer(self) -> DeadlineReplayer | None:
+        """Replayer that keeps the deadline too; None where there is no history to take into account."""
+        return self._replayer
+
+    @property
+    def settings(self) -> StabilitySettings | None:
+        """As of the oracle."""
+        return self._oracle.settings
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """See `falsework.search.problem.oracle.Oracle`; verdicts with certificates are of a few states, at once.
@@ -81,18 +89,17 @@ class TimedOracle:
         if self._clock.passed:
             raise DeadlineExceeded
         with self._clock.timed("verdicts"):
-            found = self._screen(states, parents)
+            found = self._oracle.plausible(states, parents)
         self.asked += len(states)
         return found & ~self.rules_out(states)
 
     def keeps(self, states: States) -> Mask:
         """Return which states keep the margins that the oracle asks for; see `MarginOracle.keeps`."""
-        keeps = getattr(self._oracle, "keeps", None)
-        return np.ones(len(states), dtype=bool) if keeps is None else keeps(states)
+        return self._oracle.keeps(states)
 
     def rules_out(self, states: States) -> Mask:
         """Return which states replays have excluded, shape (batch,)."""
-        known = () if self.replayer is None else self.replayer.ruled_out
+        known = () if self._replayer is None else self._replayer.ruled_out
         return np.array([bool(known) and state.tobytes() in known for state in states], dtype=bool)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from heapq import heappop, heappush
@@ -17,30 +16,28 @@ from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.regrasp_moves import RegraspMoves
-from falsework.search.problem.regrasp_route import RegraspRoute
 from falsework.search.problem.result import (
+    REPORTED_STATES,
     Outcome,
     Progress,
+    Route,
     SearchCounters,
-    SearchProgress,
     SearchResult,
     Stop,
     unstable_end,
 )
+from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 from falsework.search.regrasp.histories import PathHistories
 
 if TYPE_CHECKING:
     from falsework.stability.contact.history import History
 
-_NEW_HOLDS = 8
-"""Number of other holds to find for a level before the next level is tried again."""
-_REJECTED = 64
-"""Number of unstable states that a result reports where the beam died out."""
 _MOST_AT_GOAL = 10_000
 """Largest number of other holds of the parts of the goal that are examined on the path to its own."""
-_MOST_AT_ONCE = 8
-"""Largest number of candidates checked together; the first ones are mostly stable."""
+_AT_ONCE = 8
+"""Candidates checked together at most, since the first are mostly stable; and other holds that are found for a level
+before the next is tried again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +49,7 @@ class _Segment:
     score: float
 
 
-class RegraspBeam:
+class RegraspBeam(Search):
     """Beam over the sets of present parts; each comes with holds that keep one robot free.
 
     From a level to the next a part is removed, or in assembly placed, with the present holds, or with one hold or prop
@@ -78,10 +75,9 @@ class RegraspBeam:
         self.parent: dict[bytes, bytes] = {task.origin(direction).tobytes(): b""}
         """States found to be stable, each with the one that it was reached from."""
         self._oracle, self._guide, self._moves = oracle, guide, RegraspMoves(task)
-        replayer = getattr(oracle, "replayer", None)
         self._histories: PathHistories | None = None
-        if replayer is not None and direction is Direction.ASSEMBLY:
-            self._histories = PathHistories(replayer, self.parent)
+        if oracle.replayer is not None and direction is Direction.ASSEMBLY:
+            self._histories = PathHistories(oracle.replayer, self.parent)
         self._known: dict[bytes, bool] = {}
         self._levels: list[list[bytes]] = [[task.origin(direction).tobytes()]]
         self._farthest = self._reached = self._since = 0
@@ -91,20 +87,31 @@ class RegraspBeam:
         self._last: list[bytes] = []
         self._wrong, self._rejected = list[States](), list[States]()
         self._pending: list[History] | None = None
-        self._seconds = 0.0
+        self._over = False
+        """Whether nothing is left to try within the width of the present run."""
 
     @property
-    def asked(self) -> int:
-        """Verdicts requested so far."""
-        return self.judge.asked
+    def found(self) -> bool:
+        """See `Search.found`."""
+        return self.task.goal(self.direction).tobytes() in self.parent
+
+    @property
+    def done(self) -> bool:
+        """See `Search.done`."""
+        return self.found or self._over
+
+    @property
+    def steps(self) -> int:
+        """Two for each part to be removed, which every plan needs at least."""
+        return 2 * self._moves.removals
 
     @property
     def counters(self) -> SearchCounters:
-        """Work done so far."""
+        """See `Search.counters`."""
         return SearchCounters(len(self.parent), len(self._known), self.judge.asked, self.judge.rejected)
 
     def forbid(self, states: States) -> None:
-        """Exclude states, such as one in which the replay of a route fails, and restart; verdicts are kept."""
+        """Exclude states and restart; verdicts are kept. See `Search.forbid`."""
         for state in states:
             self.judge.forbidden.add(state.tobytes())
             self._known.pop(state.tobytes(), None)
@@ -113,56 +120,39 @@ class RegraspBeam:
         self.parent[origin] = b""
         self._restart(self.width)
 
-    def replay_summary(self) -> None:
-        """Return None: the replay of the route found is not kept."""
-
-    def run(self, widest: int = 1, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Search until the goal is reached, a wider beam would be needed, or `stop` or the keyboard ends it.
-
-        Args:
-            widest: limit on the width; run again with a larger one to go on.
-            progress: called after every level.
-            stop: called before every level; true ends the search, which can then be run on.
-        """
-        begun, interrupted, route = time.perf_counter(), False, None
+    def run(self, widest: int = 0, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        """See `Search.run`."""
         failed = unstable_end(self.task, self._oracle)
         if failed is not None:
             return failed
-        try:
-            while route is None:
-                if stop is not None and stop():
-                    interrupted = True
-                    break
-                if len(self._levels) > self._moves.removals:
-                    route = self._to_goal()
-                if route is None and not self._advance(stop) and not self.jump_back(widest):
-                    break
-                if progress is not None:
-                    seconds = self._seconds + time.perf_counter() - begun
-                    kept, level = len(self._levels[-1]), len(self._levels) - 1
-                    counts = 2 * level, 2 * self._moves.removals, kept, self.width, self.judge.asked
-                    progress(SearchProgress(self.direction, *counts, seconds))
-        except KeyboardInterrupt:
-            interrupted = True
-        self._seconds += time.perf_counter() - begun
-        parts = self.task.part_count
-        return SearchResult(
-            outcome=Outcome.NOT_FOUND if route is None else Outcome.FOUND,
-            routes=() if route is None else (route,),
-            direction=self.direction,
-            steps=2 * self._moves.removals,
-            reached=2 * self._farthest,
-            deepest=np.array([state_of_key(key) for key in self._last], dtype=np.uint8).reshape(-1, parts),
-            rejected=np.array(self._rejected, dtype=np.uint8).reshape(-1, parts),
-            counters=self.counters,
-            seconds=self._seconds,
-            interrupted=interrupted,
-            limit=f"beams of width {self.width} with holding again died" if route is None else "",
-            undecided=self.judge.undecided,
-            sliding=self.judge.sliding,
-        )
+        self._over = False
+        return super().run(widest, progress=progress, stop=stop)
 
-    def _advance(self, stop: Stop | None) -> bool:
+    def step(self) -> bool:
+        """Find the next level, or go to the goal from the last; where neither succeeds, jump back, or restart wider."""
+        if len(self._levels) > self._moves.removals and self._to_goal():
+            return True
+        if self._advance():
+            return True
+        self._over = not self.jump_back()
+        return False
+
+    def route(self) -> Route:
+        """See `Search.route`."""
+        return Route.back_from(self.task.goal(self.direction), self.parent, self.direction)
+
+    def _failure(self) -> tuple[Outcome, str]:
+        return Outcome.NOT_FOUND, f"beams of width {self.width} with holding again died"
+
+    def _farthest_states(self) -> tuple[int, States, States]:
+        parts = self.task.part_count
+        deepest = np.array([state_of_key(key) for key in self._last], dtype=np.uint8).reshape(-1, parts)
+        return 2 * self._farthest, deepest, np.array(self._rejected, dtype=np.uint8).reshape(-1, parts)
+
+    def _place(self) -> tuple[int, int, int]:
+        return 2 * (len(self._levels) - 1), len(self._levels[-1]), self.width
+
+    def _advance(self) -> bool:
         """Find the next level, changing holds if needed; return False if there is none.
 
         Raises:
@@ -190,7 +180,7 @@ class RegraspBeam:
                 break
             within = self._sorted([*within, *(w for key in ring for w in self._regrasp_moves(key))])
             ring = self._other_holds(within, seen)
-            if ring and stop is not None and stop():
+            if ring and self._stop is not None and self._stop():
                 raise DeadlineExceeded
         if not found:
             if len(self._levels) > self._farthest:
@@ -216,7 +206,7 @@ class RegraspBeam:
                 self._take(segments[place])
                 seen.add(key)
                 fresh.append(key)
-            if len(fresh) == _NEW_HOLDS:
+            if len(fresh) == _AT_ONCE:
                 tried = place + 1
                 break
         del segments[:tried]
@@ -313,7 +303,7 @@ class RegraspBeam:
             yield from (
                 k for k in batch if self._presence(segments[k].states[-1]) not in found and self._stands(segments[k])
             )
-            begin, count = begin + count, min(2 * count, _MOST_AT_ONCE)
+            begin, count = begin + count, min(2 * count, _AT_ONCE)
 
     def _ask(self, segments: list[_Segment]) -> None:
         """Check the unknown states of some paths, the last of each path first."""
@@ -331,7 +321,7 @@ class RegraspBeam:
             states, before = (np.array(list(rows)) for rows in zip(*asked.values(), strict=True))
             stable = self.judge.stable(states, before)
             self._known.update(zip(asked, stable.tolist(), strict=True))
-            self._wrong = [*self._wrong, *states[~stable]][:_REJECTED]
+            self._wrong = [*self._wrong, *states[~stable]][:REPORTED_STATES]
 
     def _stands(self, segment: _Segment) -> bool:
         """Return whether all states of a checked path are stable with their contact history too."""
@@ -354,14 +344,14 @@ class RegraspBeam:
             before = key
         return before
 
-    def jump_back(self, widest: int) -> bool:
+    def jump_back(self) -> bool:
         """Jump back from a dead end, or beyond the origin restart wider; False if that would be too wide."""
         level = len(self._levels) - 1
         if level > self._reached:
             self._reached, self._since = level, 0
         distance = luby(self._since + 1)
         if distance > level:
-            if self.width * WIDENING > widest:
+            if self.width * WIDENING > self._widest:
                 return False
             self._restart(self.width * WIDENING)
             return True
@@ -375,8 +365,8 @@ class RegraspBeam:
         self._refuted.clear()
         self._levels = [[self.task.origin(self.direction).tobytes()]]
 
-    def _to_goal(self) -> RegraspRoute | None:
-        """Release or hold parts as in the goal, once all parts are placed or removed; None if no path is found."""
+    def _to_goal(self) -> bool:
+        """Release or hold parts as in the goal, once all parts are placed or removed; False if no path is found."""
         goal = self.task.goal(self.direction).tobytes()
         seen, segments, count = set(self._levels[-1]), [], 0
         ring = list(self._levels[-1])
@@ -392,7 +382,4 @@ class RegraspBeam:
                 break
             segment = heappop(segments)[2]
             ring = [self._take(segment) for _ in self._stable([segment])]
-        if goal not in self.parent:
-            return None
-        route = RegraspRoute.from_parents(goal, self.parent, self.task.part_count)
-        return route if self.direction is Direction.DISASSEMBLY else RegraspRoute.from_states(route.states[::-1].copy())
+        return goal in self.parent

@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.regrasp_moves import RegraspMoves
-from falsework.search.problem.regrasp_route import RegraspRoute
 from falsework.search.problem.result import (
     Outcome,
     Progress,
+    Route,
     SearchCounters,
-    SearchProgress,
     SearchResult,
     Stop,
     beam_failure,
     unstable_end,
 )
+from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 
 STATE_LIMIT = 200_000
 """Stable states after which a search gives up by default."""
 
 
-class ExhaustiveRegraspSearch:
+class ExhaustiveRegraspSearch(Search):
     """Breadth-first search from the start through all stable states that repeated holds can reach.
 
     Nothing is omitted and no state is visited twice, so if it ends without the target there is no plan. Steps are
@@ -57,104 +55,73 @@ class ExhaustiveRegraspSearch:
         self._ring = self._deepest = task.start[None]
         self._last = self._deepest[:0]
         self._refused: set[bytes] = set()
-        self._seconds = 0.0
+
+    direction = Direction.DISASSEMBLY
 
     @property
-    def asked(self) -> int:
-        """Verdicts requested so far."""
-        return self.judge.asked
+    def found(self) -> bool:
+        """See `Search.found`."""
+        return self.task.target.tobytes() in self.parent
+
+    @property
+    def done(self) -> bool:
+        """See `Search.done`."""
+        return not len(self._ring) or self.found or self.gave_up
+
+    @property
+    def steps(self) -> int:
+        """Two for each part to be removed, which every plan needs at least."""
+        return 2 * self._moves.removals
 
     @property
     def counters(self) -> SearchCounters:
-        """Work done so far."""
+        """See `Search.counters`."""
         seen = len(self.parent)
         return SearchCounters(seen, seen + len(self._refused), self.judge.asked, self.judge.rejected)
 
     @property
     def examined_all(self) -> bool:
-        """Whether the search came to its end with no state left out: no other finds a plan then."""
+        """See `Search.examined_all`."""
         return not len(self._ring) and not self.gave_up and not self.judge.forbidden
 
-    def replay_summary(self) -> None:
-        """Return None: no histories are kept."""
-
     def forbid(self, states: States) -> None:
-        """Exclude states, such as one in which a replay fails, and restart; the search then proves nothing."""
+        """Exclude states and restart; the search then proves nothing. See `Search.forbid`."""
         self.judge.forbidden |= {state.tobytes() for state in states}
         self.parent = {self.task.start.tobytes(): b""}
         self._ring = self._deepest = self.task.start[None]
         self._refused = set()
 
     def run(self, widest: int = 0, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Search until the target is reached, every state was examined, the limit is exceeded, or `stop` stops it.
-
-        Args:
-            widest: without meaning here, see `falsework.search.strategies.Strategy`.
-            progress: called after every ring of states.
-            stop: called before every ring; true ends the search, which can then be run on.
-        """
-        begun, goal, interrupted = time.perf_counter(), self.task.target.tobytes(), False
+        """See `Search.run`."""
         failed = unstable_end(self.task, self._oracle)
-        if failed is not None:
-            return failed
-        try:
-            while len(self._ring) and goal not in self.parent and not self.gave_up:
-                if stop is not None and stop():
-                    interrupted = True
-                    break
-                self._advance()
-                if progress is not None:
-                    seconds = self._seconds + time.perf_counter() - begun
-                    counts = (
-                        2 * self._level(self._deepest),
-                        2 * self._moves.removals,
-                        len(self._ring),
-                        0,
-                        self.judge.asked,
-                    )
-                    progress(SearchProgress(Direction.DISASSEMBLY, *counts, seconds))
-        except KeyboardInterrupt:
-            interrupted = True
-        self._seconds += time.perf_counter() - begun
-        return self.result(interrupted=interrupted)
+        return failed or super().run(widest, progress=progress, stop=stop)
 
-    def result(self, *, interrupted: bool = False) -> SearchResult:
-        """Return the result so far; `interrupted` if the search was stopped from outside."""
-        goal = self.task.target.tobytes()
-        found, judge = goal in self.parent, self.judge
-        complete = not interrupted and not self.gave_up
-        outcome, limit = beam_failure(self._limit, complete, judge.undecided, judge.sliding, self.task.caveat)
-        if self.gave_up:
-            limit = f"gave up after {self._limit} states with holding again"
-        if found:
-            outcome, limit = Outcome.FOUND, ""
-        return SearchResult(
-            outcome=outcome,
-            routes=(RegraspRoute.from_parents(goal, self.parent, self.task.part_count),) if found else (),
-            direction=Direction.DISASSEMBLY,
-            steps=2 * self._moves.removals,
-            reached=2 * self._level(self._deepest),
-            deepest=self._deepest,
-            rejected=self._last,
-            counters=self.counters,
-            seconds=self._seconds,
-            interrupted=interrupted,
-            limit=limit,
-            undecided=judge.undecided,
-            sliding=judge.sliding,
-        )
+    def route(self) -> Route:
+        """See `Search.route`."""
+        return Route.back_from(self.task.target, self.parent, self.direction)
+
+    def _failure(self) -> tuple[Outcome, str]:
+        outcome, limit = beam_failure(self._limit, not self.gave_up, *self._open(), self.task.caveat)
+        return outcome, f"gave up after {self._limit} states with holding again" if self.gave_up else limit
+
+    def _farthest_states(self) -> tuple[int, States, States]:
+        return 2 * self._level(self._deepest), self._deepest, self._last
+
+    def _place(self) -> tuple[int, int, int]:
+        return 2 * self._level(self._deepest), len(self._ring), 0
 
     def _level(self, states: States) -> int:
         """Return the largest number of parts removed in some states."""
         return int(self._moves.removed(states).max())
 
-    def _advance(self) -> None:
-        """Find the next ring; an interruption leaves the search unchanged."""
+    def step(self) -> bool:
+        """Find the next ring of states."""
         ring, wrong = self._next(self._ring, self.judge, self._refused)
         if len(ring) and self._level(ring) >= self._level(self._deepest):
             self._deepest, self._last = ring[self._moves.removed(ring) == self._level(ring)], wrong
         self._ring = ring
         self.gave_up = len(self.parent) > self._limit
+        return len(ring) > 0
 
     def _next(self, ring: States, judge: CountingOracle, refused: set[bytes]) -> tuple[States, States]:
         """Return the stable states one move from a ring that were not found before, and those that are not stable."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from falsework.assembly.state import States, state_of_key
-from falsework.search.beam.histories import histories_in_memory
+from falsework.search.beam.paths import histories_in_memory
 
 if TYPE_CHECKING:
     from falsework.stability.contact.history import History

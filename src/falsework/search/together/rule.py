@@ -48,7 +48,7 @@ class InterlockedSets:
 
         None if no contacts connect the set, or the oracle has no settings.
         """
-        settings: StabilitySettings | None = getattr(oracle, "settings", None)
+        settings = oracle.settings
         if settings is None:
             return ()
         if (parts, settings) not in self._carriers:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, States, as_states
 from falsework.errors import InputError
@@ -40,9 +40,19 @@ class PressOracle:
             raise InputError("robots press under the criterion contact alone; choose it, or leave presses out")
         if not oracle.settings.holds.presses:
             raise InputError("the robots of the settings never press; give them the mode force or hybrid, and a force")
-        self.oracle, self.holds_keep_stable = oracle, oracle.holds_keep_stable
+        self.oracle = oracle
         self._replayer: Replayer = oracle.replayer
         self._known: dict[bytes, tuple[Press, ...] | None] = {}
+
+    @property
+    def holds_keep_stable(self) -> bool:
+        """As of the oracle."""
+        return self.oracle.holds_keep_stable
+
+    @property
+    def replayer(self) -> None:
+        """None: how a state is reached is not taken into account."""
+        return None
 
     @property
     def settings(self) -> StabilitySettings:
@@ -57,6 +67,14 @@ class PressOracle:
                 verdicts.verdict[row], verdicts.proof[row] = Verdict.STABLE, Proof.HISTORY
                 verdicts.residual[row], verdicts.decided_by[row] = self.settings.tolerance, Solver.CPU
         return verdicts
+
+    def plausible(self, states: States, parents: States) -> NDArray[np.bool_]:
+        """Return which states are stable: without a replay, no other can be at rest. Shape (batch,)."""
+        return self.verdicts(states, near=parents).stable
+
+    def keeps(self, states: States) -> NDArray[np.bool_]:
+        """As of the oracle."""
+        return self.oracle.keeps(states)
 
     def presses(self, state: ArrayLike) -> tuple[Press, ...] | None:
         """Return with what robots press so that a state stands from rest; None if nothing was found.
