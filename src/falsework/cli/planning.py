@@ -76,6 +76,9 @@ class SupportOptions(RuleOptions):
     parts_at_once: Annotated[int, arg(metavar="K")] = 1
     """Largest number of parts that one step may insert: parts that lock each other, each held by a robot of its own, or
     all carried by one. More than 1 implies --removable-only-if-clear."""
+    moves: Annotated[int, arg(metavar="K")] = 1
+    """Largest number of straight moves in which a part may leave, such as out and then up, where it has no straight way.
+    More than 1 implies --removable-only-if-clear."""
 
     def rules(self, assembly: Assembly) -> TaskRules:
         """Return the rules, as `find_plans` takes them.
@@ -90,7 +93,7 @@ class SupportOptions(RuleOptions):
         # States are given without places for props, which are absent at both ends.
         plain = keep_props(assembly, ()) if assembly.props else assembly
         rules = super().rules(plain)
-        return {**rules, "support": self.wider, "props": self.props, "parts_at_once": self.parts_at_once}
+        return {**rules, "support": self.wider, "props": self.props, "parts_at_once": self.parts_at_once, "moves": self.moves}
 
     @property
     def wider(self) -> bool:

@@ -36,6 +36,12 @@ class BuiltSteps:
                 "present state"
             )
 
+        if self.plan.ways_out:
+            raise PlanError(
+                "the plan has ways out of several moves, which replanning does not search for; plan again with --begin "
+                "for the present state"
+            )
+
     @property
     def state(self) -> States:
         """State that is reached, shape (parts,)."""

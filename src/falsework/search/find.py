@@ -76,6 +76,9 @@ class TaskRules(TypedDict, total=False):
     parts_at_once: int
     """Parts that a step may insert or remove at most, where they lock each other and leave together only. More than 1
     implies `removable_only_if_clear`."""
+    moves: int
+    """Moves in which a part leaves at most, where it has no straight way out. More than 1 implies
+    `removable_only_if_clear`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,6 +223,7 @@ def task_of(
     support: bool = False,
     props: int = 0,
     parts_at_once: int = 1,
+    moves: int = 1,
 ) -> Task:
     """Return the task of disassembling a structure; see `TaskRules` for the rules.
 
@@ -235,7 +239,13 @@ def task_of(
             "places for props, as with_props(assembly, prop_places(assembly)) makes it"
         )
     start, target = (without_props(state, assembly) for state in (start, target))
+    if moves != 1 and parts_at_once != 1:
+        raise InputError(
+            f"moves is {moves} and parts_at_once is {parts_at_once}, but sets of parts leave in straight lines; give 1 "
+            "for one of the two"
+        )
     together = None if parts_at_once == 1 else LockedTogether(assembly, parts_at_once)
+    clear = removable_only_if_clear or together is not None or moves != 1
     return Task.create(
         assembly.boundary,
         robots,
@@ -243,7 +253,7 @@ def task_of(
         target=target,
         fixed=part_ids(fixed, assembly.names, "fixed"),
         missing=part_ids(missing, assembly.names, "missing"),
-        clearance=assembly.clearance if removable_only_if_clear or together is not None else None,
+        clearance=assembly.clearance_in_moves(moves) if clear else None,
         contacts=assembly.contacts.parts,
         identity=assembly.identity,
         support=support,

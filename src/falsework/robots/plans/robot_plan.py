@@ -219,6 +219,8 @@ class RobotPlan(Displayed):
     def __post_init__(self) -> None:
         if self.plan.parts_at_once > 1:
             raise PlanError("robot plans move one part at a time, but the plan moves several in one step; plan again")
+        if self.plan.ways_out:
+            raise PlanError("robot plans insert parts straight, but the plan has ways of several moves; plan again")
         actions = sum(acts(step) for step in self.steps)
         if len(self.keyframes) != len(self.steps) + 1 or actions != len(self.plan):
             raise PlanError(

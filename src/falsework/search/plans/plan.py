@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from falsework.assembly.assembly_model import Count, Prop
 from falsework.assembly.state import HELD, INSTALLED, Mask, States
 from falsework.errors import PlanError
+from falsework.geometry.clearance.way_search import Way
+from falsework.geometry.clearance.ways_out import WaysOut
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.steps import PlanStep, holders, inserts_several, steps_of, undone
@@ -56,6 +58,16 @@ def needs_of(actions: NDArray[np.int64], parts: int, missing: tuple[int, ...]) -
         if len(step):
             needs.append(PartDeadline(part, int(step[0]), int(placed[step[0]]) - 1))
     return tuple(sorted(needs, key=lambda need: need.after_steps))
+
+
+def _ways_out(route: Route, task: Task) -> tuple[Way, ...]:
+    """Return the moves of each step of a route, in the order of assembly; none for steps without or straight ones."""
+    clearance, found = task.clearance, []
+    for state, action in zip(route.states[-2::-1], route.actions[::-1].tolist(), strict=True):
+        part = action - route.states.shape[1]
+        way = clearance.way_out(state, part) if part >= 0 and isinstance(clearance, WaysOut) else ()
+        found.append(way or ())
+    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +116,11 @@ class Plan(Displayed):
     """Props that may be in place at a time."""
     parts_at_once: int = 1
     """Parts that a step may insert at most; 1 if none inserts more."""
+    moves: int = 1
+    """Moves of a way out at most; 1 if every part leaves in a straight line."""
+    ways_out: tuple[Way, ...] = ()
+    """Moves in which the part of each step leaves, one entry a step; an entry is empty where it leaves in a straight
+    line, and all is where every part does. Insertion undoes them, the last one first."""
     source: Mapping[str, Any] | None = None
     """Where the structure came from: `built_in` or `path` (relative to the file of the plan), and the options of
     `load_structure` that were given; None if unknown."""
@@ -157,6 +174,7 @@ class Plan(Displayed):
         cls, route: Route, assembly: Assembly, task: Task, verdicts: Verdicts, claim: StabilityCriterion
     ) -> Plan:
         """Plan as `of`, whatever the verdicts are."""
+        ways_out = _ways_out(route, task)
         return cls(
             states=route.states[::-1].copy(),
             actions=route.actions[::-1].copy(),
@@ -177,6 +195,8 @@ class Plan(Displayed):
             props=assembly.props,
             prop_limit=task.prop_limit if assembly.props else 0,
             parts_at_once=1 if task.together is None or not inserts_several(route.states) else task.together.largest,
+            moves=task.moves_out if any(ways_out) else 1,
+            ways_out=ways_out if any(ways_out) else (),
             forces=verdicts.forces,
         )
 

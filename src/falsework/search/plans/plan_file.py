@@ -80,6 +80,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             "support": plan.support,
             "props": plan.prop_limit if plan.props else 0,
             "parts_at_once": plan.parts_at_once,
+            "moves": plan.moves,
         },
         "stability": {**vars(plan.claim), "holds": plan.claim.holds.to_dict() if contact else None},
         "start": {"state": plan.states[0].tolist(), **records[0]},
@@ -90,6 +91,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
                 "parts": step.parts if len(step.parts) > 1 else None,
                 "held": len(step.robots) if len(step.parts) > 1 else None,
                 **records[step.number],
+                "way_out": plan.ways_out[step.number - 1] if plan.ways_out else (),
                 "presses": step.presses,
             }
             for step in plan.steps

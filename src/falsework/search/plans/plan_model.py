@@ -8,6 +8,7 @@ import numpy as np
 from msgspec import Meta
 
 from falsework.assembly.assembly_model import MOST, Count, Earthquake, LoadEntry, Prop
+from falsework.geometry.clearance.ways_out import MOST as MOST_MOVES
 from falsework.search.margins.demands import Demands
 from falsework.search.plans.plan import PartDeadline
 from falsework.search.plans.steps import Action
@@ -111,6 +112,8 @@ class RulesEntry(FileModel, frozen=True):
     """Props that may stand at a time."""
     parts_at_once: Annotated[int, Meta(ge=1)] = 1
     """Parts that a step may insert at most."""
+    moves: Annotated[int, Meta(ge=1, le=MOST_MOVES)] = 1
+    """Moves of a way out at most; 1 for straight ways only."""
 
 
 class HoldsEntry(FileModel, frozen=True):
@@ -168,6 +171,15 @@ class StartEntry(FileModel, frozen=True):
     bears: Bears = ()
 
 
+class MoveEntry(FileModel, frozen=True):
+    """Move of a part on its way out, along a straight line."""
+
+    direction: tuple[float, float, float]
+    """Unit vector."""
+    distance: Positive
+    """m."""
+
+
 class StepEntry(FileModel, frozen=True):
     """Step of a plan, with the verdict on the state that it leads to."""
 
@@ -182,6 +194,9 @@ class StepEntry(FileModel, frozen=True):
     """All parts that the step inserts, part first, where they are several."""
     held: Annotated[int, Meta(ge=1)] | None = None
     """With parts: how many of them, from the first on, robots hold: all, or one, which carries the others."""
+    way_out: Annotated[tuple[MoveEntry, ...], Meta(max_length=MOST_MOVES)] = ()
+    """Moves in which the inserted part would leave, where it has no straight way out: the step undoes them, the last
+    one first."""
     presses: tuple[Press, ...] = ()
     """Robots that press on parts that they hold while this step releases a part."""
     bears: Bears = ()

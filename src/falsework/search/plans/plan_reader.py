@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
 from falsework.errors import PlanError, StateError
+from falsework.geometry.clearance.moves import Move
+from falsework.geometry.clearance.way_search import Way
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.older_plans import upgraded
 from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
@@ -79,6 +81,8 @@ class PlanReader:
         if structure.source is not None:
             check_source(structure.source, self._about)
         claim = self._claim()
+        if rules.moves > 1 and not rules.removable_only_if_clear:
+            self._fail("rules.moves is above 1", "ways out have several moves only with rules.removable_only_if_clear")
         if rules.parts_at_once > 1 and not rules.removable_only_if_clear:
             self._fail("rules.parts_at_once is above 1", "parts move at once only with rules.removable_only_if_clear")
         states, actions, residuals = self._sequence(boundary)
@@ -95,6 +99,7 @@ class PlanReader:
         loads = [self._loads(record, number) for number, record in enumerate((file.start, *file.steps))]
         if any(loads) and claim.criterion != "contact":
             self._fail("it says what robots bear, which is not known under the criterion equilibrium")
+        ways_out = [self._way_out(step, number) for number, step in enumerate(file.steps, 1)]
         presses = [self._presses(step, number) for number, step in enumerate(file.steps, 1)]
         return {
             "states": states,
@@ -116,6 +121,8 @@ class PlanReader:
             "props": structure.props,
             "prop_limit": rules.props,
             "parts_at_once": rules.parts_at_once,
+            "moves": rules.moves,
+            "ways_out": tuple(ways_out) if any(ways_out) else (),
             "source": None if structure.source is None else to_json_values(structure.source),
             "presses": tuple(presses) if any(presses) else (),
             "loads": tuple(loads) if any(loads) else (),
@@ -196,6 +203,20 @@ class PlanReader:
         if there:
             self._fail(f"{place} cannot insert part {there[0]}, which is there already")
         return members[1:held], members[held:]
+
+    def _way_out(self, step: StepEntry, number: int) -> Way:
+        """Return the moves of a step; whether they lead out is for the check."""
+        if not step.way_out:
+            return ()
+        place, most = f"step {number}", self._file.rules.moves
+        if step.do != Action.INSERT or step.parts is not None:
+            self._fail(f"{place} has a way_out", "only a step that inserts one part has one")
+        if len(step.way_out) > most:
+            self._fail(f"{place} has {len(step.way_out)} moves", f"at most {most} with rules.moves")
+        for place, move in enumerate(step.way_out):
+            if abs(np.linalg.norm(move.direction) - 1.0) > 1e-6:
+                self._fail(f"steps[{number - 1}].way_out[{place}].direction is no unit vector")
+        return tuple(Move((step.part,), move.direction, move.distance) for move in step.way_out)
 
     def _judged(self, record: StartEntry | StepEntry, place: str) -> float:
         """Return the residual of a state; nan where a plan whose replay fails has not proven it."""

@@ -57,11 +57,25 @@ def broken_rule(
         alone = (states[1:] != states[:-1]).sum(axis=1) == 1
         inserts = np.flatnonzero((plan.actions >= parts) & alone)
         clear = assembly.clearance.can_leave(states[inserts + 1])
-        blocked = inserts[~clear[np.arange(len(inserts)), plan.actions[inserts] - parts]]
-        if len(blocked):
-            step = int(blocked[0])
-            return step + 1, f"step {step + 1} ({plan.words(step + 1)}) finds no straight way past the other parts"
+        for step in inserts[~clear[np.arange(len(inserts)), plan.actions[inserts] - parts]].tolist():
+            wrong = _broken_way(plan, step, assembly)
+            if wrong:
+                return step + 1, f"step {step + 1} ({plan.words(step + 1)}) {wrong}"
     return None
+
+
+def _broken_way(plan: Plan, step: int, assembly: Assembly) -> str:
+    """Return what is wrong with how a step inserts a part that has no straight way, as the end of a sentence."""
+    moves = plan.ways_out[step] if plan.ways_out else ()
+    part, others = int(plan.actions[step]) - len(plan.boundary), plan.states[step + 1] != REMOVED
+    if not moves:
+        return "finds no straight way past the other parts"
+    if len(moves) > plan.moves:
+        return f"is against the rules: its way has {len(moves)} moves, and {plan.moves} are allowed"
+    if any(move.parts != (part,) for move in moves):
+        return "is against the rules: its way moves other parts"
+    wrong = assembly.part_motions.leaves(moves, others)
+    return f"is against the rules: on its way out, {wrong}" if wrong else ""
 
 
 def broken_together(plan: Plan, step: int, assembly: Assembly | None, settings: StabilitySettings | None) -> str:

@@ -200,14 +200,19 @@ class Task:
         """Return the same task with the moves that need no verdict under the criterion of an oracle."""
         return replace(self, holds_keep_stable=bool(getattr(oracle, "holds_keep_stable", False)))
 
-    @cached_property
+    @property
     def doubt(self) -> str:
-        """Reason why an exhaustive search would not prove that there is no plan; empty if it would."""
+        """Reason why an exhaustive search so far would not prove that there is no plan; empty if it would."""
         if self.prop_limit:
             return f"props were tried at {len(self.props)} places, one under a part; they may help at others"
         if self.clearance is None:
             return ""
         return self.clearance.doubt((self.start != REMOVED) & (self.target == REMOVED))
+
+    @property
+    def moves_out(self) -> int:
+        """Moves of a way out at most; 1 for straight ways."""
+        return getattr(self.clearance, "moves", 1)
 
     def postpone(self, postponed: Sequence[int]) -> Task:
         """Return the same task with other lower bounds on when missing parts are inserted."""
@@ -295,6 +300,7 @@ class Task:
             "missing": list(self.missing),
             "postponed": list(self.postponed),
             "removable_only_if_clear": self.clearance is not None,
+            "moves": self.moves_out,
             "holds_keep_stable": self.holds_keep_stable,
         }
 
