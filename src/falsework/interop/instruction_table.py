@@ -123,6 +123,9 @@ class AssemblyInstructions:
 
     def comes_in(self, step: AssemblyInstruction) -> str:
         """Describe from where the parts of a step come in; empty for a release."""
+        moves = self.timeline.way_of(step.parts[0]) if step.place else ()
+        if moves:
+            return ", then ".join(way_in_words(-np.array(move.direction)) for move in reversed(moves))
         words = dict.fromkeys(way_in_words(way) for way in step.ways) if step.ways is not None else {}
         return "; ".join(words)
 

@@ -72,6 +72,37 @@ def apply(matrix: Array, points: Array) -> Array:
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
+Way = tuple[Move, ...]
+"""Moves in which a part leaves, from where all parts are in place."""
+
+
+def on_the_way(moves: Way, points: Array, share: float, most: float) -> Array:
+    """Return the displacement of a part after a share of its way out, shape (4, 4).
+
+    Args:
+        moves: in which it leaves.
+        points: of the part in place, shape (points, 3), metres.
+        share: of the length of the way, along which its farthest point turns as fast as others shift.
+        most: length of the last move that counts at most, metres.
+    """
+    pose, lengths, kept = np.eye(4), [], []
+    for number, move in enumerate(moves):
+        arm = apply(pose, points) - np.array(move.point)
+        radius = np.linalg.norm(np.cross(arm, move.direction), axis=1).max()
+        length = float(np.hypot(move.distance, radius * move.angle))
+        part_of_it = min(1.0, most / length) if number + 1 == len(moves) else 1.0
+        lengths.append(part_of_it * length)
+        kept.append(move.until(part_of_it))
+        pose = move.displacement() @ pose
+    pose, left = np.eye(4), share * sum(lengths)
+    for move, length in zip(kept, lengths, strict=True):
+        pose = move.displacement(min(1.0, left / length)) @ pose
+        left -= length
+        if left <= 0:
+            break
+    return pose
+
+
 def after(moves: Sequence[Move]) -> dict[int, Array]:
     """Return where moves, one after the other, bring the parts that they move."""
     poses: dict[int, Array] = {}

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.clearance.motions import PartMotions
-from falsework.geometry.clearance.moves import Move, apply
+from falsework.geometry.clearance.moves import Move, Way, apply
 from falsework.geometry.clearance.stops import face_normals, levels, slides
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Way = tuple[Move, ...]
 
 _FIRST = 4.0
 """First stretch of a move, in tolerances; where it is not free, the part cannot move that way."""

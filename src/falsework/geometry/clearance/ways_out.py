@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from falsework.errors import InputError
 from falsework.geometry.clearance.first_motions import can_begin_to_move
 from falsework.geometry.clearance.motions import PartMotions
-from falsework.geometry.clearance.moves import Move
+from falsework.geometry.clearance.moves import Way
 from falsework.geometry.clearance.table import ClearanceTable
-from falsework.geometry.clearance.way_search import Way, WaySearch
+from falsework.geometry.clearance.way_search import WaySearch
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.utils.bits import Words, pack
@@ -121,7 +121,7 @@ class WaysOut:
         found[pairs[(pairs == part).any(axis=1)]] = True
         return found
 
-    def _blockers(self, way: Sequence[Move], part: int) -> Mask:
+    def _blockers(self, way: Way, part: int) -> Mask:
         """Return the parts that would block a way, shape (parts,)."""
         found, pose = np.zeros(len(self._meshes), dtype=bool), np.eye(4)
         others = np.arange(len(found)) != part

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from falsework.assembly.assembly_model import Count, Prop
 from falsework.assembly.state import HELD, INSTALLED, Mask, States
 from falsework.errors import PlanError
-from falsework.geometry.clearance.way_search import Way
+from falsework.geometry.clearance.moves import Way
 from falsework.geometry.clearance.ways_out import WaysOut
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay

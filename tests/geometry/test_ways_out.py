@@ -1,0 +1,110 @@
+"""Ways out in several straight moves, against a search over cells that shares nothing with the package."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from falsework.assembly import Assembly
+from falsework.assembly.library.blocks import Solid, box, gather
+from falsework.assembly.library.voxels import _pinches, surface
+from falsework.errors import InputError
+from falsework.geometry.clearance.motions import PartMotions
+from falsework.geometry.clearance.moves import Move, after, on_the_way
+from falsework.geometry.clearance.way_search import WaySearch
+from falsework.geometry.contact.interfaces import find_contacts
+
+EDGE = 0.1
+Cells = frozenset[tuple[int, int, int]]
+AXES = [d for d in product((-1, 0, 1), repeat=3) if sum(map(abs, d)) == 1]
+
+
+def cells(*ranges: range) -> Cells:
+    return frozenset(product(*ranges))
+
+
+def solid(piece: Cells, *, fixed: bool = False) -> Solid:
+    return replace(surface("piece", piece, (EDGE,) * 3, (0.0, 0.0, 0.0)), fixed=fixed)
+
+
+def structure(*solids: Solid) -> Assembly:
+    blocks = gather(solids)
+    return Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary)
+
+
+def motions_of(*solids: Solid) -> PartMotions:
+    meshes = gather(solids).meshes
+    return PartMotions(meshes, find_contacts(meshes), 1e-4)
+
+
+def fewest_moves(piece: Cells, solid: Cells, most: int) -> int | None:
+    """Straight moves by cells after which a piece is beside all others; None if none take it there."""
+    low, high = (bound(sorted(solid), axis=0) for bound in (np.min, np.max))
+    own = np.array(sorted(piece))
+    size = int((np.ptp(own, axis=0) + high - low).max()) + 2
+    front, seen = {(0, 0, 0)}, {(0, 0, 0)}
+    for number in range(1, most + 1):
+        reached = set()
+        for at, axis in product(front, AXES):
+            for length in range(1, size + 1):
+                here = tuple(int(a + length * d) for a, d in zip(at, axis, strict=True))
+                moved = own + here
+                if not solid.isdisjoint(map(tuple, moved.tolist())):
+                    break
+                if ((moved > high).all(axis=0) | (moved < low).all(axis=0)).any():
+                    return number
+                reached.add(here)
+        front = reached - seen
+        seen |= reached
+        if not front:
+            return None
+    return most + 1
+
+
+def tunnels(seed: int, size: int = 8) -> tuple[Cells, Cells]:
+    """A piece, and a block in which it has dug tunnels at random; some lead out of the block."""
+    rng = np.random.default_rng(seed)
+    block, axis = cells(*[range(size)] * 3), 0
+    while True:
+        length = [1, 1, 1]
+        length[int(rng.integers(3))] = int(rng.integers(1, 3))
+        at = rng.integers(2, size - 3, 3)
+        piece = frozenset(tuple((at + d).tolist()) for d in product(*map(range, length)))
+        dug, here = set(piece), np.zeros(3, dtype=int)
+        for _ in range(int(rng.integers(2, 7))):
+            axis = (axis + int(rng.integers(1, 3))) % 3
+            way = (1 if rng.random() < 0.5 else -1) * np.eye(3, dtype=int)[axis]
+            for _ in range(int(rng.integers(2, 4))):
+                here = here + way
+                dug |= {tuple((np.array(cell) + here).tolist()) for cell in piece}
+        frame = block - dug
+        if piece <= block and len(frame) > size**2 and not any(_pinches(cell, frame) for cell in frame):
+            return piece, frame
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_pieces_leave_tunnels_in_as_few_moves_as_by_cells(seed: int) -> None:
+    piece, frame = tunnels(seed)
+    motions, most, others = motions_of(solid(piece), solid(frame)), 7, np.array([False, True])
+    expected = fewest_moves(piece, frame, most)
+    for moves in range(1, most + 1):
+        found = WaySearch(motions, 0, others).run(moves)
+        assert (found.way is not None) == (expected is not None and expected <= moves)
+        if found.way is not None:
+            assert len(found.way) == expected
+            assert motions.leaves(found.way, others) == ""
+            break
+        assert not found.exact or expected is None
+    else:
+        assert expected is None or expected > most
+        if expected is None:  # with one move more than there are poses to reach, the search says that it is proven
+            assert WaySearch(motions, 0, others).run(30).exact
+
+
+def test_tunnels_are_told_apart() -> None:
+    found = [fewest_moves(*tunnels(seed), 7) for seed in range(40)]
+    assert {None, 1, 2, 3, 5, 6} <= set(found)
