@@ -11,11 +11,11 @@ import pytest
 
 from falsework.assembly import Assembly
 from falsework.assembly.library.blocks import Solid, box, gather
-from falsework.assembly.library.voxels import _pinches, surface
+from falsework.assembly.library.voxels import _grow, _pinches, surface
 from falsework.errors import InputError
-from falsework.geometry.clearance.motions import PartMotions
-from falsework.geometry.clearance.moves import Move, after, on_the_way
-from falsework.geometry.clearance.way_search import WaySearch
+from falsework.geometry.ways.motions import PartMotions
+from falsework.geometry.ways.moves import Move, after, on_the_way
+from falsework.geometry.ways.way_search import WaySearch
 from falsework.geometry.contact.interfaces import find_contacts
 
 EDGE = 0.1
@@ -41,21 +41,39 @@ def motions_of(*solids: Solid) -> PartMotions:
     return PartMotions(meshes, find_contacts(meshes), 1e-4)
 
 
-def fewest_moves(piece: Cells, solid: Cells, most: int) -> int | None:
-    """Straight moves by cells after which a piece is beside all others; None if none take it there."""
-    low, high = (bound(sorted(solid), axis=0) for bound in (np.min, np.max))
-    own = np.array(sorted(piece))
-    size = int((np.ptp(own, axis=0) + high - low).max()) + 2
-    front, seen = {(0, 0, 0)}, {(0, 0, 0)}
+def fewest_moves(piece: Cells, rest: Cells, most: int, aside: tuple[Cells, ...] = ()) -> int | None:
+    """Straight moves by cells, of sets of pieces, after which the first is beside all others; None if none do."""
+    own = [np.array(sorted(cells)) for cells in (piece, *aside)]
+    count = len(own)
+    others = np.array(sorted(rest.union(*aside)))
+    size = int(np.ptp(np.concatenate([*own, others]), axis=0).max()) + 2
+    sets = [some for some in product((0, 1), repeat=count) if any(some)]
+
+    def free(at: tuple[tuple[int, ...], ...]) -> bool:
+        filled = set(rest)
+        for cells, offset in zip(own, at, strict=True):
+            here = set(map(tuple, (cells + offset).tolist()))
+            if not filled.isdisjoint(here):
+                return False
+            filled |= here
+        return True
+
+    def out(at: tuple[tuple[int, ...], ...]) -> bool:
+        here = own[0] + at[0]
+        there = np.concatenate([others, *(cells + offset for cells, offset in zip(own[1:], at[1:], strict=True))])
+        return bool(((here > there.max(axis=0)).all(axis=0) | (here < there.min(axis=0)).all(axis=0)).any())
+
+    home = ((0, 0, 0),) * count
+    front, seen = {home}, {home}
     for number in range(1, most + 1):
         reached = set()
-        for at, axis in product(front, AXES):
-            for length in range(1, size + 1):
-                here = tuple(int(a + length * d) for a, d in zip(at, axis, strict=True))
-                moved = own + here
-                if not solid.isdisjoint(map(tuple, moved.tolist())):
+        for at, some, axis in product(front, sets, AXES):
+            for length in range(1, 2 * size):
+                shift = length * np.outer(some, axis)
+                here = tuple(map(tuple, (np.array(at) + shift).tolist()))
+                if not free(here) or np.abs(here).max() > size:
                     break
-                if ((moved > high).all(axis=0) | (moved < low).all(axis=0)).any():
+                if some == (1, *(0,) * (count - 1)) and out(here):
                     return number
                 reached.add(here)
         front = reached - seen
@@ -108,3 +126,28 @@ def test_pieces_leave_tunnels_in_as_few_moves_as_by_cells(seed: int) -> None:
 def test_tunnels_are_told_apart() -> None:
     found = [fewest_moves(*tunnels(seed), 7) for seed in range(40)]
     assert {None, 1, 2, 3, 5, 6} <= set(found)
+
+
+def locked_pieces(seed: int) -> tuple[Cells, Cells, Cells, Cells]:
+    """A box of cubes cut at random into four pieces, of which the first does not leave alone in one move."""
+    rng = np.random.default_rng(seed)
+    while True:
+        drawn = _grow([*product(range(4), range(3), range(3))], 4, rng)
+        pieces = [frozenset(piece) for piece in drawn or ()]
+        if pieces and fewest_moves(pieces[0], pieces[1] | pieces[2] | pieces[3], 1) != 1:
+            return pieces[0], pieces[1], pieces[2], pieces[3]
+
+
+@pytest.mark.parametrize("seed", range(1, 12))
+def test_pieces_leave_past_others_that_move_aside_in_as_few_moves_as_by_cells(seed: int) -> None:
+    pieces = locked_pieces(seed)
+    motions, rest, most = motions_of(*map(solid, pieces)), np.array([False, False, False, True]), 3
+    expected = fewest_moves(pieces[0], pieces[3], most, pieces[1:3])
+    for moves in range(1, most + 1):
+        found = WaySearch(motions, 0, rest, (1, 2)).run(moves)
+        assert (found.way is not None) == (expected is not None and expected <= moves)
+        if found.way is not None:
+            assert len(found.way) == expected
+            assert motions.leaves(found.way, np.ones(4, dtype=bool)) == ""
+            break
+        assert not found.exact or expected is None

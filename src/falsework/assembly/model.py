@@ -19,10 +19,10 @@ from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.touching import check_touching, contact_warnings
 from falsework.errors import AssemblyError
-from falsework.geometry.clearance.motions import PartMotions
+from falsework.geometry.ways.motions import PartMotions
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.clearance.together import SetClearance
-from falsework.geometry.clearance.ways_out import WaysOut
+from falsework.geometry.ways.ways_out import WaysOut
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
@@ -243,23 +243,21 @@ class Assembly(Displayed):
         _, overlap = self.contact_settings.lengths(self.meshes)
         return PartMotions(self.meshes, self.contacts, overlap)
 
-    def clearance_in_moves(self, moves: int) -> ClearanceTable | WaysOut:
+    def clearance_in_moves(self, moves: int, fixed: Sequence[int] = ()) -> ClearanceTable | WaysOut:
         """Return the clearance of parts that leave in up to some number of straight moves.
+
+        Args:
+            moves: that number.
+            fixed: parts that are not touched, besides those that cannot move.
 
         Raises:
             InputError: no such number of moves.
         """
         if moves == 1:
             return self.clearance
-        if moves not in self._ways_out:
-            self._ways_out[moves] = WaysOut(
-                self.meshes, self.contacts, self.clearance, self.part_motions, self.immovable, moves
-            )
-        return self._ways_out[moves]
-
-    @cached_property
-    def _ways_out(self) -> dict[int, WaysOut]:
-        return {}
+        still = self.immovable.copy()
+        still[list(fixed)] = True
+        return WaysOut(self.meshes, self.contacts, self.clearance, self.part_motions, still, moves)
 
     def replace(
         self,

@@ -78,7 +78,7 @@ class SupportOptions(RuleOptions):
     all carried by one. More than 1 implies --removable-only-if-clear."""
     moves: Annotated[int, arg(metavar="K")] = 1
     """Largest number of straight moves in which a part may leave, such as out and then up, where it has no straight way.
-    More than 1 implies --removable-only-if-clear."""
+    Other parts that robots hold may move aside meanwhile. More than 1 implies --removable-only-if-clear."""
 
     def rules(self, assembly: Assembly) -> TaskRules:
         """Return the rules, as `find_plans` takes them.
@@ -93,7 +93,8 @@ class SupportOptions(RuleOptions):
         # States are given without places for props, which are absent at both ends.
         plain = keep_props(assembly, ()) if assembly.props else assembly
         rules = super().rules(plain)
-        return {**rules, "support": self.wider, "props": self.props, "parts_at_once": self.parts_at_once, "moves": self.moves}
+        more = {"support": self.wider, "props": self.props, "parts_at_once": self.parts_at_once, "moves": self.moves}
+        return {**rules, **more}
 
     @property
     def wider(self) -> bool:

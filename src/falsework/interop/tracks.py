@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError, PlanError
-from falsework.geometry.clearance.moves import Way
+from falsework.geometry.ways.moves import Way
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.plans.steps import NO_ROBOT, moved_parts
 from falsework.viewer.appearance import diagonal

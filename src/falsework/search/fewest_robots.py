@@ -297,11 +297,11 @@ def stuck_parts(task: Task) -> NDArray[np.intp]:
     A part that has an exit keeps it when others are removed, so removing every part that can leave is complete.
     """
     leaving = (task.start != REMOVED) & (task.target == REMOVED)
-    if task.clearance is None:
+    if task.clearance is None or task.doubt or task.moves_out > 1:  # where others move aside, the number of robots matters
         return np.flatnonzero(leaving & False)
     state = task.start.copy()
     while True:
         now = leaving & (state != REMOVED) & task.clearance.can_leave(state[None])[0]
         if not now.any():
-            return np.flatnonzero(leaving & (state != REMOVED) & (not task.doubt))
+            return np.flatnonzero(leaving & (state != REMOVED))
         state[now] = REMOVED

@@ -77,8 +77,8 @@ class TaskRules(TypedDict, total=False):
     """Parts that a step may insert or remove at most, where they lock each other and leave together only. More than 1
     implies `removable_only_if_clear`."""
     moves: int
-    """Moves in which a part leaves at most, where it has no straight way out. More than 1 implies
-    `removable_only_if_clear`."""
+    """Moves in which a part leaves at most, where it has no straight way out; other parts that robots hold may move aside
+    meanwhile. More than 1 implies `removable_only_if_clear`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,14 +246,15 @@ def task_of(
         )
     together = None if parts_at_once == 1 else LockedTogether(assembly, parts_at_once)
     clear = removable_only_if_clear or together is not None or moves != 1
+    untouched = part_ids(fixed, assembly.names, "fixed")
     return Task.create(
         assembly.boundary,
         robots,
         start=start,
         target=target,
-        fixed=part_ids(fixed, assembly.names, "fixed"),
+        fixed=untouched,
         missing=part_ids(missing, assembly.names, "missing"),
-        clearance=assembly.clearance_in_moves(moves) if clear else None,
+        clearance=assembly.clearance_in_moves(moves, untouched) if clear else None,
         contacts=assembly.contacts.parts,
         identity=assembly.identity,
         support=support,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.state import REMOVED, States, as_states
-from falsework.geometry.clearance.moves import Way, on_the_way
+from falsework.geometry.ways.moves import Way, on_the_way
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.plans.steps import NO_ROBOT, PlanStep, holders, moved_parts, steps_of, undone
 from falsework.search.problem.task import Direction

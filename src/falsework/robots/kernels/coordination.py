@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.robots.kernels.collision import Bodies, Chain, place_frames
-from falsework.utils.gjk import INNER, OUTER, gap
+from falsework.geometry.ways.gjk import INNER, OUTER, gap
 from falsework.utils.kernels import njit
 
 Array = NDArray[np.float64]

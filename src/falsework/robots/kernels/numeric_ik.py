@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from falsework.robots.kernels.collision import place_frames
-from falsework.utils.gjk import INNER, OUTER
+from falsework.geometry.ways.gjk import INNER, OUTER
 from falsework.utils.kernels import njit
 
 TOLERANCE = 1e-9

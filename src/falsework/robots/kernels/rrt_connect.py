@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from falsework.robots.kernels.collision import CLEAR, first_hit
-from falsework.utils.gjk import INNER, OUTER
+from falsework.geometry.ways.gjk import INNER, OUTER
 from falsework.utils.kernels import njit
 
 INTERVALS = 4096

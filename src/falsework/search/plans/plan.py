@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from falsework.assembly.assembly_model import Count, Prop
 from falsework.assembly.state import HELD, INSTALLED, Mask, States
 from falsework.errors import PlanError
-from falsework.geometry.clearance.moves import Way
-from falsework.geometry.clearance.ways_out import WaysOut
+from falsework.geometry.ways.moves import Way
+from falsework.geometry.ways.ways_out import WaysOut
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.steps import PlanStep, holders, inserts_several, steps_of, undone

@@ -91,7 +91,16 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
                 "parts": step.parts if len(step.parts) > 1 else None,
                 "held": len(step.robots) if len(step.parts) > 1 else None,
                 **records[step.number],
-                "way_out": plan.ways_out[step.number - 1] if plan.ways_out else (),
+                "way_out": [
+                    {
+                        "direction": move.direction,
+                        "distance": move.distance,
+                        "angle": move.angle or None,
+                        "point": move.point if move.turns else None,
+                        "parts": None if move.parts == (step.part,) else move.parts,
+                    }
+                    for move in (plan.ways_out[step.number - 1] if plan.ways_out else ())
+                ],
                 "presses": step.presses,
             }
             for step in plan.steps

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Meta
 
 from falsework.assembly.assembly_model import MOST, Count, Earthquake, LoadEntry, Prop
-from falsework.geometry.clearance.ways_out import MOST as MOST_MOVES
+from falsework.geometry.ways.ways_out import MOST as MOST_MOVES
 from falsework.search.margins.demands import Demands
 from falsework.search.plans.plan import PartDeadline
 from falsework.search.plans.steps import Action
@@ -172,12 +172,19 @@ class StartEntry(FileModel, frozen=True):
 
 
 class MoveEntry(FileModel, frozen=True):
-    """Move of a part on its way out, along a straight line."""
+    """Move on the way out of a part: a straight line, a turn about an axis, or both at once, which is a screw."""
 
     direction: tuple[float, float, float]
-    """Unit vector."""
-    distance: Positive
-    """m."""
+    """Unit vector along the line or the axis."""
+    distance: NotNegative
+    """Along it, m."""
+    angle: float | None = None
+    """About it by the right-hand rule, rad; with point."""
+    point: tuple[float, float, float] | None = None
+    """On the axis, m."""
+    parts: Parts | None = None
+    """What moves, as one body, if not the inserted part alone: it, or others that robots hold and that go back when it
+    is out."""
 
 
 class StepEntry(FileModel, frozen=True):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
 from falsework.errors import PlanError, StateError
-from falsework.geometry.clearance.moves import Move, Way
+from falsework.geometry.ways.moves import Move, Way
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.older_plans import upgraded
 from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
@@ -42,6 +42,8 @@ MOVES = {
 }
 """Value of the part before a step, and after."""
 PROOF_WORDS = {"contact": "history", "equilibrium": "forces"}
+MOST_ANGLE = 1e4
+"""Angle of a turn that is read, rad."""
 MOST_ENTRIES = 1 << 30
 """States of a plan times parts that are read, a byte each: a complete plan of 23,000 parts."""
 
@@ -212,10 +214,22 @@ class PlanReader:
             self._fail(f"{place} has a way_out", "only a step that inserts one part has one")
         if len(step.way_out) > most:
             self._fail(f"{place} has {len(step.way_out)} moves", f"at most {most} with rules.moves")
-        for place, move in enumerate(step.way_out):
+        for count, move in enumerate(step.way_out):
+            place = f"steps[{number - 1}].way_out[{count}]"
             if abs(np.linalg.norm(move.direction) - 1.0) > 1e-6:
-                self._fail(f"steps[{number - 1}].way_out[{place}].direction is no unit vector")
-        return tuple(Move((step.part,), move.direction, move.distance) for move in step.way_out)
+                self._fail(f"{place}.direction is no unit vector")
+            if move.distance == 0.0 and not move.angle:
+                self._fail(f"{place} moves nothing")
+            if (move.angle is None) != (move.point is None):
+                self._fail(f"{place} has only one of angle and point", "a turn has both")
+            if abs(move.angle or 0.0) > MOST_ANGLE:
+                self._fail(f"{place}.angle is {move.angle:g}", f"at most {MOST_ANGLE:g} rad")
+            if move.parts is not None and not self._distinct(move.parts, f"{place}.parts"):
+                self._fail(f"{place}.parts is empty")
+        return tuple(
+            Move(move.parts or (step.part,), move.direction, move.distance, move.angle or 0.0, move.point or (0.0,) * 3)
+            for move in step.way_out
+        )
 
     def _judged(self, record: StartEntry | StepEntry, place: str) -> float:
         """Return the residual of a state; nan where a plan whose replay fails has not proven it."""

@@ -197,8 +197,13 @@ class Task:
         return int(STAGE[self.target].sum() - STAGE[self.start].sum())
 
     def judged_by(self, oracle: object) -> Task:
-        """Return the same task with the moves that need no verdict under the criterion of an oracle."""
-        return replace(self, holds_keep_stable=bool(getattr(oracle, "holds_keep_stable", False)))
+        """Return the same task with the moves that need no verdict under the criterion of an oracle.
+
+        Where parts move aside on the way of another, the oracle says whether the rest stands meanwhile.
+        """
+        judged = getattr(self.clearance, "judged_by", None)
+        clearance = self.clearance if judged is None else judged(oracle)
+        return replace(self, holds_keep_stable=bool(getattr(oracle, "holds_keep_stable", False)), clearance=clearance)
 
     @property
     def doubt(self) -> str:
@@ -213,6 +218,11 @@ class Task:
     def moves_out(self) -> int:
         """Moves of a way out at most; 1 for straight ways."""
         return getattr(self.clearance, "moves", 1)
+
+    @property
+    def moves_aside(self) -> bool:
+        """Whether parts that robots hold may move aside while another leaves."""
+        return self.moves_out > 1 and self.robots > 1
 
     def postpone(self, postponed: Sequence[int]) -> Task:
         """Return the same task with other lower bounds on when missing parts are inserted."""
@@ -256,8 +266,9 @@ class Task:
         """Return states from which the goal is certainly out of reach, stability aside. Shape (batch,).
 
         In assembly parts only ever block more: a part still to be inserted that has no free direction now never will.
+        Not so where others that robots hold move aside.
         """
-        if self.clearance is None or direction is Direction.DISASSEMBLY:
+        if self.clearance is None or direction is Direction.DISASSEMBLY or self.moves_aside:
             return np.zeros(len(states), dtype=bool)
         to_come = (states == REMOVED) & (self.start != REMOVED)
         return (to_come & ~self.clearance.can_leave(states)).any(axis=1)

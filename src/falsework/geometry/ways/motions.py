@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.clearance.hulls import first_hits, swept
-from falsework.geometry.clearance.moves import Move, Poses, after, apply
+from falsework.geometry.ways.hulls import first_hits, swept
+from falsework.geometry.ways.moves import Move, Poses, after, apply
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh

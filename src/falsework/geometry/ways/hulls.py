@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.utils.gjk import OUTER, gap
+from falsework.geometry.ways.gjk import OUTER, gap
 from falsework.utils.kernels import njit
 
 Array = NDArray[np.float64]

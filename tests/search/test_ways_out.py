@@ -1,0 +1,240 @@
+"""Plans in which parts leave in several moves: found, checked, written, read, shown and refused."""
+
+from __future__ import annotations
+
+import copy
+import io
+import json
+import pickle
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+
+from falsework.assembly import Assembly
+from falsework.assembly.library.blocks import box, gather
+from falsework.assembly.library.voxels import surface
+from falsework.errors import InputError, PlanError
+from falsework.geometry.ways.moves import Move
+from falsework.interop import assembly_instructions, instructions_csv
+from falsework.interop.tracks import tracks_of
+from falsework.replanning.built import BuiltSteps
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.search import Outcome, Plan, find_plans, robots_needed, validate_plan
+from falsework.search.find import task_of
+from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
+from falsework.search.problem.task import Direction
+from falsework.search.settings import PlannerSettings
+from falsework.stability import Stability, StabilitySettings
+from falsework.viewer.appearance import TRAVEL, appearance_at, diagonal
+from falsework.viewer.timeline import Timeline
+
+EDGE = 0.1
+SETTINGS = StabilitySettings(criterion="equilibrium")
+Cells = set[tuple[int, int, int]]
+
+
+def cells(*ranges: range) -> Cells:
+    return set(product(*ranges))
+
+
+def of_cubes(*pieces: Cells, frame: Cells) -> Assembly:
+    """Pieces of cubes, and a fixed frame."""
+    solids = [surface("piece", frozenset(piece), (EDGE,) * 3, (0.0, 0.0, 0.0)) for piece in pieces]
+    solids.append(replace(surface("frame", frozenset(frame), (EDGE,) * 3, (0.0, 0.0, 0.0)), fixed=True))
+    blocks = gather(solids)
+    return Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary)
+
+
+def drawer() -> Assembly:
+    """A drawer in a case with a lip in front of it: it must be lifted, and then pulled out."""
+    blocks = gather(
+        [
+            box("drawer", (0.0, 0.0, 0.0), (0.3, 0.2, 0.1)),
+            box("floor", (-0.05, -0.05, -0.05), (0.35, 0.25, 0.0), fixed=True),
+            box("back", (-0.05, -0.05, 0.0), (0.0, 0.25, 0.25), fixed=True),
+            box("side", (0.0, -0.05, 0.0), (0.3, 0.0, 0.25), fixed=True),
+            box("side", (0.0, 0.2, 0.0), (0.3, 0.25, 0.25), fixed=True),
+            box("top", (-0.05, -0.05, 0.25), (0.35, 0.25, 0.3), fixed=True),
+            box("lip", (0.3, -0.05, 0.0), (0.35, 0.25, 0.06), fixed=True),
+        ]
+    )
+    return Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary, name="drawer")
+
+
+def shaft() -> Assembly:
+    """A block at the blind end of a tunnel, which leads out, and then up."""
+    hollow = {(x, 0, 0) for x in range(4)} | {(3, 0, z) for z in range(3)}
+    return of_cubes({(0, 0, 0)}, frame=cells(range(-1, 5), range(-1, 2), range(-1, 3)) - hollow)
+
+
+def latch() -> Assembly:
+    """A pin under a bar that never leaves the frame before the pin, but can slide aside."""
+    hollow = {(1, 1, z) for z in range(5)} | {(x, 1, 2) for x in range(1, 6)} | {(x, 0, 2) for x in (1, 2)}
+    pin, bar = {(1, 1, 0), (1, 1, 1)}, {(1, 1, 2), (2, 1, 2), (1, 0, 2)}
+    hollow |= {(x, 0, 2) for x in range(1, 6)}
+    frame = cells(range(-1, 7), range(-1, 3), range(-1, 5)) - hollow - pin - bar
+    return of_cubes(pin, bar, frame=frame)
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return find_plans(drawer(), robots=1, moves=2).plans[0]
+
+
+def test_a_drawer_behind_a_lip_is_lifted_and_then_pulled_out(plan: Plan) -> None:
+    assembly = drawer()
+    assert plan.moves == 2
+    (up, out), _ = plan.ways_out
+    assert up.direction == (0.0, 0.0, 1.0)
+    assert 0.06 - 1e-3 <= up.distance <= 0.15 + 1e-3
+    assert out.direction == (1.0, 0.0, 0.0)
+    report = validate_plan(plan, assembly)
+    assert report.good, report.reason
+    assert report.about is not None
+    assert report.about.moves == 2
+
+
+def test_without_several_moves_it_is_proven_that_there_is_no_plan() -> None:
+    found = find_plans(drawer(), robots=1, removable_only_if_clear=True, stability=SETTINGS)
+    assert found.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    assert find_plans(shaft(), robots=1, moves=2, stability=SETTINGS).plans[0].ways_out[0][0].direction == (1, 0, 0)
+
+
+@pytest.mark.parametrize("direction", Direction)
+def test_a_bar_that_a_robot_holds_moves_aside_for_a_pin(direction: Direction) -> None:
+    """It stays inside; with one robot it cannot be held meanwhile, and that there is no plan is proven."""
+    assembly, settings = latch(), PlannerSettings(directions=(direction,))
+    one = find_plans(assembly, robots=1, moves=6, stability=SETTINGS, settings=settings, target=[0, 1, 2])
+    assert one.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    two = find_plans(assembly, robots=2, moves=2, stability=SETTINGS, settings=settings, target=[0, 2, 2])
+    (step,) = [row for row, way in enumerate(two.plans[0].ways_out) if way]
+    aside, out = two.plans[0].ways_out[step]
+    assert (aside.parts, out.parts) == ((1,), (0,))
+    assert validate_plan(two.plans[0], assembly, SETTINGS).good
+
+
+def test_a_part_that_rests_on_one_that_moves_aside_falls_meanwhile() -> None:
+    """So the bar may not move aside while something lies on it, although there is room."""
+    hollow = {(1, 1, z) for z in range(4)} | {(x, 1, z) for x in range(1, 5) for z in (2, 3)}
+    pin, bar, rider = {(1, 1, 0), (1, 1, 1)}, {(1, 1, 2), (2, 1, 2)}, {(2, 1, 3)}
+    frame = cells(range(-1, 6), range(0, 3), range(-1, 4)) - hollow - pin - bar - rider
+    frame |= {(x, y, 4) for x in range(2, 6) for y in range(3)} | {(5, y, z) for y in range(3) for z in range(5)}
+    assembly = of_cubes(pin, bar, rider, frame=frame)
+    state = np.array([[2, 2, 1, 2]], dtype=np.uint8)
+    free = assembly.clearance_in_moves(3)
+    assert free.can_leave(state)[0, 0]
+    judged = task_of(assembly, 2, moves=3).judged_by(Stability(assembly))
+    assert judged.clearance is not None
+    assert not judged.clearance.can_leave(state)[0, 0]
+
+
+def test_ways_are_written_and_read(plan: Plan) -> None:
+    data = json.loads(json.dumps(plan_to_dict(plan)))
+    assert data["rules"]["moves"] == 2
+    assert [move.keys() for move in data["steps"][0]["way_out"]] == [{"direction", "distance"}] * 2
+    again = plan_from_dict(data)
+    assert again.ways_out == plan.ways_out
+    straight = find_plans("arch:blocks=3", moves=4).plans[0]
+    assert straight.moves == 1
+    assert "moves" not in plan_to_dict(straight)["rules"]
+    assert not any("way_out" in step for step in plan_to_dict(straight)["steps"])
+
+
+def change(data: Any, value: Any, *path: Any) -> Any:
+    data = copy.deepcopy(data)
+    inner = data
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = value
+    return data
+
+
+@pytest.mark.parametrize(
+    ("value", "path", "message"),
+    [
+        (1, ("rules", "moves"), "step 1 has 2 moves; at most 1 with rules.moves"),
+        (0, ("rules", "moves"), "rules.moves is 0; give a whole number >= 1"),
+        (101, ("rules", "moves"), "rules.moves is 101; give a whole number <= 100"),
+        (False, ("rules", "removable_only_if_clear"), "several moves only with rules.removable_only_if_clear"),
+        ([1.0, 1.0, 0.0], ("steps", 0, "way_out", 0, "direction"), r"way_out\[0\].direction is no unit vector"),
+        (0.0, ("steps", 0, "way_out", 1, "distance"), r"way_out\[1\] moves nothing"),
+        (-1.0, ("steps", 0, "way_out", 1, "distance"), r"way_out\[1\].distance is -1.0"),
+        ([9], ("steps", 0, "way_out", 1, "parts"), r"way_out\[1\].parts\[0\] is 9; it must be a part from 0 to 6"),
+        ([], ("steps", 0, "way_out", 1, "parts"), r"way_out\[1\].parts is empty"),
+        (1e9, ("steps", 0, "way_out", 1, "angle"), r"way_out\[1\] has only one of angle and point; a turn has both"),
+        ([{"direction": [1.0, 0.0, 0.0], "distance": 1.0}], ("steps", 1, "way_out"), "step 2 has a way_out"),
+    ],
+)
+def test_damaged_ways_are_refused(plan: Plan, value: Any, path: tuple, message: str) -> None:
+    data = json.loads(json.dumps(plan_to_dict(plan)))
+    with pytest.raises(PlanError, match=message):
+        plan_from_dict(change(data, value, *path))
+
+
+def test_a_check_takes_no_way_from_a_plan_without_sweeping_it(plan: Plan) -> None:
+    assembly, (up, out) = drawer(), plan.ways_out[0]
+
+    def reason(*moves: Move, **changes: Any) -> str:
+        bare = replace(plan, displacement=None, loads=(), replay=None, ways_out=(moves, ()), **changes)
+        return validate_plan(bare, assembly).reason
+
+    assert reason(up, out) == ""
+    assert "finds no straight way past the other parts" in reason()
+    assert "its way has 3 moves, and 2 are allowed" in reason(up, out, out)
+    assert "on its way out, move 1 takes drawer-0 into lip-6" in reason(out)
+    assert "move 1 takes drawer-0 into top-5" in reason(replace(up, distance=0.2), out)
+    assert "move 2 takes drawer-0 into lip-6" in reason(replace(up, distance=0.05), out)
+    assert "its moves end while drawer-0 is still among the other parts" in reason(up, replace(out, distance=0.2))
+    assert "its way moves top-5, which no robot holds" in reason(replace(up, parts=(5,)), out)
+    assert "the last move of its way is not that of the part alone" in reason(up, replace(out, parts=(0, 5)))
+
+
+def test_pictures_and_files_of_other_programs_show_the_way(plan: Plan) -> None:
+    assembly = drawer()
+    timeline = Timeline.of(plan, assembly)
+    far = TRAVEL * diagonal(assembly)
+    up, out = plan.ways_out[0]
+    length = up.distance + min(out.distance, far)
+    at_corner = appearance_at(timeline, 1.0 - 2.0 * up.distance / length).shift[0] if length > 2 * up.distance else None
+    assert at_corner is not None
+    np.testing.assert_allclose(at_corner, [0.0, 0.0, up.distance], atol=1e-9)
+    np.testing.assert_allclose(timeline.displacement(0, 1.0, far)[:3, 3], [min(out.distance, far), 0.0, up.distance])
+    path = tracks_of(plan, assembly).tracks[0].path
+    np.testing.assert_allclose([place for _, place in path], [[out.distance, 0, up.distance], [0, 0, up.distance], [0] * 3])
+    assert "from +x, then from above" in instructions_csv(assembly_instructions(plan, assembly))
+
+
+def test_robots_and_replanning_refuse_such_plans_by_name(plan: Plan) -> None:
+    with pytest.raises(PlanError, match="the plan has ways of several moves"):
+        RobotPlan(plan, (), (), (), (), "cell", "identity")
+    with pytest.raises(PlanError, match="the plan has ways out of several moves, which replanning does not"):
+        BuiltSteps(plan, 0)
+
+
+@pytest.mark.parametrize(
+    ("rules", "message"),
+    [
+        ({"moves": 0}, r"0 is not a number of moves of a way out; give 1 \(straight ways only\) to 100"),
+        ({"moves": 101}, "101 is not a number of moves"),
+        ({"moves": 1.5}, "1.5 is not a number of moves"),
+        ({"moves": 2, "parts_at_once": 2}, "sets of parts leave in straight lines; give 1 for one of the two"),
+    ],
+)
+def test_wrong_numbers_are_refused(rules: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        task_of("arch:blocks=3", 2, **rules)
+
+
+def test_ways_out_can_be_sent_to_another_process() -> None:
+    assembly, state = shaft(), np.array([[2, 2]], dtype=np.uint8)
+    sent = pickle.loads(pickle.dumps(assembly.clearance_in_moves(2)))
+    np.testing.assert_array_equal(sent.can_leave(state), [[True, False]])
+
+
+def test_no_number_of_robots_is_refuted_where_holds_open_ways() -> None:
+    """With two robots, the fewest, the bar is held aside."""
+    found = robots_needed(latch(), stability=SETTINGS, moves=2, target=[0, 2, 2])
+    assert found.robots == 2
