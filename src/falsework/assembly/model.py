@@ -243,21 +243,24 @@ class Assembly(Displayed):
         _, overlap = self.contact_settings.lengths(self.meshes)
         return PartMotions(self.meshes, self.contacts, overlap)
 
-    def clearance_in_moves(self, moves: int, fixed: Sequence[int] = ()) -> ClearanceTable | WaysOut:
-        """Return the clearance of parts that leave in up to some number of straight moves.
+    def clearance_in_moves(
+        self, moves: int, fixed: Sequence[int] = (), *, turns: bool = False
+    ) -> ClearanceTable | WaysOut:
+        """Return the clearance of parts that leave in up to some number of moves.
 
         Args:
             moves: that number.
+            turns: whether the part that leaves may also turn, and screw.
             fixed: parts that are not touched, besides those that cannot move.
 
         Raises:
             InputError: no such number of moves.
         """
-        if moves == 1:
+        if moves == 1 and not turns:
             return self.clearance
         still = self.immovable.copy()
         still[list(fixed)] = True
-        return WaysOut(self.meshes, self.contacts, self.clearance, self.part_motions, still, moves)
+        return WaysOut(self.meshes, self.contacts, self.clearance, self.part_motions, still, moves, turns)
 
     def replace(
         self,

@@ -79,6 +79,9 @@ class SupportOptions(RuleOptions):
     moves: Annotated[int, arg(metavar="K")] = 1
     """Largest number of straight moves in which a part may leave, such as out and then up, where it has no straight way.
     Other parts that robots hold may move aside meanwhile. More than 1 implies --removable-only-if-clear."""
+    turns: bool = False
+    """Let a part that leaves also turn about an axis, such as a lid about its hinge, or screw. A turn is one of the
+    --moves. Implies --removable-only-if-clear."""
 
     def rules(self, assembly: Assembly) -> TaskRules:
         """Return the rules, as `find_plans` takes them.
@@ -93,8 +96,8 @@ class SupportOptions(RuleOptions):
         # States are given without places for props, which are absent at both ends.
         plain = keep_props(assembly, ()) if assembly.props else assembly
         rules = super().rules(plain)
-        more = {"support": self.wider, "props": self.props, "parts_at_once": self.parts_at_once, "moves": self.moves}
-        return {**rules, **more}
+        several = {"parts_at_once": self.parts_at_once, "moves": self.moves, "turns": self.turns}
+        return {**rules, "support": self.wider, "props": self.props, **several}
 
     @property
     def wider(self) -> bool:

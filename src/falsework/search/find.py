@@ -79,6 +79,9 @@ class TaskRules(TypedDict, total=False):
     moves: int
     """Moves in which a part leaves at most, where it has no straight way out; other parts that robots hold may move aside
     meanwhile. More than 1 implies `removable_only_if_clear`."""
+    turns: bool
+    """Whether the part that leaves may also turn about an axis, and screw; a turn counts as a move. Implies
+    `removable_only_if_clear`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,6 +227,7 @@ def task_of(
     props: int = 0,
     parts_at_once: int = 1,
     moves: int = 1,
+    turns: bool = False,
 ) -> Task:
     """Return the task of disassembling a structure; see `TaskRules` for the rules.
 
@@ -239,13 +243,12 @@ def task_of(
             "places for props, as with_props(assembly, prop_places(assembly)) makes it"
         )
     start, target = (without_props(state, assembly) for state in (start, target))
-    if moves != 1 and parts_at_once != 1:
+    if (moves != 1 or turns) and parts_at_once != 1:
         raise InputError(
-            f"moves is {moves} and parts_at_once is {parts_at_once}, but sets of parts leave in straight lines; give 1 "
-            "for one of the two"
+            f"parts_at_once is {parts_at_once}, but sets of parts leave in one straight line; leave moves and turns out"
         )
     together = None if parts_at_once == 1 else LockedTogether(assembly, parts_at_once)
-    clear = removable_only_if_clear or together is not None or moves != 1
+    clear = removable_only_if_clear or together is not None or moves != 1 or turns
     untouched = part_ids(fixed, assembly.names, "fixed")
     return Task.create(
         assembly.boundary,
@@ -254,7 +257,7 @@ def task_of(
         target=target,
         fixed=untouched,
         missing=part_ids(missing, assembly.names, "missing"),
-        clearance=assembly.clearance_in_moves(moves, untouched) if clear else None,
+        clearance=assembly.clearance_in_moves(moves, untouched, turns=turns) if clear else None,
         contacts=assembly.contacts.parts,
         identity=assembly.identity,
         support=support,

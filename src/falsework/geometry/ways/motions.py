@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -20,6 +20,8 @@ Mask = NDArray[np.bool_]
 
 SAGITTA = 0.25
 """Share of the tolerance by which parts that turn may leave the hulls that are tested in their stead."""
+_FIRST_STEPS = 8
+"""Steps of a turn that are tested first; then twice as many, and so on."""
 _HOME = np.eye(4)
 
 
@@ -67,23 +69,48 @@ class PartMotions:
             poses: parts that are not in place.
             stop: return after the first.
         """
-        return np.isfinite(self._shares(move, others, poses, stop))
+        found = np.zeros(len(self.meshes), dtype=bool)
+        for begin, end in self._stretches(move, poses, stop):
+            found |= np.isfinite(self._first_shares(move, begin, end, others & ~found, poses, stop))
+            if stop and found.any():
+                break
+        return found
 
-    def free_share(self, move: Move, others: Mask, poses: Poses = {}) -> float:
-        """Return the share of a turn that is free, up to the step before the first hit; arguments as of `blockers`."""
-        return float(min(1.0, self._shares(move, others, poses, False).min()))
+    def free_share(self, move: Move, others: Mask, poses: Poses = {}) -> tuple[float, Mask]:
+        """Return the share of a move up to the step in which it first hits others, and these, shape (parts,).
 
-    def _shares(self, move: Move, others: Mask, poses: Poses, stop: bool) -> Array:
-        """Return the share of the move that is free of each part, infinite if all is, shape (parts,)."""
+        Arguments as of `blockers`.
+        """
+        for begin, end in self._stretches(move, poses, True):
+            shares = self._first_shares(move, begin, end, others, poses, False)
+            if np.isfinite(shares).any():
+                return float(shares.min()), shares == shares.min()
+        return 1.0, np.zeros(len(self.meshes), dtype=bool)
+
+    def _stretches(self, move: Move, poses: Poses, short: bool) -> Iterator[tuple[float, float]]:
+        """Yield stretches of a move to be tested one after the other, each twice as long as the one before if short."""
+        points = np.concatenate([apply(poses.get(part, _HOME), self.meshes[part].vertices) for part in move.parts])
+        steps, begin, count = move.steps(points, SAGITTA * self.tolerance), 0, _FIRST_STEPS
+        while begin < steps:
+            end = min(steps, begin + count) if short else steps
+            yield begin / steps, end / steps
+            begin, count = end, 2 * count
+
+    def _first_shares(
+        self, move: Move, begin: float, end: float, others: Mask, poses: Poses, stop: bool
+    ) -> Array:
+        """Return the share of a move free of each part, if it is hit between two shares, else infinity, (parts,)."""
         shares = np.full(len(self.meshes), np.inf)
         rest = others.copy()
         rest[list(move.parts)] = False
         near = SAGITTA * self.tolerance if move.turns else 0.0
         for part in move.parts:
             for level, group in self._groups(part, rest):
-                begin = apply(poses.get(part, _HOME), self._triangles(part, level))
-                steps = move.steps(begin.reshape(-1, 3), near)
-                frames = np.stack([apply(move.displacement(k / steps), begin) for k in range(steps + 1)])
+                triangles = apply(poses.get(part, _HOME), self._triangles(part, level))
+                # Shrinking may move corners outwards, so that steps are counted anew.
+                steps = int(np.ceil((end - begin) * move.steps(triangles.reshape(-1, 3), near)))
+                times = np.linspace(begin, end, steps + 1)
+                frames = np.stack([apply(move.displacement(share), triangles) for share in times])
                 found = np.full(len(group), steps, dtype=np.int64)
                 walls = [apply(poses.get(other, _HOME), self._triangles(other, level)) for other in group]
                 owner = np.repeat(np.arange(len(group)), [len(wall) for wall in walls])
@@ -91,7 +118,7 @@ class PartMotions:
                 first_hits(hulls, steps, np.concatenate(walls).reshape(-1, 3), owner, near, found, stop)
                 hit = found < steps
                 rows = np.array(group)[hit]
-                shares[rows] = np.minimum(shares[rows], found[hit] / steps)
+                shares[rows] = np.minimum(shares[rows], times[found[hit]])
                 if stop and hit.any():
                     return shares
         return shares

@@ -35,7 +35,7 @@ class Move:
 
     def until(self, share: float) -> Move:
         """Return the first share of the move."""
-        return replace(self, distance=share * self.distance, angle=share * self.angle)
+        return replace(self, distance=float(share * self.distance), angle=float(share * self.angle))
 
     def displacement(self, share: float = 1.0) -> Array:
         """Return the matrix of the displacement after a share of the move, shape (4, 4)."""

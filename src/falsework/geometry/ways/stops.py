@@ -90,6 +90,6 @@ def levels(triangles: Sequence[Array], direction: Array, tolerance: float) -> tu
     of_corner = of_corner.reshape(along.shape)
     level = (of_corner == of_corner[:, :1]).all(axis=1)
     area = np.linalg.norm(triangle_normals(corners[level]), axis=1)
-    weight = np.bincount(of_corner[level, 0], area, len(values))
+    weight = np.bincount(of_corner[level, 0], area, len(values)).astype(float)
     weight[[0, -1]] = np.inf
     return values[np.sort(np.argsort(-weight, kind="stable")[:_LEVELS])], False

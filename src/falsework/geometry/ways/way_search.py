@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.ways.motions import PartMotions
-from falsework.geometry.ways.moves import Move, Way
+from falsework.geometry.ways.moves import Move, Way, apply
 from falsework.geometry.ways.straight_moves import Parts, StraightMoves
+from falsework.geometry.ways.turning_moves import TurningMoves
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -38,13 +39,15 @@ class _Node:
 
     poses: dict[int, Array]
     way: Way
+    touches: bool = True
+    """Whether the last move was as long as it can be, so that the part that moved touches another."""
 
-    def then(self, move: Move) -> _Node:
+    def then(self, move: Move, *, touches: bool = True) -> _Node:
         """Return the poses after one move more."""
         matrix, poses = move.displacement(), dict(self.poses)
         for part in move.parts:
             poses[part] = matrix @ poses.get(part, _HOME)
-        return _Node(poses, (*self.way, move))
+        return _Node(poses, (*self.way, move), touches)
 
 
 class WaySearch:
@@ -67,9 +70,18 @@ class WaySearch:
         every = np.ones(len(rest), dtype=bool)
         self._homes = motions.bounds(every), motions.bounds(np.arange(len(rest)) != part)
         self._straight = StraightMoves(motions, self._movable, rest)
+        there = rest.copy()
+        there[list(self._movable)] = True
+        self._turning = TurningMoves(motions, part, there)
+        self._corners = {one: _four_corners(motions.box(one)) for one in self._movable}
 
-    def run(self, moves: int) -> Found:
-        """Search for a way out in up to some number of moves."""
+    def run(self, moves: int, *, turns: bool = False) -> Found:
+        """Search for a way out in up to some number of moves.
+
+        Args:
+            moves: that number.
+            turns: whether the part may also turn, and screw; others that move aside do not.
+        """
         straight = self._straight
         front, tried = [_Node({}, ())], 0
         seen = {self._key(front[0])}
@@ -79,6 +91,10 @@ class WaySearch:
                 tried += 1
                 if tried > _POSES:
                     return Found(None, straight.walls, False)
+                turned = [node.then(move) for move in self._turns(node)] if turns and node.touches else []
+                for following in turned:
+                    if self._is_out(following):
+                        return Found(following.way, straight.walls, False)
                 begun = list(self._begun(node))
                 for direction, parts in begun:
                     if parts == (self._part,):
@@ -87,19 +103,37 @@ class WaySearch:
                             return Found((*node.way, move), straight.walls, False)
                 for direction, parts in begun if number + 1 < moves else ():
                     most = self._length(node, parts, direction)
-                    for distance in straight.distances(parts, node.poses, direction, most):
-                        following = node.then(straight.move(parts, direction, distance))
-                        if self._key(following) not in seen:
-                            seen.add(self._key(following))
-                            reached.append(following)
+                    distances = straight.distances(parts, node.poses, direction, most)
+                    for distance in distances:
+                        move = straight.move(parts, direction, distance)
+                        turned.append(node.then(move, touches=distance == distances[-1]))
+                for following in turned if number + 1 < moves else ():
+                    if self._key(following) not in seen:
+                        seen.add(self._key(following))
+                        reached.append(following)
             front = reached
             if not front:  # more moves would not lead farther
-                return Found(None, straight.walls, straight.exact and number + 1 < moves)
+                return Found(None, straight.walls, straight.exact and not turns and number + 1 < moves)
         return Found(None, straight.walls, False)
 
     def _key(self, node: _Node) -> bytes:
-        shifts = [node.poses.get(part, _HOME)[:3, 3] for part in self._movable]
-        return np.round(np.array(shifts) / (2 * self._motions.tolerance)).astype(np.int64).tobytes()
+        """Return a name of poses: where they take the corners of the parts."""
+        corners = [apply(node.poses.get(part, _HOME), self._corners[part]) for part in self._movable]
+        return np.round(np.array(corners) / (2 * self._motions.tolerance)).astype(np.int64).tobytes()
+
+    def _turns(self, node: _Node) -> Iterator[Move]:
+        """Yield the free turns of the part; not about the axis of the last move once more."""
+        last = node.way[-1] if node.way else None
+        for move in self._turning.moves(node.poses, self._box_around(node, (self._part,))):
+            if last is None or not (last.turns and abs(np.array(last.direction) @ move.direction) > 1.0 - 1e-9):
+                yield move
+        self._straight.walls |= self._turning.walls
+
+    def _is_out(self, node: _Node) -> bool:
+        """Return whether the part is beside the box around the others."""
+        low, high = self._box_around(node, (self._part,))
+        box = self._motions.box(self._part, node.poses.get(self._part, _HOME))
+        return bool(((box[0] >= high) | (box[1] <= low)).any())
 
     def _begun(self, node: _Node) -> Iterator[tuple[Array, Parts]]:
         """Yield what can begin to move and where; the same parts do not go on, or back, along one line."""
@@ -111,18 +145,28 @@ class WaySearch:
                     yield direction, parts
 
     def _length(self, node: _Node, parts: Parts, direction: Array) -> float:
-        """Return how far parts move until one of them is beside the box around all, m.
-
-        The box holds all other parts in place, there or not, and those that are aside where they are.
-        """
-        apart = {part: pose for part, pose in node.poses.items() if part not in parts}
-        low, high = self._homes[parts == (self._part,)]
-        for part, pose in apart.items():
-            box = self._motions.box(part, pose)
-            low, high = np.minimum(low, box[0]), np.maximum(high, box[1])
+        """Return how far parts move until one of them is beside the box around all, m."""
+        low, high = self._box_around(node, parts)
         sloped, lengths = np.abs(direction) > 1e-6, []
         for part in parts:
             box = self._motions.box(part, node.poses.get(part, _HOME))
             gap = np.where(direction > 0, high - box[0], box[1] - low)
             lengths.append(float((gap[sloped] / np.abs(direction[sloped])).min()))
         return max(min(lengths), self._straight.first)
+
+    def _box_around(self, node: _Node, parts: Parts) -> Array:
+        """Return the box around all parts but the one that leaves where only that moves, shape (2, 3), m.
+
+        It holds parts in place, there or not, and those that are aside where they are.
+        """
+        low, high = self._homes[parts == (self._part,)]
+        for part, pose in node.poses.items():
+            if part not in parts:
+                box = self._motions.box(part, pose)
+                low, high = np.minimum(low, box[0]), np.maximum(high, box[1])
+        return np.stack([low, high])
+
+
+def _four_corners(box: Array) -> Array:
+    """Return four corners of a box that do not lie in one plane, shape (4, 3)."""
+    return np.concatenate([box[:1], np.where(np.eye(3, dtype=bool), box[1], box[0])])

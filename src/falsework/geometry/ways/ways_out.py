@@ -56,6 +56,7 @@ class WaysOut:
         motions: PartMotions,
         fixed: Mask,
         moves: int,
+        turns: bool,
         oracle: Oracle | None = None,
     ) -> None:
         """Take a structure.
@@ -67,15 +68,16 @@ class WaysOut:
             motions: swept tests of the parts.
             fixed: parts that never move, shape (parts,).
             moves: moves of a way out at most.
+            turns: whether parts that leave may also turn, and screw.
             oracle: says which states stand; without one all do.
 
         Raises:
-            InputError: fewer than two moves, or more than a hundred.
+            InputError: no number of moves from 1 to 100.
         """
-        if not (isinstance(moves, int | np.integer) and 1 < moves <= MOST):
-            raise InputError(f"{moves} is not a number of moves of a way out; give 1 (straight ways only) to {MOST}")
+        if not (isinstance(moves, int | np.integer) and 1 <= moves <= MOST):
+            raise InputError(f"{moves} is not a number of moves of a way out; give 1 (one move) to {MOST}")
         self._meshes, self._contacts, self._straight, self._motions = meshes, contacts, straight, motions
-        self._fixed, self.moves, self._oracle = fixed, int(moves), oracle
+        self._fixed, self.moves, self.turns, self._oracle = fixed, int(moves), turns, oracle
         self._ways: dict[int, list[_KeptWay]] = {}
         self._closed: dict[int, list[_Closed]] = {}
         self._stands: dict[bytes, bool] = {}
@@ -83,16 +85,18 @@ class WaysOut:
 
     def __reduce__(self) -> tuple[type[WaysOut], tuple[Any, ...]]:
         """Pickle what it is made of; what was found is found again."""
-        given = self._meshes, self._contacts, self._straight, self._motions, self._fixed, self.moves, self._oracle
-        return WaysOut, given
+        return WaysOut, self._given
+
+    @property
+    def _given(self) -> tuple[Any, ...]:
+        given = self._meshes, self._contacts, self._straight, self._motions
+        return *given, self._fixed, self.moves, self.turns, self._oracle
 
     def judged_by(self, oracle: Oracle) -> WaysOut:
         """Return the same ways out, where parts may move aside only if an oracle says that the rest stands."""
         if self._oracle is oracle:
             return self
-        new = WaysOut(
-            self._meshes, self._contacts, self._straight, self._motions, self._fixed, self.moves, oracle
-        )
+        new = WaysOut(*self._given[:-1], oracle)
         new._ways, new._closed = self._ways, self._closed
         return new
 
@@ -124,9 +128,10 @@ class WaysOut:
             )
         if not unsure:
             return ""
+        kinds = ("straight moves", "straight moves and turns")[self.turns]
         return (
-            f"for {len(unsure)} parts, {self._meshes[unsure[0]].name} the first, ways out of up to {self.moves} straight "
-            "moves were sought along the faces and edges of parts, and none was found; others may be free"
+            f"for {len(unsure)} parts, {self._meshes[unsure[0]].name} the first, ways out of up to {self.moves} {kinds} "
+            "were sought along the faces and edges of parts, and none was found; others may be free"
         )
 
     def _search(self, state: States, part: int) -> Way | None:
@@ -146,6 +151,9 @@ class WaysOut:
             return None
         aside = tuple(np.flatnonzero(held).tolist())
         found = WaySearch(self._motions, part, present & ~held, aside).run(self.moves)
+        if found.way is None and self.turns:
+            straight, found = found, WaySearch(self._motions, part, present & ~held, aside).run(self.moves, turns=True)
+            found.walls[straight.walls] = True
         if found.way is None:
             walls = pack((found.walls | held)[None])[0]
             self._closed.setdefault(part, []).append(_Closed(walls, hands, found.exact))

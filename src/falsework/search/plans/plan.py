@@ -117,7 +117,9 @@ class Plan(Displayed):
     parts_at_once: int = 1
     """Parts that a step may insert at most; 1 if none inserts more."""
     moves: int = 1
-    """Moves of a way out at most; 1 if every part leaves in a straight line."""
+    """Moves of a way out at most; 1 if every part leaves in one."""
+    turns: bool = False
+    """Whether parts turn on their ways out."""
     ways_out: tuple[Way, ...] = ()
     """Moves in which the part of each step leaves, one entry a step; an entry is empty where it leaves in a straight
     line, and all is where every part does. Insertion undoes them, the last one first."""
@@ -196,6 +198,7 @@ class Plan(Displayed):
             prop_limit=task.prop_limit if assembly.props else 0,
             parts_at_once=1 if task.together is None or not inserts_several(route.states) else task.together.largest,
             moves=task.moves_out if any(ways_out) else 1,
+            turns=any(move.turns for way in ways_out for move in way),
             ways_out=ways_out if any(ways_out) else (),
             forces=verdicts.forces,
         )

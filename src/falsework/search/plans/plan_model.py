@@ -113,7 +113,9 @@ class RulesEntry(FileModel, frozen=True):
     parts_at_once: Annotated[int, Meta(ge=1)] = 1
     """Parts that a step may insert at most."""
     moves: Annotated[int, Meta(ge=1, le=MOST_MOVES)] = 1
-    """Moves of a way out at most; 1 for straight ways only."""
+    """Moves of a way out at most."""
+    turns: bool = False
+    """Whether parts may turn on their ways out."""
 
 
 class HoldsEntry(FileModel, frozen=True):

@@ -82,8 +82,8 @@ class PlanReader:
         if structure.source is not None:
             check_source(structure.source, self._about)
         claim = self._claim()
-        if rules.moves > 1 and not rules.removable_only_if_clear:
-            self._fail("rules.moves is above 1", "ways out have several moves only with rules.removable_only_if_clear")
+        if (rules.moves > 1 or rules.turns) and not rules.removable_only_if_clear:
+            self._fail("rules.moves is above 1, or rules.turns is true", "they need rules.removable_only_if_clear")
         if rules.parts_at_once > 1 and not rules.removable_only_if_clear:
             self._fail("rules.parts_at_once is above 1", "parts move at once only with rules.removable_only_if_clear")
         states, actions, residuals = self._sequence(boundary)
@@ -123,6 +123,7 @@ class PlanReader:
             "prop_limit": rules.props,
             "parts_at_once": rules.parts_at_once,
             "moves": rules.moves,
+            "turns": rules.turns,
             "ways_out": tuple(ways_out) if any(ways_out) else (),
             "source": None if structure.source is None else to_json_values(structure.source),
             "presses": tuple(presses) if any(presses) else (),
@@ -222,6 +223,8 @@ class PlanReader:
                 self._fail(f"{place} moves nothing")
             if (move.angle is None) != (move.point is None):
                 self._fail(f"{place} has only one of angle and point", "a turn has both")
+            if move.angle and not self._file.rules.turns:
+                self._fail(f"{place} turns", "it may not without rules.turns")
             if abs(move.angle or 0.0) > MOST_ANGLE:
                 self._fail(f"{place}.angle is {move.angle:g}", f"at most {MOST_ANGLE:g} rad")
             if move.parts is not None and not self._distinct(move.parts, f"{place}.parts"):

@@ -73,6 +73,8 @@ def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySe
         return "finds no straight way past the other parts"
     if len(moves) > plan.moves:
         return f"is against the rules: its way has {len(moves)} moves, and {plan.moves} are allowed"
+    if any(move.turns for move in moves) and not plan.turns:
+        return "is against the rules: its way has a turn, and none is allowed"
     if moves[-1].parts != (part,):
         return "is against the rules: the last move of its way is not that of the part alone"
     moved = sorted({one for move in moves for one in move.parts})

@@ -220,6 +220,11 @@ class Task:
         return getattr(self.clearance, "moves", 1)
 
     @property
+    def turns(self) -> bool:
+        """Whether a part that leaves may turn."""
+        return getattr(self.clearance, "turns", False)
+
+    @property
     def moves_aside(self) -> bool:
         """Whether parts that robots hold may move aside while another leaves."""
         return self.moves_out > 1 and self.robots > 1
@@ -312,6 +317,7 @@ class Task:
             "postponed": list(self.postponed),
             "removable_only_if_clear": self.clearance is not None,
             "moves": self.moves_out,
+            "turns": self.turns,
             "holds_keep_stable": self.holds_keep_stable,
         }
 
