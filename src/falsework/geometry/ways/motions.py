@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.ways.hulls import first_hits, swept
+from falsework.geometry.ways.hulls import first_hits, near_order, swept
 from falsework.geometry.ways.moves import Move, Poses, after, apply
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
@@ -57,7 +57,8 @@ class PartMotions:
 
     def _triangles(self, part: int, level: int) -> Array:
         if (part, level) not in self._shrunken:
-            self._shrunken[part, level] = self._sweeper.shrunk(part, level)[self.meshes[part].faces]
+            triangles = self._sweeper.shrunk(part, level)[self.meshes[part].faces]
+            self._shrunken[part, level] = triangles[near_order(triangles)]
         return self._shrunken[part, level]
 
     def blockers(self, move: Move, others: Mask, poses: Poses = {}, *, stop: bool = False) -> Mask:

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 _SAME = 1e-4
 """Directions that differ by no more are one, as a sine."""
-_NORMALS = 12
+_NORMALS = 8
 """Normals, largest faces first, whose pairs give directions to slide along both."""
 _LEVELS = 32
 """Levels of a part, and of the others, that are compared."""
