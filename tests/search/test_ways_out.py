@@ -325,5 +325,41 @@ def test_turns_are_shown_in_pictures_and_refused_by_name_elsewhere(screwed: tupl
 
 
 def lid() -> Assembly:
-    """A lid with a tongue under a bridge: it turns about the edge where it lies, and then leaves."""
-    raise NotImplementedError
+    """A lid behind a low wall, with its back end under a ledge: it tips up, and slides out along its own plane."""
+    blocks = gather(
+        [
+            box("lid", (0.0, 0.0, 0.0), (0.3, 0.2, 0.02)),
+            box("floor", (-0.05, -0.05, -0.05), (0.35, 0.25, 0.0), fixed=True),
+            box("back", (-0.05, -0.05, 0.0), (-0.01, 0.25, 0.1), fixed=True),
+            box("ledge", (-0.01, -0.05, 0.03), (0.03, 0.25, 0.1), fixed=True),
+            box("side", (-0.01, -0.05, 0.0), (0.3, 0.0, 0.03), fixed=True),
+            box("side", (-0.01, 0.2, 0.0), (0.3, 0.25, 0.03), fixed=True),
+            box("front", (0.3, -0.05, 0.0), (0.35, 0.25, 0.02), fixed=True),
+        ]
+    )
+    return Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary, name="lid")
+
+
+def test_a_lid_tips_up_and_slides_out_and_no_straight_moves_do() -> None:
+    assembly = lid()
+    straight = find_plans(assembly, robots=1, moves=8, stability=SETTINGS)
+    assert straight.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    plan = find_plans(assembly, robots=1, moves=2, turns=True, stability=SETTINGS).plans[0]
+    tip, slide = plan.ways_out[0]
+    np.testing.assert_allclose(np.abs(tip.direction), (0.0, 1.0, 0.0), atol=1e-6)
+    assert 0.1 < abs(tip.angle) < 0.4
+    assert slide.direction[0] == pytest.approx(np.cos(tip.angle), abs=1e-6)
+    assert validate_plan(plan, assembly, SETTINGS).good
+
+
+def test_what_turns_could_do_is_not_proven() -> None:
+    """A block shut in has nothing to turn about; another that has room inside might have a way that was not sought."""
+    closed = of_cubes({(0, 0, 0)}, frame=cells(*[range(-1, 2)] * 3) - {(0, 0, 0)})
+    found = find_plans(closed, robots=1, moves=3, turns=True, stability=SETTINGS)
+    assert found.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    roomy = of_cubes({(0, 0, 0)}, frame=cells(*[range(-1, 3)] * 3) - cells(*[range(2)] * 3))
+    found = find_plans(roomy, robots=1, moves=2, turns=True, stability=SETTINGS)
+    assert found.result.outcome is Outcome.NOT_FOUND
+    assert "straight moves and turns were sought along the faces and edges of parts" in found.result.limit
+    found = find_plans(roomy, robots=1, moves=9, stability=SETTINGS)
+    assert found.result.outcome is Outcome.PROVED_IMPOSSIBLE

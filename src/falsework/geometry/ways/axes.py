@@ -70,7 +70,7 @@ def axes_of(part: Array, others: Sequence[Array], tolerance: float, thickness: f
         tolerance: gap up to which parts touch, metres.
         thickness: of the part, metres.
     """
-    surface = _near_surface(part, others, thickness)
+    surface = _near_surface(part, others, thickness, tolerance)
     found: list[Axis] = []
     extent, seen, gap = float(np.linalg.norm(np.ptp(part.reshape(-1, 3), axis=0))), 0, tolerance
     while gap <= thickness:
@@ -86,10 +86,11 @@ def axes_of(part: Array, others: Sequence[Array], tolerance: float, thickness: f
     return found
 
 
-def _near_surface(part: Array, others: Sequence[Array], most: float) -> _Surface:
+def _near_surface(part: Array, others: Sequence[Array], most: float, tolerance: float) -> _Surface:
     """Return the faces of a part and of others that are near to each other, each at the middle of its shortest edge.
 
     There the normal of a face of a round or twisted surface is that of the surface, since the edge is a short chord.
+    Faces that look away from the other side are left out.
     """
     rest = np.concatenate(list(others))
     low, high = part.min(axis=(0, 1)) - most, part.max(axis=(0, 1)) + most
@@ -107,8 +108,12 @@ def _near_surface(part: Array, others: Sequence[Array], most: float) -> _Surface
         ends = [np.take_along_axis(own[kept], (first + k) % 3, axis=1)[:, 0] for k in (0, 1)]
         middles = 0.5 * (ends[0] + ends[1])
         body = Body(other.reshape(-1, 3), np.arange(3 * len(other)).reshape(-1, 3))
+        outwards = normals[kept] / double[kept, None]
         gaps = body.distances(middles)
-        samples.append((middles, sign * normals[kept] / double[kept, None], double[kept] / 2, gaps))
+        near = np.flatnonzero(gaps <= most)
+        before, behind = (body.distances(middles[near] + side * tolerance * outwards[near]) for side in (1.0, -1.0))
+        near = near[before <= behind + 0.5 * tolerance]
+        samples.append((middles[near], sign * outwards[near], double[kept][near] / 2, gaps[near]))
     if not samples:
         return _Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
     return _Surface(*(np.concatenate(arrays) for arrays in zip(*samples, strict=True)))
@@ -152,9 +157,9 @@ def _least_motion(rows: Array, weights: Array, component: int, sign: float) -> A
     for _ in range(_ROUNDS):
         speed = rows @ motion
         scale = weights * np.where(speed > 0, _INTO, 1.0) / np.maximum(np.abs(speed), smoothing)
-        gram = rows.T @ (scale[:, None] * rows) + _SAME**2 * np.eye(6)
+        root = np.sqrt(scale)[:, None]
         new = motion.copy()
-        new[others] = np.linalg.solve(gram[np.ix_(others, others)], -sign * gram[others, component])
+        new[others] = np.linalg.lstsq(root * rows[:, others], -sign * root[:, 0] * rows[:, component], rcond=None)[0]
         change, motion = float(np.abs(new - motion).max()), new
         if change < 0.1 * smoothing:
             smoothing *= 0.1
