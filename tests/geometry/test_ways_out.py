@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
 from itertools import product
 
@@ -10,21 +9,19 @@ import numpy as np
 import pytest
 
 from falsework.assembly import Assembly
-from falsework.assembly.library.blocks import Solid, box, gather
+from falsework.assembly.library.blocks import Solid, gather
 from falsework.assembly.library.voxels import _grow, _pinches, surface
-from falsework.errors import InputError
-from falsework.geometry.ways.motions import PartMotions
-from falsework.geometry.ways.moves import Move, after, on_the_way
-from falsework.geometry.ways.way_search import WaySearch
 from falsework.geometry.contact.interfaces import find_contacts
+from falsework.geometry.ways.motions import PartMotions
+from falsework.geometry.ways.way_search import WaySearch
 
 EDGE = 0.1
 Cells = frozenset[tuple[int, int, int]]
 AXES = [d for d in product((-1, 0, 1), repeat=3) if sum(map(abs, d)) == 1]
 
 
-def cells(*ranges: range) -> Cells:
-    return frozenset(product(*ranges))
+def cells(x: range, y: range, z: range) -> Cells:
+    return frozenset(product(x, y, z))
 
 
 def solid(piece: Cells, *, fixed: bool = False) -> Solid:

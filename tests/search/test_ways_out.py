@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import io
 import json
 import pickle
 from dataclasses import replace
@@ -38,8 +37,8 @@ SETTINGS = StabilitySettings(criterion="equilibrium")
 Cells = set[tuple[int, int, int]]
 
 
-def cells(*ranges: range) -> Cells:
-    return set(product(*ranges))
+def cells(x: range, y: range, z: range) -> Cells:
+    return set(product(x, y, z))
 
 
 def of_cubes(*pieces: Cells, frame: Cells) -> Assembly:
@@ -122,11 +121,12 @@ def test_a_part_that_rests_on_one_that_moves_aside_falls_meanwhile() -> None:
     """So the bar may not move aside while something lies on it, although there is room."""
     hollow = {(1, 1, z) for z in range(4)} | {(x, 1, z) for x in range(1, 5) for z in (2, 3)}
     pin, bar, rider = {(1, 1, 0), (1, 1, 1)}, {(1, 1, 2), (2, 1, 2)}, {(2, 1, 3)}
-    frame = cells(range(-1, 6), range(0, 3), range(-1, 4)) - hollow - pin - bar - rider
+    frame = cells(range(-1, 6), range(3), range(-1, 4)) - hollow - pin - bar - rider
     frame |= {(x, y, 4) for x in range(2, 6) for y in range(3)} | {(5, y, z) for y in range(3) for z in range(5)}
     assembly = of_cubes(pin, bar, rider, frame=frame)
     state = np.array([[2, 2, 1, 2]], dtype=np.uint8)
-    free = assembly.clearance_in_moves(3)
+    free = task_of(assembly, 2, moves=3).clearance
+    assert free is not None
     assert free.can_leave(state)[0, 0]
     judged = task_of(assembly, 2, moves=3).judged_by(Stability(assembly))
     assert judged.clearance is not None
@@ -205,13 +205,15 @@ def test_pictures_and_files_of_other_programs_show_the_way(plan: Plan) -> None:
     np.testing.assert_allclose(at_corner, [0.0, 0.0, up.distance], atol=1e-9)
     np.testing.assert_allclose(timeline.displacement(0, 1.0, far)[:3, 3], [min(out.distance, far), 0.0, up.distance])
     path = tracks_of(plan, assembly).tracks[0].path
-    np.testing.assert_allclose([place for _, place in path], [[out.distance, 0, up.distance], [0, 0, up.distance], [0] * 3])
+    np.testing.assert_allclose(
+        [place for _, place in path], [[out.distance, 0, up.distance], [0, 0, up.distance], [0] * 3]
+    )
     assert "from +x, then from above" in instructions_csv(assembly_instructions(plan, assembly))
 
 
 def test_robots_and_replanning_refuse_such_plans_by_name(plan: Plan) -> None:
-    with pytest.raises(PlanError, match="the plan has ways of several moves"):
-        RobotPlan(plan, (), (), (), (), "cell", "identity")
+    with pytest.raises(PlanError, match="robot plans move one part at a time, and straight"):
+        RobotPlan(plan, (), (), (), "cell", "identity")
     with pytest.raises(PlanError, match="the plan has ways out of several moves, which replanning does not"):
         BuiltSteps(plan, 0)
 
@@ -232,7 +234,7 @@ def test_wrong_numbers_are_refused(rules: dict[str, Any], message: str) -> None:
 
 def test_ways_out_can_be_sent_to_another_process() -> None:
     assembly, state = shaft(), np.array([[2, 2]], dtype=np.uint8)
-    sent = pickle.loads(pickle.dumps(assembly.clearance_in_moves(2)))
+    sent = pickle.loads(pickle.dumps(task_of(assembly, 2, moves=2).clearance))
     np.testing.assert_array_equal(sent.can_leave(state), [[True, False]])
 
 
@@ -243,7 +245,7 @@ def test_no_number_of_robots_is_refuted_where_holds_open_ways() -> None:
 
 
 def rings(name: str, sections: list[np.ndarray], *, close: bool) -> TriangleMesh:
-    """Surface through polygons of equal size, counter-clockwise seen from the last one; closed by two caps or a ring."""
+    """Surface through polygons, counter-clockwise seen from the last one, that two caps or a ring close."""
     count, number = len(sections[0]), len(sections)
     faces = []
     for a in range(number if close else number - 1):
@@ -319,7 +321,9 @@ def test_turns_are_shown_in_pictures_and_refused_by_name_elsewhere(screwed: tupl
     share = look.shift[0, 2] / move.distance
     assert 0.0 < share < 1.0
     np.testing.assert_allclose(turn, share * move.angle * np.array(move.direction), atol=1e-9)
-    np.testing.assert_allclose(look.moved(0, assembly.meshes[0].vertices), apply(move.displacement(share), assembly.meshes[0].vertices))
+    np.testing.assert_allclose(
+        look.moved(0, assembly.meshes[0].vertices), apply(move.displacement(share), assembly.meshes[0].vertices)
+    )
     with pytest.raises(PlanError, match="a part turns on its way in, which these files cannot show"):
         tracks_of(plan, assembly)
 

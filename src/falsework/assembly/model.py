@@ -19,13 +19,12 @@ from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.touching import check_touching, contact_warnings
 from falsework.errors import AssemblyError
-from falsework.geometry.ways.motions import PartMotions
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.clearance.together import SetClearance
-from falsework.geometry.ways.ways_out import WaysOut
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
+from falsework.geometry.ways.motions import PartMotions
 from falsework.utils.display.notebook import Displayed
 from falsework.utils.quantity import counted
 
@@ -242,25 +241,6 @@ class Assembly(Displayed):
         """Swept tests of moves of the parts."""
         _, overlap = self.contact_settings.lengths(self.meshes)
         return PartMotions(self.meshes, self.contacts, overlap)
-
-    def clearance_in_moves(
-        self, moves: int, fixed: Sequence[int] = (), *, turns: bool = False
-    ) -> ClearanceTable | WaysOut:
-        """Return the clearance of parts that leave in up to some number of moves.
-
-        Args:
-            moves: that number.
-            turns: whether the part that leaves may also turn, and screw.
-            fixed: parts that are not touched, besides those that cannot move.
-
-        Raises:
-            InputError: no such number of moves.
-        """
-        if moves == 1 and not turns:
-            return self.clearance
-        still = self.immovable.copy()
-        still[list(fixed)] = True
-        return WaysOut(self.meshes, self.contacts, self.clearance, self.part_motions, still, moves, turns)
 
     def replace(
         self,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TypedDict, Unpack
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,7 @@ from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.props import keep_props, without_props
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
+from falsework.geometry.ways.ways_out import WaysOut
 from falsework.search.margins.demands import DemandingStability
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
@@ -34,9 +35,10 @@ from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.support_route import SupportRoute
-from falsework.search.problem.task import Task
+from falsework.search.problem.task import Clearance, Task
 from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
+from falsework.search.task_rules import TaskRules
 from falsework.search.together.rule import LockedTogether
 from falsework.stability.oracle import Stability
 from falsework.stability.settings import StabilitySettings
@@ -54,34 +56,6 @@ PLANS = StabilitySettings(reserve=1.1)
 """Stability of plans by default: parts come to rest with friction divided by 1.1, and with the true one."""
 _CHOICE_SECONDS = 1.0
 """Seconds in which to choose among plans where the deadline leaves less."""
-
-
-class TaskRules(TypedDict, total=False):
-    """Rules of a task in addition to the number of robots, all of them optional."""
-
-    start: ArrayLike | None
-    """State to disassemble, where assembly ends, shape (parts,); the complete structure if not given."""
-    target: ArrayLike | None
-    """State in which disassembly ends, where assembly starts, shape (parts,); the empty structure if not given."""
-    fixed: Sequence[int | str]
-    """Numbers or names of parts that are neither held nor removed."""
-    missing: Sequence[int | str]
-    """Numbers or names of parts not delivered yet; assembly defers them as long as possible."""
-    removable_only_if_clear: bool
-    """Remove a part only if it has a free straight exit."""
-    support: bool
-    """Release held parts without removing them, and hold parts again."""
-    props: int
-    """Props that may be in place at a time, of those that the structure has places for; needs `support`."""
-    parts_at_once: int
-    """Parts that a step may insert or remove at most, where they lock each other and leave together only. More than 1
-    implies `removable_only_if_clear`."""
-    moves: int
-    """Moves in which a part leaves at most, where it has no straight way out; other parts that robots hold may move aside
-    meanwhile. More than 1 implies `removable_only_if_clear`."""
-    turns: bool
-    """Whether the part that leaves may also turn about an axis, and screw; a turn counts as a move. Implies
-    `removable_only_if_clear`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,7 +231,7 @@ def task_of(
         target=target,
         fixed=untouched,
         missing=part_ids(missing, assembly.names, "missing"),
-        clearance=assembly.clearance_in_moves(moves, untouched, turns=turns) if clear else None,
+        clearance=_clearance(assembly, moves, untouched, turns=turns) if clear else None,
         contacts=assembly.contacts.parts,
         identity=assembly.identity,
         support=support,
@@ -265,6 +239,16 @@ def task_of(
         prop_limit=props,
         together=together,
     )
+
+
+def _clearance(assembly: Assembly, moves: int, fixed: Sequence[int], *, turns: bool) -> Clearance:
+    """Return the clearance of parts that leave in up to some number of moves."""
+    if moves == 1 and not turns:
+        return assembly.clearance
+    still = assembly.immovable.copy()
+    still[list(fixed)] = True
+    meshes, contacts = assembly.meshes, assembly.contacts
+    return WaysOut(meshes, contacts, assembly.clearance, assembly.part_motions, still, moves, turns)
 
 
 def plan_of(

@@ -161,7 +161,7 @@ def pick(assembly: Assembly, appearance: Appearance, origin: Array, direction: A
     if len(seen) == 0:
         return None
     origin, direction = np.asarray(origin, dtype=float), np.asarray(direction, dtype=float)
-    triangles = np.concatenate([appearance.moved(part, assembly.meshes[part].triangles) for part in seen])
+    triangles = np.concatenate([appearance.moved(part, assembly.meshes[part].triangles) for part in seen.tolist()])
     owner = np.repeat(seen, [len(assembly.meshes[part].faces) for part in seen])
     edge, other = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     across = np.cross(direction, other)

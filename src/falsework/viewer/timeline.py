@@ -182,7 +182,7 @@ class Timeline:
     def ways(self) -> Array:
         """Unit vector along which each part leaves at last, zero for those that stay. Shape (parts, 3)."""
         ways = np.zeros((self.assembly.part_count, 3))
-        for part in np.flatnonzero(self.insertion > 0):
+        for part in np.flatnonzero(self.insertion > 0).tolist():
             step = int(self.insertion[part])
             if self.way_of(part):
                 ways[part] = self.way_of(part)[-1].direction

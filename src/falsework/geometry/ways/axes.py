@@ -147,8 +147,8 @@ def _slides(surface: _Surface, extent: float) -> list[Axis]:
 def _least_motion(rows: Array, weights: Array, component: int, sign: float) -> Array:
     """Return the motion with one component of +-1 that goes least into surfaces and away from them, shape (6,).
 
-    The sum of speeds, those into surfaces counted `_INTO` times, by least squares whose weights are those of the solution
-    before, divided by its speeds.
+    The sum of speeds, those into surfaces counted `_INTO` times, by least squares whose weights are divided by the
+    speeds of the solution before.
     """
     others = [k for k in range(6) if k != component]
     motion, change = np.zeros(6), np.inf

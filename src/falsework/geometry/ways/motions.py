@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.ways.hulls import first_hits, near_order, swept
-from falsework.geometry.ways.moves import Move, Poses, after, apply
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.ways.hulls import first_hits, near_order, swept
+from falsework.geometry.ways.moves import Move, Poses, after, apply
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -23,6 +24,8 @@ SAGITTA = 0.25
 _FIRST_STEPS = 8
 """Steps of a turn that are tested first; then twice as many, and so on."""
 _HOME = np.eye(4)
+IN_PLACE: Poses = MappingProxyType({})
+"""Poses where every part is in place."""
 
 
 class PartMotions:
@@ -61,7 +64,7 @@ class PartMotions:
             self._shrunken[part, level] = triangles[near_order(triangles)]
         return self._shrunken[part, level]
 
-    def blockers(self, move: Move, others: Mask, poses: Poses = {}, *, stop: bool = False) -> Mask:
+    def blockers(self, move: Move, others: Mask, poses: Poses = IN_PLACE, *, stop: bool = False) -> Mask:
         """Return which parts a move hits, shape (parts,).
 
         Args:
@@ -77,7 +80,7 @@ class PartMotions:
                 break
         return found
 
-    def free_share(self, move: Move, others: Mask, poses: Poses = {}) -> tuple[float, Mask]:
+    def free_share(self, move: Move, others: Mask, poses: Poses = IN_PLACE) -> tuple[float, Mask]:
         """Return the share of a move up to the step in which it first hits others, and these, shape (parts,).
 
         Arguments as of `blockers`.
@@ -97,9 +100,7 @@ class PartMotions:
             yield begin / steps, end / steps
             begin, count = end, 2 * count
 
-    def _first_shares(
-        self, move: Move, begin: float, end: float, others: Mask, poses: Poses, stop: bool
-    ) -> Array:
+    def _first_shares(self, move: Move, begin: float, end: float, others: Mask, poses: Poses, stop: bool) -> Array:
         """Return the share of a move free of each part, if it is hit between two shares, else infinity, (parts,)."""
         shares = np.full(len(self.meshes), np.inf)
         rest = others.copy()
@@ -136,7 +137,7 @@ class PartMotions:
         points = apply(pose, self.meshes[part].vertices)
         return np.stack([points.min(axis=0), points.max(axis=0)])
 
-    def bounds(self, parts: Mask, poses: Poses = {}) -> Array:
+    def bounds(self, parts: Mask, poses: Poses = IN_PLACE) -> Array:
         """Return the lowest and highest coordinates of parts, shape (2, 3), metres."""
         boxes = [self.box(part, poses[part]) if part in poses else self._bounds[part] for part in np.flatnonzero(parts)]
         return np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])

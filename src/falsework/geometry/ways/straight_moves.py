@@ -34,7 +34,7 @@ class StraightMoves:
         self._tolerance, self.first = motions.tolerance, _FIRST * motions.tolerance
         self._there = rest.copy()
         self._there[list(movable)] = True
-        self._walls = [motions.meshes[part].triangles for part in np.flatnonzero(rest)]
+        self._walls = [motions.meshes[part].triangles for part in np.flatnonzero(rest).tolist()]
         self._normals: dict[bytes, Array] = {}
         self._rest_levels: dict[bytes, tuple[Array, bool]] = {}
         self.walls = np.zeros_like(rest)

@@ -21,8 +21,8 @@ _HOME = np.eye(4)
 class TurningMoves:
     """Turns of one part past all others.
 
-    A turn may end where faces of the part become parallel to faces of others, and where it is not free to go on; a screw
-    where the part is out of the box around the others, or where it is not free to go on.
+    A turn may end where faces of the part become parallel to faces of others, and where it is not free to go on; a
+    screw where the part is out of the box around the others, or where it is not free to go on.
     """
 
     def __init__(self, motions: PartMotions, part: int, there: Mask) -> None:
@@ -46,8 +46,7 @@ class TurningMoves:
         others = [apply(poses.get(other, _HOME), self._motions.meshes[other].triangles) for other in self._others]
         thickness = self._motions.meshes[self._part].thickness
         for axis in axes_of(own, others, self._motions.tolerance, thickness):
-            for move in self._along(axis, own, others, poses, box):
-                yield move
+            yield from self._along(axis, own, others, poses, box)
 
     def _along(self, axis: Axis, own: Array, others: list[Array], poses: Poses, box: Array) -> Iterator[Move]:
         whole = self._whole(axis, own, box)
@@ -64,7 +63,10 @@ class TurningMoves:
             angles += [angle for angle in parallel if angle < whole.angle]
         for angle in sorted(set(angles), reverse=True):
             move = whole.until(angle / whole.angle)
-            if _length(move, own) > 4 * self._motions.tolerance and not self._motions.blockers(move, self._there, poses, stop=True).any():
+            if (
+                _length(move, own) > 4 * self._motions.tolerance
+                and not self._motions.blockers(move, self._there, poses, stop=True).any()
+            ):
                 yield move
 
     def _whole(self, axis: Axis, own: Array, box: Array) -> Move:

@@ -53,8 +53,8 @@ class _Node:
 class WaySearch:
     """Search in breadth over the poses at which parts touch others, or are level with them.
 
-    The part is out beside the box around all others, there or not, as they are in place. Only it leaves; parts that move
-    aside go back as they came, which is free since the way there was.
+    The part is out beside the box around all others, there or not, as they are in place. Only it leaves; parts that
+    move aside go back as they came, which is free since the way there was.
     """
 
     def __init__(self, motions: PartMotions, part: int, rest: Mask, aside: Parts = ()) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -11,12 +12,12 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.geometry.clearance.first_motions import can_begin_to_move
-from falsework.geometry.ways.motions import PartMotions
-from falsework.geometry.ways.moves import Way, after
 from falsework.geometry.clearance.table import ClearanceTable
-from falsework.geometry.ways.way_search import WaySearch
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.ways.motions import PartMotions
+from falsework.geometry.ways.moves import Way, after
+from falsework.geometry.ways.way_search import WaySearch
 from falsework.utils.bits import Words, pack
 
 Mask = NDArray[np.bool_]
@@ -85,19 +86,15 @@ class WaysOut:
 
     def __reduce__(self) -> tuple[type[WaysOut], tuple[Any, ...]]:
         """Pickle what it is made of; what was found is found again."""
-        return WaysOut, self._given
-
-    @property
-    def _given(self) -> tuple[Any, ...]:
-        given = self._meshes, self._contacts, self._straight, self._motions
-        return *given, self._fixed, self.moves, self.turns, self._oracle
+        given = self._meshes, self._contacts, self._straight, self._motions, self._fixed, self.moves, self.turns
+        return WaysOut, (*given, self._oracle)
 
     def judged_by(self, oracle: Oracle) -> WaysOut:
         """Return the same ways out, where parts may move aside only if an oracle says that the rest stands."""
         if self._oracle is oracle:
             return self
-        new = WaysOut(*self._given[:-1], oracle)
-        new._ways, new._closed = self._ways, self._closed
+        new = copy(self)
+        new._oracle, new._stands, new._undecided = oracle, {}, 0
         return new
 
     def can_leave(self, states: States) -> Mask:
@@ -115,6 +112,8 @@ class WaysOut:
         """
         if self._straight.can_leave(np.asarray(state)[None])[0, part]:
             return ()
+        if self._fixed[part]:
+            return None
         return self._search(np.asarray(state), part)
 
     def doubt(self, parts: Mask) -> str:
@@ -123,15 +122,15 @@ class WaysOut:
         unsure = [part for part in every if not all(known.exact for known in self._closed.get(part, ()))]
         if self._undecided:
             return (
-                f"of {self._undecided} states from which parts move aside, it is not proven that they fall; a way may be "
-                "free"
+                f"of {self._undecided} states in which parts would move aside it is not proven that they fall; a way "
+                "may be free"
             )
         if not unsure:
             return ""
         kinds = ("straight moves", "straight moves and turns")[self.turns]
         return (
-            f"for {len(unsure)} parts, {self._meshes[unsure[0]].name} the first, ways out of up to {self.moves} {kinds} "
-            "were sought along the faces and edges of parts, and none was found; others may be free"
+            f"for {len(unsure)} parts, {self._meshes[unsure[0]].name} the first, ways out of up to {self.moves} "
+            f"{kinds} were sought along the faces and edges of parts, and none was found; others may be free"
         )
 
     def _search(self, state: States, part: int) -> Way | None:
@@ -139,9 +138,9 @@ class WaysOut:
         present[part] = held[part] = False
         words, hands = (pack(mask[None])[0] for mask in (present, held))
         for kept in self._ways.get(part, ()):
-            if not (kept.blockers & words).any() and not (kept.aside & ~hands).any():
-                if self._rest_stands(state, kept.way):
-                    return kept.way
+            free = not (kept.blockers & words).any() and not (kept.aside & ~hands).any()
+            if free and self._rest_stands(state, kept.way):
+                return kept.way
         for closed in self._closed.get(part, ()):
             if not (closed.walls & ~words).any() and not (hands & ~closed.aside).any():
                 return None

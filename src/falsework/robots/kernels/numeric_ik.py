@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from falsework.robots.kernels.collision import place_frames
 from falsework.geometry.ways.gjk import INNER, OUTER
+from falsework.robots.kernels.collision import place_frames
 from falsework.utils.kernels import njit
 
 TOLERANCE = 1e-9

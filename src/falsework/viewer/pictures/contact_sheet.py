@@ -39,7 +39,7 @@ _ARROW = 0.006
 def solids_of(assembly: Assembly, appearance: Appearance) -> list[ColoredSolid]:
     """Return all parts that are seen, as meshes with their colours."""
     solids = []
-    for part in np.flatnonzero(appearance.opacity > 0):
+    for part in np.flatnonzero(appearance.opacity > 0).tolist():
         mesh = assembly.meshes[part]
         color = tuple(float(channel) / 255 for channel in appearance.color[part])
         points = appearance.moved(part, mesh.vertices)
