@@ -94,7 +94,7 @@ class WaysOut:
         if self._oracle is oracle:
             return self
         new = copy(self)
-        new._oracle, new._stands, new._undecided = oracle, {}, 0
+        new._oracle, new._ways, new._closed = oracle, self._ways, self._closed
         return new
 
     def can_leave(self, states: States) -> Mask:
