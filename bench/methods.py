@@ -23,11 +23,11 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import Mask, States, complete_state
 from falsework.errors import InputError
 from falsework.replanning.replanner import replan
-from falsework.search.fewest_robots import robots_needed
-from falsework.search.find import FIRST_SHARE, PLANS, find_plans, task_of
+from falsework.search.find import FIRST_SHARE, PLANS, find_plans, make_task
+from falsework.search.min_robots import min_robots
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 
@@ -103,7 +103,7 @@ def falsework(question: Question, assembly: Assembly, limit: float) -> Found:
     if question.task == "plan":
         return _planned(question, assembly, settings, limit)
     if question.task == "fewest":
-        needed = robots_needed(assembly, stability=settings, deadline=limit, forces=False, progress=_silent)
+        needed = min_robots(assembly, stability=settings, deadline=limit, forces=False, progress=_silent)
         return _of_plan(needed.plan, needed.impossible or "; ".join(needed.reasons))
     answer = replan(
         assembly,
@@ -125,7 +125,7 @@ def _planned(question: Question, assembly: Assembly, settings: StabilitySettings
         planning = find_plans(
             assembly,
             robots=question.robots,
-            oracle=Stability(assembly, replace(settings, reserve=reserve)),
+            oracle=StabilityOracle(assembly, replace(settings, reserve=reserve)),
             stop=lambda until=until: time.process_time() > until,
             forces=False,
             progress=_silent,
@@ -147,8 +147,8 @@ def depth_first(question: Question, assembly: Assembly, limit: float) -> Found:
     numbers = [question.robots] if question.robots else list(range(1, min(assembly.part_count, _TRIED) + 1))
     reason = ""
     for robots in numbers:
-        task = task_of(assembly, robots, start=start, target=target)
-        oracle = Stability(assembly, settings_of(question))
+        task = make_task(assembly, robots, start=start, target=target)
+        oracle = StabilityOracle(assembly, settings_of(question))
         settings = DepthFirstSettings(Direction.DISASSEMBLY, state_limit=STATE_LIMIT)
         search = DepthFirstSearch(task, oracle, settings, guide=_no_preference)
         until = time.process_time() + limit / len(numbers)
@@ -228,7 +228,7 @@ def _environment(assembly: Assembly, robots: int, criterion: Criterion) -> Envir
     """Return the environment of the rollouts from all states of a row."""
     from falsework.learn.env.environment import Environment
 
-    oracle = Stability(assembly, StabilitySettings(criterion=criterion))
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion))
     return Environment(assembly, robots, oracle=oracle, device="cpu")
 
 

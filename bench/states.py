@@ -20,10 +20,10 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
-from falsework.search.find import task_of
+from falsework.search.find import make_task
 from falsework.search.problem.hashing import StateIndex
 from falsework.search.problem.task import Direction
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 
@@ -52,8 +52,8 @@ def _searched(
     assembly: Assembly, robots: int, criterion: Criterion, direction: Direction, width: int, seed: int
 ) -> States:
     """Return the states of a search in between its ends, sorted, shape (count, parts)."""
-    oracle = Stability(assembly, StabilitySettings(criterion=criterion))
-    beam = BeamSearch(task_of(assembly, robots), oracle, BeamSettings(width, direction, seed=seed))
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion))
+    beam = BeamSearch(make_task(assembly, robots), oracle, BeamSettings(width, direction, seed=seed))
     beam.run()
     states, ends = beam.states(), beam.task
     inside = (states != ends.start).any(axis=1) & (states != ends.target).any(axis=1)
@@ -63,7 +63,7 @@ def _searched(
 def _proven(states: States, assembly: Assembly) -> States:
     """Return the states, in random order at most `_TRIED` of them, that do not tip either, which only a proof shows."""
     chosen = np.random.default_rng(SEED).permutation(len(states))[:_TRIED]
-    oracle = Stability(assembly, StabilitySettings(criterion="contact"))
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion="contact"))
     return states[chosen][oracle.verdicts(states[chosen], require_certificate=True).stable]
 
 

@@ -18,7 +18,7 @@ from falsework.assembly.state import INSTALLED
 from falsework.interop import Brick, assemble_bricks
 from falsework.interop.bricks import HEIGHT, PITCH
 from falsework.search import find_plans
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 STATES = 40
 """Number of late states of a plan, with most bricks in place, whose verdicts are timed."""
@@ -72,7 +72,7 @@ def cost(back: int, repeats: int) -> None:
     late = np.flatnonzero((states == INSTALLED).sum(axis=1) > 0.7 * len(bricks))
     chosen, alone, beside, together = late[:: max(len(late) // STATES, 1)], [], [], []
     for row in chosen:
-        oracle = Stability(assembly)
+        oracle = StabilityOracle(assembly)
         oracle.verdicts(states[:1])  # lays the structure out
         begun = time.process_time()
         oracle.verdicts(states[row - 1])
@@ -81,7 +81,7 @@ def cost(back: int, repeats: int) -> None:
         beside.append(time.process_time() - between)
         alone.append(between - begun)
     for _ in range(repeats):
-        oracle = Stability(assembly)
+        oracle = StabilityOracle(assembly)
         oracle.verdicts(states[:1])
         begun = time.process_time()
         oracle.verdicts(states[chosen])

@@ -33,9 +33,9 @@ from states import Recorder, find
 
 from falsework.assembly import load_structure
 from falsework.assembly.state import HELD, REMOVED, complete_state
-from falsework.search import Planner, PlannerSettings, SupportGuide, find_plans, task_of
+from falsework.search import Planner, PlannerSettings, SupportGuide, find_plans, make_task
 from falsework.search.find import PLANS
-from falsework.stability import Stability, StabilitySettings, Verdict
+from falsework.stability import StabilityOracle, StabilitySettings, Verdict
 from falsework.stability.settings import EQUILIBRIUM
 
 STRUCTURES = ("vault", "vault-62", "dome-72", "dog-35", "dome-37", "bottle-12", "dome")
@@ -64,14 +64,14 @@ class Options:
 def verdicts(name: str, options: Options) -> Iterator[dict[str, Any]]:
     """Time both criteria on the states that a search checks."""
     assembly = load_structure(find(name))
-    recorder = Recorder(Stability(assembly))
-    planning = Planner(task_of(assembly, options.robots), recorder, guide=SupportGuide(assembly)).run()
+    recorder = Recorder(StabilityOracle(assembly))
+    planning = Planner(make_task(assembly, options.robots), recorder, guide=SupportGuide(assembly)).run()
     questions = recorder.states, recorder.parents
     times: dict[str, list[float]] = {"contact": [], "equilibrium": []}
     counts: dict[str, Any] = {}
     for _ in range(options.repeat):
         for criterion, settings in (("contact", StabilitySettings()), ("equilibrium", EQUILIBRIUM)):
-            oracle = Stability(assembly, settings)
+            oracle = StabilityOracle(assembly, settings)
             begun = time.perf_counter()
             found = [oracle.verdicts(states, near=parents) for states, parents in zip(*questions, strict=True)]
             times[criterion].append(time.perf_counter() - begun)
@@ -81,7 +81,7 @@ def verdicts(name: str, options: Options) -> Iterator[dict[str, Any]]:
     cold = []
     states = planning.routes[0].states
     for state in states:
-        oracle = Stability(assembly)
+        oracle = StabilityOracle(assembly)
         begun = time.perf_counter()
         oracle.verdicts(state[None])
         cold.append((time.perf_counter() - begun) * 1e3)
@@ -105,7 +105,7 @@ def steps(name: str, options: Options) -> Iterator[dict[str, Any]]:
     times: dict[str, list[float]] = {"beside": [], "from rest": []}
     agree = 0
     for _ in range(options.repeat):
-        oracle = Stability(assembly)
+        oracle = StabilityOracle(assembly)
         oracle.verdicts(complete[None], near=complete[None])
         state = complete
         for part in highest:
@@ -113,7 +113,7 @@ def steps(name: str, options: Options) -> Iterator[dict[str, Any]]:
                 child = state.copy()
                 child[part] = value
                 found = []
-                for way, judge in (("beside", oracle), ("from rest", Stability(assembly))):
+                for way, judge in (("beside", oracle), ("from rest", StabilityOracle(assembly))):
                     begun = time.process_time()
                     found.append(judge.verdicts(child[None], near=state[None]).verdict[0])
                     times[way].append((time.process_time() - begun) * 1e3)
@@ -135,8 +135,8 @@ def steps(name: str, options: Options) -> Iterator[dict[str, Any]]:
 def replay(name: str, options: Options) -> Iterator[dict[str, Any]]:
     """Time a replay of a complete plan."""
     assembly = load_structure(find(name))
-    oracle = Stability(assembly)
-    plan = find_plans(assembly, task_of(assembly, options.robots), oracle=oracle).plans[0]
+    oracle = StabilityOracle(assembly)
+    plan = find_plans(assembly, make_task(assembly, options.robots), oracle=oracle).plans[0]
     assert oracle.replayer is not None
     seconds = []
     for _ in range(options.repeat):
@@ -159,9 +159,9 @@ def plan(name: str, options: Options) -> Iterator[dict[str, Any]]:
     assembly = load_structure(find(name))
     whole, search, states, fail, asked = [], [], 0, 0, []
     for seed in range(options.seeds):
-        oracle = Stability(assembly, PLANS)
+        oracle = StabilityOracle(assembly, PLANS)
         begun = time.perf_counter()
-        task = task_of(assembly, options.robots)
+        task = make_task(assembly, options.robots)
         planning = find_plans(
             assembly, task, oracle=oracle, settings=PlannerSettings(width=1024, seed=seed), forces=False
         )
@@ -188,10 +188,10 @@ def criteria(name: str, options: Options) -> Iterator[dict[str, Any]]:
     """Judge the states of a plan found under `equilibrium` by `contact`, from rest."""
     assembly = load_structure(find(name))
     states = find_plans(assembly, robots=options.robots, stability=EQUILIBRIUM, forces=False).plans[0].states
-    found = Stability(assembly).verdicts(states)
+    found = StabilityOracle(assembly).verdicts(states)
     changed = {}
     for kind, ratio in (("ratio_04", 0.4), ("ratio_1", 1.0)):
-        other = Stability(assembly, StabilitySettings(stiffness_ratio=ratio)).verdicts(states)
+        other = StabilityOracle(assembly, StabilitySettings(stiffness_ratio=ratio)).verdicts(states)
         changed[kind] = int((other.verdict != found.verdict).sum())
     yield {
         "robots": options.robots,

@@ -112,7 +112,7 @@ def main(arguments: Arguments) -> None:
             continue
         for share in np.random.default_rng(seed).random(arguments.interruptions):
             now = interruption(plan, share * plan.makespan)
-            task = Task.create(assembly.boundary, cell.robot_count, target=now.state, identity=assembly.identity)
+            task = Task.from_rules(assembly.boundary, cell.robot_count, target=now.state, identity=assembly.identity)
             if task.steps == 0:
                 continue
             holding += any(part is not None and now.state[part] for part in now.held)

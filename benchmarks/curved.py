@@ -31,7 +31,7 @@ from record import report, write_to
 from states import one_core
 
 from falsework.assembly import Assembly, ContactWarning
-from falsework.stability import Stability, StabilitySettings, verify_certificates
+from falsework.stability import StabilityOracle, StabilitySettings, verify_certificates
 from falsework.stability.problem import TOLERANCE
 
 _COUNTS = ("pairs", "states", "unsafe", "cautious")
@@ -92,7 +92,7 @@ def main(options: Options) -> None:
             for friction, holds in asked:
                 at = structure.replace(friction=friction)
                 begin = time.perf_counter()
-                verdict = Stability(at, settings).verdicts(state, require_certificate=True)
+                verdict = StabilityOracle(at, settings).verdicts(state, require_certificate=True)
                 found["seconds"].append(time.perf_counter() - begin)
                 stable = verdict.verdict[0] == 1
                 proven = stable and verify_certificates(at, state, verdict, settings.claim)[0]
@@ -101,7 +101,7 @@ def main(options: Options) -> None:
                 found["cautious"].append(holds and (verdict.verdict[0] in (-1, 0)))
                 if options.faces != "shared":
                     mean = replace(at, contacts=replace(at.contacts, lean=None))
-                    there = Stability(mean, settings).verdicts(state, require_certificate=True)
+                    there = StabilityOracle(mean, settings).verdicts(state, require_certificate=True)
                     proven = there.verdict[0] == 1 and verify_certificates(mean, state, there, settings.claim)[0]
                     found["unsafe_about_mean"].append(proven and not holds)
     for (surface, criterion), found in counts.items():

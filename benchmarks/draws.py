@@ -27,7 +27,7 @@ from falsework.learn.data.dataset import (
     DataSettings,
     search_several,
     search_states,
-    task_for,
+    training_task,
 )
 from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.env.environment import Environment
@@ -37,7 +37,7 @@ from falsework.learn.training.evaluate import greedy_success, sample
 from falsework.search.device.oracle import TensorOracle, without_fallback
 from falsework.search.problem.hashing import StateIndex
 from falsework.search.problem.task import Direction
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.utils.tensors import put
 
 TRAIN_WIDTH, TEST_WIDTH = 64, 128
@@ -89,7 +89,7 @@ class Searches:
             path = self.folder / f"{self.assembly.name}-{self.robots}-{criterion}-{width}-{seed}.npz"
             if path.exists():
                 return np.load(path)["states"]
-        task = task_for(self.assembly, self.robots, self.clearance).judged_by(self.oracle)
+        task = training_task(self.assembly, self.robots, self.clearance).judged_by(self.oracle)
         states, _ = search_states(task, self.oracle, width, seed, device=self.device)
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -100,7 +100,7 @@ class Searches:
 
     def oracle_criterion(self) -> str:
         """Return the criterion of the verdicts."""
-        task = task_for(self.assembly, self.robots, self.clearance).judged_by(self.oracle)
+        task = training_task(self.assembly, self.robots, self.clearance).judged_by(self.oracle)
         return "equilibrium" if task.holds_keep_stable else "contact"
 
     def all_seeds(self, seeds: tuple[int, ...]) -> Iterator[tuple[int, int]]:
@@ -117,7 +117,7 @@ class Searches:
             tests: seeds of the test draws.
             widths: of further searches to learn from, without the held-out states.
         """
-        task = task_for(self.assembly, self.robots, self.clearance).judged_by(self.oracle)
+        task = training_task(self.assembly, self.robots, self.clearance).judged_by(self.oracle)
         train = self.states(TRAIN_WIDTH, train_seed(seed))
         found = {one: _without(self.states(TEST_WIDTH, one), train) for one in tests}
         test = np.unique(np.concatenate(list(found.values())), axis=0)
@@ -192,7 +192,7 @@ def success_on_draws(
         most: states of each test draw that are tried; 0: all.
     """
     device = next(policy.parameters()).device
-    oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion=settings.criterion))
     environment = Environment(assembly, settings.robots, oracle=oracle, device=device)
     network = Network(policy, settings.resolved(assembly.part_count, device.type).precision)
     known = learned_from(assembly, draw)

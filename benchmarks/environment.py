@@ -33,13 +33,13 @@ from falsework.learn.algorithms.curriculum import Curriculum
 from falsework.learn.algorithms.ppo import PPO
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.ppo import REINFORCEMENT
-from falsework.learn.data.dataset import search_states, task_for
+from falsework.learn.data.dataset import search_states, training_task
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import roll_out
 from falsework.learn.networks.factory import make_policy
 from falsework.search import StateGraph
 from falsework.search.device.oracle import tensor_oracle
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from falsework.utils.collectives import same_weights, summed
 from falsework.utils.distributed import ProcessGroup, init_distributed
 
@@ -82,12 +82,12 @@ class Bench:
     def __init__(self, options: Options, shards: ProcessGroup, device: torch.device) -> None:
         self.options, self.shards, self.device = options, shards, device
         self.assembly: Assembly = load_structure(find(options.structure))
-        self.task = task_for(self.assembly, options.robots)
-        oracle = Stability(self.assembly)
+        self.task = training_task(self.assembly, options.robots)
+        oracle = StabilityOracle(self.assembly)
         states, _ = search_states(
             self.task, tensor_oracle(oracle, device), options.width, 0, device=device, shards=shards
         )
-        self.graph = StateGraph.build(self.task, states)
+        self.graph = StateGraph.from_states(self.task, states)
         self.rows: dict[str, float] = {}
         self.count = options.rollouts or (4096 if device.type == "cuda" else 256)
 
@@ -101,7 +101,9 @@ class Bench:
 
     def environment(self) -> Environment:
         """Return an environment with an empty verdict cache."""
-        return Environment(self.assembly, self.options.robots, oracle=Stability(self.assembly), device=self.device)
+        return Environment(
+            self.assembly, self.options.robots, oracle=StabilityOracle(self.assembly), device=self.device
+        )
 
     def policy(self) -> Any:
         """Return a policy with random weights, the same in all processes."""

@@ -34,10 +34,10 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, complete_state
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
-from falsework.search.find import task_of
+from falsework.search.find import make_task
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.task import Direction
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from falsework.stability.verdict import Verdicts
 
 Case = Literal["first", "strip", "last"]
@@ -69,7 +69,7 @@ class Options:
 class FromRest:
     """Oracle without contact history."""
 
-    def __init__(self, oracle: Stability) -> None:
+    def __init__(self, oracle: StabilityOracle) -> None:
         """Wrap an oracle."""
         self._oracle = oracle
         self.holds_keep_stable = oracle.holds_keep_stable
@@ -103,9 +103,9 @@ def search(case: Case, history: bool, options: Options) -> None:
         full[near] = INSTALLED
     empty[near] = REMOVED
     direction = Direction.DISASSEMBLY if case == "last" else Direction.ASSEMBLY
-    oracle = Stability(assembly)
+    oracle = StabilityOracle(assembly)
     beam = BeamSearch(
-        task_of(assembly, options.robots, start=full, target=empty),
+        make_task(assembly, options.robots, start=full, target=empty),
         oracle if history else FromRest(oracle),
         BeamSettings(width=_WIDTH, direction=direction, diversity="none", lookahead=_WIDTH),
         guide=SupportGuide(assembly),

@@ -38,10 +38,10 @@ from falsework.cli.arguments import read_states
 from falsework.errors import FalseworkError
 from falsework.interop.compas_write import write_compas
 from falsework.interop.gltf import write_gltf
-from falsework.search import Plan, StateGraph, find_plans, load_plan, load_state_graph, save_plan, task_of
+from falsework.search import Plan, StateGraph, find_plans, load_plan, load_state_graph, make_task, save_plan
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.problem.state_graph import save_state_graph
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 SECONDS = 30
 """Longest time for an input."""
@@ -110,13 +110,13 @@ class Kind:
 def kinds(scratch: Path) -> dict[str, Kind]:
     """Make an intact file of every kind whose packages are installed."""
     assembly = load_structure("arch:blocks=3")
-    task = task_of(assembly, 2)
+    task = make_task(assembly, 2)
     plan = find_plans(assembly, task).plans[0]
     found = dict(_structures(assembly, scratch))
     save_plan(replace(plan, source={"built_in": "arch:blocks=3"}), scratch / "plan.json", proofs=True)
     found["plan"] = _kind(scratch / "plan.json", _read_plan)
-    oracle = Stability(assembly)
-    graph = StateGraph.build(task.judged_by(oracle), plan.states, name=assembly.name)
+    oracle = StabilityOracle(assembly)
+    graph = StateGraph.from_states(task.judged_by(oracle), plan.states, name=assembly.name)
     save_state_graph(graph, scratch / "graph.npz")
     found["graph"] = _kind(scratch / "graph.npz", load_state_graph)
     np.save(scratch / "states.npy", plan.states)
@@ -247,12 +247,14 @@ def _learning(assembly: Assembly, plan: Plan, scratch: Path) -> Iterator[tuple[s
         return
     from falsework.learn.config.policy import PolicySettings
     from falsework.learn.config.train import TrainSettings, to_dict
-    from falsework.learn.data.dataset import Dataset, load_dataset, save_dataset, task_for
+    from falsework.learn.data.dataset import Dataset, load_dataset, save_dataset, training_task
     from falsework.learn.networks.factory import describe, make_policy
     from falsework.learn.training.checkpoint import FILE, WEIGHTS, describe_structure, load_run, save_run
 
     states = plan.states
-    data = Dataset(states[:2], states[2:3], states[3:4], states[4:], task=task_for(assembly, 2), name=assembly.name)
+    data = Dataset(
+        states[:2], states[2:3], states[3:4], states[4:], task=training_task(assembly, 2), name=assembly.name
+    )
     save_dataset(data, scratch / "data.npz")
     yield "data set", _kind(scratch / "data.npz", partial(load_dataset, assembly=assembly))
     settings = TrainSettings(policy=PolicySettings("resmlp", channels=8, layers=1)).resolved(assembly.part_count, "cpu")

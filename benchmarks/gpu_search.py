@@ -36,7 +36,7 @@ from falsework.assembly import Assembly, load_structure
 from falsework.search import BeamSearch, BeamSettings, StateGraph, Task
 from falsework.search.device.beam import DeviceBeam
 from falsework.search.device.oracle import tensor_oracle
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from falsework.stability.settings import Criterion, StabilitySettings
 from falsework.utils.cores import core_count
 from falsework.utils.distributed import ProcessGroup, init_distributed
@@ -98,7 +98,7 @@ def time_phases(search: DeviceBeam) -> dict[str, float]:
     return {phase: round(spent, 3) for phase, spent in seconds.items()}
 
 
-def disagreements(states: np.ndarray, count: int, oracle: Stability) -> int:
+def disagreements(states: np.ndarray, count: int, oracle: StabilityOracle) -> int:
     """Return how many of some states drawn at random the oracle does not prove stable."""
     rows = np.random.default_rng(0).permutation(len(states))[:count]
     return int((~oracle.verdicts(states[rows]).stable).sum())
@@ -110,9 +110,9 @@ def measure(
     """Measure one case on the device."""
     name, _, width = case.rpartition(":")
     assembly: Assembly = load_structure(find(name))
-    task = Task.create(assembly.boundary, options.robots)
+    task = Task.from_rules(assembly.boundary, options.robots)
     settings = StabilitySettings(criterion)
-    oracle = Stability(assembly, settings)
+    oracle = StabilityOracle(assembly, settings)
     on_device = tensor_oracle(oracle, device)
 
     def search(width: int) -> DeviceBeam:
@@ -156,13 +156,13 @@ def measure(
         row["phases"] = time_phases(search(int(width)))
     if shards.is_main_process and options.checked:
         row["checked"] = min(options.checked, len(states))
-        row["disagree"] = disagreements(states, options.checked, Stability(assembly, settings))
+        row["disagree"] = disagreements(states, options.checked, StabilityOracle(assembly, settings))
     if shards.is_main_process and options.graph:
-        graph = StateGraph.build(task, states)
+        graph = StateGraph.from_states(task, states)
         row["graph_edges"], row["graph_solvable"] = len(graph.source), int(graph.solvable.sum())
     if shards.is_main_process and int(width) <= options.host:
-        BeamSearch(task, Stability(assembly, settings), BeamSettings(width=4)).run()  # compiles
-        host = BeamSearch(task, Stability(assembly, settings), BeamSettings(width=int(width)))
+        BeamSearch(task, StabilityOracle(assembly, settings), BeamSettings(width=4)).run()  # compiles
+        host = BeamSearch(task, StabilityOracle(assembly, settings), BeamSettings(width=int(width)))
         begin = time.perf_counter()
         found = host.run()
         row["host"] = {

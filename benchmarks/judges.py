@@ -42,9 +42,9 @@ from states import REAL, find
 
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import HELD, complete_state
-from falsework.search import Plan, PlannerSettings, find_plans, task_of
+from falsework.search import Plan, PlannerSettings, find_plans, make_task
 from falsework.search.find import PLANS
-from falsework.stability import Stability, Verdict
+from falsework.stability import StabilityOracle, Verdict
 from falsework.stability.contact.varied_replay import DRAWS, replay_varied
 from falsework.stability.judges import (
     DiscreteElementSettings,
@@ -107,9 +107,9 @@ def plans(options: Options) -> Iterator[dict[str, Any]]:
     robots = options.robots or 2
     for name in options.structures or REAL:
         assembly = load_structure(find(name))
-        oracle = Stability(assembly)
+        oracle = StabilityOracle(assembly)
         begun = time.process_time()
-        settings, task = PlannerSettings(robust=options.robust), task_of(assembly, robots)
+        settings, task = PlannerSettings(robust=options.robust), make_task(assembly, robots)
         found = find_plans(assembly, task, oracle=oracle, settings=settings, forces=False).plans
         row = {"structure": name, "parts": assembly.part_count, "robots": robots, "seeds": (0,)}
         row |= {"robust": options.robust, "processor_seconds": time.process_time() - begun}
@@ -247,7 +247,7 @@ def scenes(options: Options) -> Iterator[dict[str, Any]]:
     for seed in range(options.scenes):
         assembly = (makers.row, makers.slope)[seed % 2](np.random.default_rng(seed))
         state = complete_state(assembly.boundary)
-        oracle = Stability(assembly)
+        oracle = StabilityOracle(assembly)
         assert oracle.replayer is not None
         verdict = Verdict(oracle.verdicts(state[None]).verdict[0]).name.lower()
         replay = oracle.replayer.replay(np.stack([np.full_like(state, HELD), state]))

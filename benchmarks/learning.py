@@ -42,7 +42,7 @@ from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn.config.policy import PolicySettings, recommended
 from falsework.learn.config.train import METHODS, Criterion, TrainSettings, from_dict, to_dict
-from falsework.learn.data.dataset import Dataset, build_dataset, search_states, task_for
+from falsework.learn.data.dataset import Dataset, build_dataset, search_states, training_task
 from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import roll_out
@@ -55,7 +55,7 @@ from falsework.learn.training.train import TrainResult, train
 from falsework.learn.training.training_data import find_pairs
 from falsework.search.device.oracle import TensorOracle, tensor_oracle
 from falsework.search.problem.hashing import StateIndex
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.utils.distributed import ProcessGroup, init_distributed
 from falsework.utils.tensors import choose_device, put
 
@@ -127,7 +127,7 @@ def run(
 
     def show(done: float, text: str) -> None:
         nonlocal last
-        if not options.quiet and time.perf_counter() - last > 10 and ProcessGroup.of_group().is_main_process:
+        if not options.quiet and time.perf_counter() - last > 10 and ProcessGroup.from_torch().is_main_process:
             last = time.perf_counter()
             sys.stderr.write(f"{label}: {100 * done:5.1f} % {text}\n")
 
@@ -153,7 +153,7 @@ def evaluated(
     """Return greedy success on all states of both sets, or on all pairs, and that of random legal actions."""
     device = next(result.policy.parameters()).device
     filled = settings.resolved(assembly.part_count, device.type)
-    oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion=settings.criterion))
     clearance = settings.removable_only_if_clear
     environment = Environment(assembly, settings.robots, oracle=oracle, device=device, clearance=clearance)
     network: Any = Network(result.policy, filled.precision)
@@ -169,7 +169,7 @@ def evaluated(
     else:
         data = protocol(assembly, settings, tensor_oracle(oracle, device), str(device))
         sets = {"train": (data.train, None), "test": (data.test, None)}
-    shards = ProcessGroup.of_group()
+    shards = ProcessGroup.from_torch()
     found = evaluate(environment, network, sets, most=options.states, search=options.search, shards=shards)
     for name, (states, targets) in sets.items():
         rows = sample(np.arange(len(states)), options.states)
@@ -185,7 +185,7 @@ def evaluated(
 
 def protocol(assembly: Any, settings: TrainSettings, oracle: TensorOracle, device: str) -> Dataset:
     """Return the two sets of the paper's protocol; the same states as in training, since the seed is the same."""
-    task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
+    task = training_task(assembly, settings.robots, settings.removable_only_if_clear)
     return build_dataset(assembly, task, oracle=oracle, device=device)
 
 
@@ -197,7 +197,7 @@ def line(
     known: dict[str, Any] = {}
     if paper and benchmark == "draws":
         known["paper"] = {"train": paper[0] / 100, "test": paper[1] / 100, "hours": paper[2]}
-    if not ProcessGroup.of_group().is_main_process:
+    if not ProcessGroup.from_torch().is_main_process:
         return
     record.report(
         f"learning {benchmark}",
@@ -230,7 +230,7 @@ def table3(options: argparse.Namespace) -> None:
     """Measure greedy success from the unseen states of several draws of the searches; finished runs are skipped."""
     device = choose_device(options.device)
     for name, assembly, robots, seeds in rows_of(options):
-        oracle = tensor_oracle(Stability(assembly, StabilitySettings(criterion=options.criterion)), device)
+        oracle = tensor_oracle(StabilityOracle(assembly, StabilitySettings(criterion=options.criterion)), device)
         folder = Path(options.searches) if options.searches else None
         searches = Searches(assembly, robots, False, oracle, device, folder)
         for seed in seeds:
@@ -274,7 +274,7 @@ def searched(options: argparse.Namespace) -> None:
     """Search for the states of all draws of the rows, into the folder of --searches."""
     device = choose_device(options.device)
     for _, assembly, robots, seeds in rows_of(options):
-        oracle = tensor_oracle(Stability(assembly, StabilitySettings(criterion=options.criterion)), device)
+        oracle = tensor_oracle(StabilityOracle(assembly, StabilitySettings(criterion=options.criterion)), device)
         searches = Searches(assembly, robots, False, oracle, device, Path(options.searches or "searches"))
         for width, seed in searches.all_seeds(seeds):
             searches.states(width, seed)
@@ -326,7 +326,7 @@ def solvable(options: argparse.Namespace) -> None:
     device = choose_device(options.device)
     for name, assembly, robots, _ in rows_of(options):
         settings = settings_of(options, name, robots, 0)
-        oracle = tensor_oracle(Stability(assembly, StabilitySettings(criterion=settings.criterion)), device)
+        oracle = tensor_oracle(StabilityOracle(assembly, StabilitySettings(criterion=settings.criterion)), device)
         data = protocol(assembly, settings, oracle, str(device))
         states, found = search_states(data.task, oracle, EVERYTHING, 0, device=device)
         if not found or np.bincount(data.task.steps_done(states)).max() == EVERYTHING:

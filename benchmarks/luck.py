@@ -296,7 +296,7 @@ def search(case: Run) -> Run:
         os.sched_setaffinity(0, {case["core"]})
     from falsework.assembly import load_structure
     from falsework.search import PlannerSettings, find, find_plans
-    from falsework.stability import Stability, StabilitySettings
+    from falsework.stability import StabilityOracle, StabilitySettings
     from falsework.stability.contact.replay import Replayer
 
     switch_off(case.get("without", ""))
@@ -307,7 +307,7 @@ def search(case: Run) -> Run:
     known = "stability" in signature(find_plans).parameters
 
     def plan(structure: Assembly, **options: Any) -> Planning:
-        how: dict[str, Any] = {"stability": stability} if known else {"oracle": Stability(structure, stability)}
+        how: dict[str, Any] = {"stability": stability} if known else {"oracle": StabilityOracle(structure, stability)}
         return find_plans(structure, forces=False, **how, **options)
 
     plan(load_structure("arch:blocks=5"))  # have everything compiled
@@ -320,8 +320,8 @@ def search(case: Run) -> Run:
     vars(find)["_BOUND_AFTER"] = np.inf
     begun, planning = time.perf_counter(), None
     meter = Meter(case["budget"] * assembly.part_count, case["limit"])
-    meter.watch_all(Stability, Replayer)
-    vars(find)["plan_of"] = meter.without(find.plan_of)
+    meter.watch_all(StabilityOracle, Replayer)
+    vars(find)["plan_of"] = meter.without(find.prove_route)
     try:
         settings = PlannerSettings(seed=perturbation.seed)
         planning = plan(assembly, robots=case["robots"], settings=settings, stop=meter.spent)

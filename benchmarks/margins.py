@@ -30,9 +30,9 @@ from states import find
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import INSTALLED, complete_state
 from falsework.search import PlanMargins, find_plans, maximise_margin
-from falsework.search.find import task_of
+from falsework.search.find import make_task
 from falsework.search.margins.demands import Demands
-from falsework.stability import Bound, Criterion, Replayer, Stability, StabilitySettings
+from falsework.stability import Bound, Criterion, Replayer, StabilityOracle, StabilitySettings
 from falsework.stability.judges.discrete_elements import settle
 from falsework.stability.margins.conditions import Condition
 
@@ -61,7 +61,7 @@ def cost(names: list[str], count: int, criterion: Criterion, before: Path | None
             chosen = chosen[(chosen == INSTALLED).any(axis=1)]
             places = np.linspace(0, max(len(states) - TOGETHER, 0), count - 1).astype(int)
             together = np.concatenate([states[place : place + TOGETHER] for place in places])
-        oracle = Stability(assembly, StabilitySettings(criterion=criterion))
+        oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion))
         oracle.margins(chosen[-1])
         begun, wall = time.process_time(), time.perf_counter()
         oracle.margins(together, KINDS)
@@ -125,7 +125,7 @@ def truth(cases: int, seed: int) -> None:
         assembly = load_structure(name).replace(friction=float(random.uniform(0.3, 0.8)))
         state = random_state(assembly, random)
         kind = ("friction", "horizontal", "push")[random.integers(3)]
-        oracle = Stability(assembly)
+        oracle = StabilityOracle(assembly)
         (found,) = oracle.margins(state, (kind,))
         bound: Bound | None = getattr(found, kind)
         if not found.stands or bound is None or bound.outside is None or not bound.proven or not bound.monotone:
@@ -172,9 +172,9 @@ def beside(assembly: Assembly, bound: Bound, kind: str, inside: bool) -> Assembl
     assert at is not None
     if kind == "friction":
         share = 1 + BESIDE if inside else 1 - BESIDE
-        return replace(at, friction=share * at.friction).of(assembly)
+        return replace(at, friction=share * at.friction).applied_to(assembly)
     share = 1 - BESIDE if inside else 1 + BESIDE
-    return Condition(at.friction, share * at.extra).of(assembly)
+    return Condition(at.friction, share * at.extra).applied_to(assembly)
 
 
 def limit_of_elements(assembly: Assembly, state: np.ndarray, bound: Bound, kind: str) -> float:
@@ -186,7 +186,7 @@ def limit_of_elements(assembly: Assembly, state: np.ndarray, bound: Bound, kind:
     def stands(share: float) -> bool:
         friction = at.friction / share if kind == "friction" else at.friction
         load = at.extra if kind == "friction" else share * at.extra
-        return bool(stands_by("discrete elements", Condition(friction, load).of(assembly), state))
+        return bool(stands_by("discrete elements", Condition(friction, load).applied_to(assembly), state))
 
     if stands(outer):
         return outer
@@ -198,7 +198,7 @@ def limit_of_elements(assembly: Assembly, state: np.ndarray, bound: Bound, kind:
 
 def stands_from_forces(assembly: Assembly, state: np.ndarray) -> bool:
     """Return whether discrete elements stay at rest that begin with the forces of the certificate."""
-    forces = Stability(assembly).verdicts(state, require_certificate=True).forces
+    forces = StabilityOracle(assembly).verdicts(state, require_certificate=True).forces
     return bool(settle(assembly, state, forces=forces).stands[0] == 1)
 
 
@@ -229,12 +229,12 @@ def plans(names: list[str], robots: int, limit: float) -> None:
         first_s = time.process_time() - begun
         if not first.found:
             continue
-        oracle, states = Stability(assembly), first.plans[0].states
-        before = PlanMargins.of(oracle, states, Demands(), also="friction").weakest("friction")
+        oracle, states = StabilityOracle(assembly), first.plans[0].states
+        before = PlanMargins.from_oracle(oracle, states, Demands(), also="friction").weakest("friction")
         begun = time.process_time()
         end = begun + limit
         best = maximise_margin(
-            assembly, task_of(assembly, robots), "friction", stop=lambda end=end: time.process_time() > end
+            assembly, make_task(assembly, robots), "friction", stop=lambda end=end: time.process_time() > end
         )
         seconds = time.process_time() - begun
         after = best.plans[0].margins

@@ -31,7 +31,7 @@ from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import States, complete_state
 from falsework.replanning.replanner import Replanner, ReplanResult, Request
 from falsework.search import BeamSearch, BeamSettings, Task, validate_plan
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Case:
     def replanner(self, options: Options) -> tuple[Replanner, float]:
         """Return a replanner with an empty oracle, and the seconds to make it."""
         begun = time.perf_counter()
-        oracle = Stability(self.assembly, StabilitySettings(solver=options.solver))
+        oracle = StabilityOracle(self.assembly, StabilitySettings(solver=options.solver))
         replanner = Replanner(self.assembly, self.policy, oracle)
         return replanner, time.perf_counter() - begun
 
@@ -154,8 +154,10 @@ def complete(options: Options) -> None:
 
 def middle(case: Case, options: Options) -> States:
     """Return solvable states of all sizes."""
-    oracle = Stability(case.assembly)
-    task = Task.create(case.assembly.boundary, case.robots, clearance=case.assembly.clearance if case.clear else None)
+    oracle = StabilityOracle(case.assembly)
+    task = Task.from_rules(
+        case.assembly.boundary, case.robots, clearance=case.assembly.clearance if case.clear else None
+    )
     beam = BeamSearch(task, oracle, BeamSettings(options.width))
     beam.run()
     states = beam.states()

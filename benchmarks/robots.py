@@ -69,7 +69,7 @@ from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.schedule.simulation import simulate
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Direction, Task
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 STRUCTURES = {
     "dome-37": "dome-37",
@@ -127,7 +127,7 @@ def once(
     support: bool = False,
 ) -> tuple[HybridResult, dict]:
     """Plan once from structure and cell alone, with a guide if given, and with parts held again if `support`."""
-    task = Task.create(assembly.boundary, cell.robot_count, identity=assembly.identity, support=support)
+    task = Task.from_rules(assembly.boundary, cell.robot_count, identity=assembly.identity, allow_regrasp=support)
     begun, work = time.perf_counter(), time.process_time()
     result = plan_robots(assembly, cell, task=task, guide=guide, settings=HybridSettings(seed=seed, deadline=deadline))
     seconds, work = time.perf_counter() - begun, time.process_time() - work
@@ -154,12 +154,12 @@ def policy_guide(run: Path, assembly: Assembly, cell: Cell) -> Guide:
     """Return a trained policy, on one thread, which is faster for single states."""
     import torch
 
-    from falsework.learn.data.dataset import task_for
+    from falsework.learn.data.dataset import training_task
     from falsework.learn.training.checkpoint import load_run
     from falsework.replanning.policy_guide import PolicyGuide
 
     torch.set_num_threads(1)
-    task = task_for(assembly, cell.robot_count, clearance=True)
+    task = training_task(assembly, cell.robot_count, clearance=True)
     return PolicyGuide(load_run(run, assembly=assembly).policy, task=task)
 
 
@@ -296,7 +296,7 @@ def midway(name: str, arguments: Arguments) -> None:
     tried = found = good = 0
     for seed in seeds:
         settings = HybridSettings(Direction.DISASSEMBLY, seed=seed, deadline=arguments.deadline)
-        graph, oracle = KeyframeGraph(assembly, cell, seed=seed), Stability(assembly)
+        graph, oracle = KeyframeGraph(assembly, cell, seed=seed), StabilityOracle(assembly)
         first = plan_robots(assembly, cell, settings=settings, graph=graph, oracle=oracle).plan
         if first is None:
             continue
@@ -304,7 +304,9 @@ def midway(name: str, arguments: Arguments) -> None:
         for row in np.quantile(busy, (0.25, 0.5, 0.75), method="nearest").astype(int).tolist():
             frame, task = (
                 first.keyframes[row],
-                Task.create(assembly.boundary, cell.robot_count, start=first.states[row], identity=assembly.identity),
+                Task.from_rules(
+                    assembly.boundary, cell.robot_count, start=first.states[row], identity=assembly.identity
+                ),
             )
             for kind in ("fresh", "kept"):
                 again: dict[str, Any] = {"graph": graph, "oracle": oracle} if kind == "kept" else {}
@@ -478,7 +480,7 @@ def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
     write_to(arguments.out)
     compile_kernels()
-    Stability(load_structure("stack:blocks=2"))
+    StabilityOracle(load_structure("stack:blocks=2"))
     names = [*STRUCTURES, "random"] if arguments.what == "all" else [arguments.what]
     for name in names:
         if arguments.support:

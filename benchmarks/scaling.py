@@ -38,7 +38,7 @@ from falsework.assembly.state import HELD, REMOVED, complete_state
 from falsework.geometry import find_contacts
 from falsework.search import PlannerSettings, SearchProgress, find_plans
 from falsework.search.find import PLANS
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.stability.settings import EQUILIBRIUM
 from falsework.stability.verdict import Criterion
 
@@ -85,7 +85,7 @@ def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
     assembly = load_structure(f"vault:parts={parts}")
     small = load_structure("vault:parts=62")
     for settings in (EQUILIBRIUM, StabilitySettings()):  # compiles
-        Stability(small, settings).verdicts(complete_state(small.boundary), require_certificate=True)
+        StabilityOracle(small, settings).verdicts(complete_state(small.boundary), require_certificate=True)
     state = complete_state(assembly.boundary)
     loose = np.flatnonzero(~assembly.boundary)
     highest = loose[np.argsort(-assembly.mass.center[loose, 2])][:_HIGHEST]
@@ -94,16 +94,16 @@ def measure(parts: int, repeats: int) -> dict[str, float | int | str]:
         begun = time.process_time()
         find_contacts(assembly.meshes)
         clock("contacts_s")
-        oracle = Stability(assembly, EQUILIBRIUM)
+        oracle = StabilityOracle(assembly, EQUILIBRIUM)
         clock("problem_s")
-        for name, asked in (("equilibrium_s", oracle), ("contact_s", Stability(assembly))):
+        for name, asked in (("equilibrium_s", oracle), ("contact_s", StabilityOracle(assembly))):
             begun = time.process_time()
             verdict = asked.verdicts(state, require_certificate=True)
             clock(name)
             if not verdict.stable[0]:
                 raise SystemExit(f"vault:parts={parts} is not proven stable")
         iterations = int(verdict.iterations[0])
-        oracle, before = Stability(assembly), state
+        oracle, before = StabilityOracle(assembly), state
         oracle.verdicts(state[None], near=state[None])
         for change in ((part, value) for part in highest for value in (HELD, REMOVED)):
             after = before.copy()
@@ -127,7 +127,7 @@ def measure_plan(parts: int, criterion: Criterion, robots: int, seed: int, limit
     """Return the times of one plan, or of a search that found none."""
     settings = PLANS if criterion == "contact" else EQUILIBRIUM
     small = load_structure("vault:parts=62")
-    find_plans(small, oracle=Stability(small, settings))  # compiles
+    find_plans(small, oracle=StabilityOracle(small, settings))  # compiles
     begun = time.process_time()
     assembly = load_structure(f"vault:parts={parts}")
     loaded = searched = time.process_time()
@@ -139,7 +139,7 @@ def measure_plan(parts: int, criterion: Criterion, robots: int, seed: int, limit
     planning = find_plans(
         assembly,
         robots=robots,
-        oracle=Stability(assembly, settings),
+        oracle=StabilityOracle(assembly, settings),
         settings=PlannerSettings(seed=seed),
         progress=reached,
         stop=lambda: time.process_time() - loaded > limit,

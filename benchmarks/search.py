@@ -39,12 +39,12 @@ from falsework.search import (
     SearchProgress,
     StateGraph,
     find_plans,
-    task_of,
+    make_task,
     validate_proofs,
 )
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.hold_bound import HoldBound
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.stability.settings import EQUILIBRIUM
 
 TABLE_3 = {"bottle-12": (1077, 1159), "dome-37": (4540, 8430), "vault-62": (4781, 10229)}
@@ -104,9 +104,9 @@ def plan(options: Options) -> None:
     for structure in structures(options, REAL):
         begin = time.perf_counter()
         assembly = load_structure(structure)
-        task = task_of(assembly, options.robots)
+        task = make_task(assembly, options.robots)
         settings = PlannerSettings(seed=options.seed)
-        oracle = Stability(assembly, StabilitySettings(criterion=options.criterion))
+        oracle = StabilityOracle(assembly, StabilitySettings(criterion=options.criterion))
         planning = find_plans(assembly, task, oracle=oracle, settings=settings, progress=progress(options))
         seconds = time.perf_counter() - begin
         result = planning.result
@@ -132,13 +132,15 @@ def graph(options: Options) -> None:
     """Compare state graphs of two widths from the empty structure."""
     for structure in structures(options, tuple(TABLE_3)):
         assembly = load_structure(structure)
-        task, found = task_of(assembly, options.robots), []
+        task, found = make_task(assembly, options.robots), []
         for width in options.widths:
             begin = time.perf_counter()
             # A new oracle each time: no verdicts are cached from the other width.
-            search = BeamSearch(task, Stability(assembly, EQUILIBRIUM), BeamSettings(width=width, seed=options.seed))
+            search = BeamSearch(
+                task, StabilityOracle(assembly, EQUILIBRIUM), BeamSettings(width=width, seed=options.seed)
+            )
             result = search.run(progress=progress(options))
-            found.append(StateGraph.build(task, search.states(), name=assembly.name))
+            found.append(StateGraph.from_states(task, search.states(), name=assembly.name))
             name, paper = Path(structure).name, None
             compared = len(found[-1]) if len(found) == 1 else int(found[1].unseen(found[0].states).sum())
             if options.widths == (64, 128) and options.robots == 2 and name in TABLE_3:
@@ -164,10 +166,10 @@ def alternatives(options: Options) -> None:
     """Measure distances between alternative plans."""
     for structure in structures(options, ("bottle-12", "vault-62")):
         assembly = load_structure(structure)
-        task = task_of(assembly, options.robots)
+        task = make_task(assembly, options.robots)
         begin = time.perf_counter()
         settings = PlannerSettings(alternatives=options.count, seed=options.seed)
-        oracle = Stability(assembly, StabilitySettings(criterion=options.criterion))
+        oracle = StabilityOracle(assembly, StabilitySettings(criterion=options.criterion))
         planning = find_plans(assembly, task, oracle=oracle, settings=settings, progress=progress(options))
         seconds, chosen = time.perf_counter() - begin, planning.alternatives
         others = ~np.eye(len(chosen.routes), dtype=bool)
@@ -189,7 +191,7 @@ def methods(options: Options) -> None:
     """Compare the planner with the paper's beam and depth-first search."""
     for structure in structures(options, REAL):
         assembly = load_structure(structure)
-        task = task_of(assembly, options.robots)
+        task = make_task(assembly, options.robots)
         runs: dict[str, Any] = {
             "planner": lambda oracle, assembly=assembly, task=task: find_plans(assembly, task, oracle=oracle).result
         }
@@ -203,7 +205,7 @@ def methods(options: Options) -> None:
                 task, oracle, deep
             ).run(stop=deadline(60))
         for name, run in runs.items():
-            result = run(Stability(assembly, StabilitySettings(criterion=options.criterion)))
+            result = run(StabilityOracle(assembly, StabilitySettings(criterion=options.criterion)))
             report(
                 "search methods",
                 structure=Path(structure).name,
@@ -222,7 +224,7 @@ def bound(options: Options) -> None:
     for structure in structures(options, REAL):
         assembly = load_structure(structure)
         begin = time.process_time()
-        test = HoldBound(assembly, task_of(assembly, options.robots), StabilitySettings(), Deadline())
+        test = HoldBound(assembly, make_task(assembly, options.robots), StabilitySettings(), Deadline())
         least, core = 1, ()
         while found := test.core(least):
             least, core = least + 1, found

@@ -61,18 +61,18 @@ def search(options: Options, seed: int) -> dict[str, Any]:
     """Search for one plan in this process."""
     from falsework.assembly import load_structure
     from falsework.search import PlannerSettings, find_plans, save_plan
-    from falsework.stability import Stability, StabilitySettings
+    from falsework.stability import StabilityOracle, StabilitySettings
 
     stability = StabilitySettings(criterion=options.criterion)
     if "reserve" in StabilitySettings.__dataclass_fields__ and options.criterion == "contact":  # not in old commits
         stability = StabilitySettings(criterion=options.criterion, reserve=options.reserve)
     small, assembly = load_structure("arch:blocks=5"), load_structure(options.structures[0])
-    find_plans(small, oracle=Stability(small, stability))  # have everything compiled
+    find_plans(small, oracle=StabilityOracle(small, stability))  # have everything compiled
     cpu, wall = time.process_time(), time.perf_counter()
     planning = find_plans(
         assembly,
         robots=options.robots,
-        oracle=Stability(assembly, stability),
+        oracle=StabilityOracle(assembly, stability),
         settings=PlannerSettings(seed=seed),
         stop=lambda: time.process_time() - cpu > options.limit,
     )

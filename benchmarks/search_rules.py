@@ -98,7 +98,7 @@ _GUIDE, _MEMORY, _SOLVER = "search.problem.guide", "search.beam.failures", "stab
 def _patch_failures() -> None:
     from falsework.search.beam import beam
 
-    _answer(beam, "FailureMemory", None)
+    _answer(beam, "FailedMoves", None)
 
 
 def _patch_refuted() -> None:
@@ -144,13 +144,13 @@ RULES: dict[str, Rule] = {
     ),
     "beside-held": Rule(
         "Under `contact`, parts beside held ones are preferred.",
-        _answers(_GUIDE, "SupportGuide", "beside_held", None),
-        _shown_by(_GUIDE, "SupportGuide", "beside_held", lambda guide, *_: guide is not None),
+        _answers(_GUIDE, "SupportGuide", "held_neighbours", None),
+        _shown_by(_GUIDE, "SupportGuide", "held_neighbours", lambda guide, *_: guide is not None),
     ),
     "failures": Rule(
         "Moves that failed with the same surroundings are tried last, a few of them at a level.",
         _patch_failures,
-        _shown_by(_MEMORY, "FailureMemory", "failed", lambda failed, *_: failed.any()),
+        _shown_by(_MEMORY, "FailedMoves", "failed", lambda failed, *_: failed.any()),
     ),
     "refuted": Rule(
         "A choice that led to a dead end is not made again; without it, only random numbers differ.",

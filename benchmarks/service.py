@@ -39,7 +39,7 @@ from states import asked_states, find
 
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import complete_state, empty_state
-from falsework.search import find_plans, task_of
+from falsework.search import find_plans, make_task
 
 MOST_REQUESTS = 60_000
 """Limit on requests of one benchmark."""
@@ -139,7 +139,7 @@ async def load(url: str, ask: Ask, options: Options, rate: float, count: int) ->
 
 def replans(assembly: Assembly, seed: int) -> Ask:
     """Return requests for plans, no two alike."""
-    states = find_plans(assembly, task_of(assembly)).plans[0].states
+    states = find_plans(assembly, make_task(assembly)).plans[0].states
     random = np.random.default_rng(seed)
     loose = np.flatnonzero(~assembly.boundary)
     full, nothing = complete_state(assembly.boundary).tolist(), empty_state(assembly.boundary).tolist()

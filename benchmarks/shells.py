@@ -17,7 +17,7 @@ from falsework.assembly import Assembly, library
 from falsework.assembly.library.blocks import Solid, gather, loft, prism
 from falsework.assembly.state import complete_state
 from falsework.geometry import TriangleMesh
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,12 @@ def shell(name: str) -> Assembly:
     for _ in range(_DRAWS):
         assembly = FAMILIES[family](rng)
         fits = _LEAST <= int((~assembly.boundary).sum()) <= _MOST
-        if fits and Stability(assembly).verdicts(complete_state(assembly.boundary), require_certificate=True).stable[0]:
+        if (
+            fits
+            and StabilityOracle(assembly)
+            .verdicts(complete_state(assembly.boundary), require_certificate=True)
+            .stable[0]
+        ):
             return assembly
     raise ValueError(f"no draw of {name} stands and has {_LEAST} to {_MOST} parts")
 

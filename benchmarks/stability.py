@@ -38,7 +38,7 @@ from falsework.assembly.state import States, complete_state
 from falsework.stability import (
     CpuSettings,
     ExactSolver,
-    Stability,
+    StabilityOracle,
     StabilitySettings,
     verify_certificates,
 )
@@ -104,7 +104,7 @@ def one_core() -> Iterator[None]:
 def measure_verdicts(name: str, assembly: Assembly, states: States, parents: States, options: Options) -> None:
     """Measure agreement and speed on the same states."""
     settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
-    checked = Stability(assembly, settings)
+    checked = StabilityOracle(assembly, settings)
     verdicts = checked.verdicts(states, require_certificate=True)
     accepted = int(verify_certificates(assembly, states, verdicts, settings.claim).sum())
     exact = ExactSolver(assembly, settings)
@@ -114,7 +114,7 @@ def measure_verdicts(name: str, assembly: Assembly, states: States, parents: Sta
     exact_seconds = 0.0
     rows: list[dict[str, float]] = []
     for chunk in np.array_split(np.arange(len(states)), options.rounds):
-        near, alone = Stability(assembly, settings), Stability(assembly, settings)
+        near, alone = StabilityOracle(assembly, settings), StabilityOracle(assembly, settings)
         with_parents, judged = seconds_of(lambda near=near: near.verdicts(states, near=parents))
         without, _ = seconds_of(lambda alone=alone: alone.verdicts(states))
         with one_core():
@@ -156,11 +156,11 @@ def measure_cold(name: str, assembly: Assembly, states: States, options: Options
     """Measure milliseconds from an assembly to the first verdict, and of single verdicts without cached neighbours."""
     settings = StabilitySettings(criterion="equilibrium", cone=options.cone, cpu=CpuSettings(threads=options.threads))
     state = complete_state(assembly.boundary)
-    Stability(assembly, settings).verdicts(state, require_certificate=True)
-    Stability(assembly, settings).verdicts(state)
+    StabilityOracle(assembly, settings).verdicts(state, require_certificate=True)
+    StabilityOracle(assembly, settings).verdicts(state)
     set_up, first, single = [], [], []
     for row in states[:50]:
-        made, stability = seconds_of(lambda: Stability(assembly, settings))
+        made, stability = seconds_of(lambda: StabilityOracle(assembly, settings))
         set_up.append(made)
         first.append(seconds_of(lambda stability=stability: stability.verdicts(state, require_certificate=True))[0])
         single.append(
@@ -191,7 +191,7 @@ def measure_baseline(name: str, assembly: Assembly, states: States, parents: Sta
     set_up, shared = seconds_of(lambda: SharedInverse(assembly, settings, method))
     shared.check(states[:1])
     seconds, answers = seconds_of(lambda: shared.check(states))
-    stability = Stability(assembly, settings)
+    stability = StabilityOracle(assembly, settings)
     ours, verdicts = seconds_of(lambda: stability.verdicts(states, near=parents))
     report(
         "stability baseline",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from falsework.assembly import Assembly
 from falsework.assembly.state import States
 from falsework.search import BeamSearch, BeamSettings, Task
-from falsework.stability import Stability, Verdicts
+from falsework.stability import StabilityOracle, Verdicts
 from falsework.stability.settings import EQUILIBRIUM
 
 REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72")
@@ -21,7 +21,7 @@ REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35",
 class Recorder:
     """Wrapper of an oracle that records its queries."""
 
-    def __init__(self, oracle: Stability) -> None:
+    def __init__(self, oracle: StabilityOracle) -> None:
         self.oracle = oracle
         self.states: list[States] = []
         self.parents: list[States] = []
@@ -30,13 +30,13 @@ class Recorder:
         return getattr(self.oracle, name)
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
-        """Return verdicts as `Stability`; states without near ones, such as the ends of a task, are not recorded."""
+        """Return verdicts as `StabilityOracle`; states without near ones, such as ends of a task, are not recorded."""
         if near is not None:
             self._record(states, near)
         return self.oracle.verdicts(states, near=near, require_certificate=require_certificate)
 
     def plausible(self, states: States, parents: States) -> NDArray[np.bool_]:
-        """Return which states a replay may find at rest, as `Stability.plausible`."""
+        """Return which states a replay may find at rest, as `StabilityOracle.plausible`."""
         self._record(states, parents)
         return self.oracle.plausible(states, parents)
 
@@ -60,8 +60,8 @@ def asked_states(
     Returns:
         States and, for each, its stable predecessor; both of shape (count, parts).
     """
-    recorder = Recorder(Stability(assembly, EQUILIBRIUM))
-    task = Task.create(assembly.boundary, robots)
+    recorder = Recorder(StabilityOracle(assembly, EQUILIBRIUM))
+    task = Task.from_rules(assembly.boundary, robots)
     BeamSearch(task, recorder, BeamSettings(width=width, seed=seed)).run()
     states, parents = np.concatenate(recorder.states), np.concatenate(recorder.parents)
     _, first = np.unique(states, axis=0, return_index=True)

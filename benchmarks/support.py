@@ -2,7 +2,7 @@
 
     python benchmarks/support.py --structures dome-37 dome-90 vault --deadline 60
 
-With every part held once, `robots_needed` answers: `robots` is the fewest with which a plan was found, `least` the
+With every part held once, `min_robots` answers: `robots` is the fewest with which a plan was found, `least` the
 number below which it is proven that none exists. For large structures `--robots` names a number with which a plan is
 sought first, since that question spends its time on other numbers; it then has a quarter of the deadline. With holding
 again and with props, a plan for one robot fewer is sought, and again for one fewer, each with a deadline; where none is
@@ -32,18 +32,18 @@ from states import find
 from falsework.assembly import Assembly, keep_props, load_structure, prop_places, with_props
 from falsework.errors import AssemblyError
 from falsework.search import (
+    ExhaustiveRegraspSearch,
     ExhaustiveSearch,
     Outcome,
     PlannerSettings,
-    SupportEverywhere,
     find_plans,
-    robots_needed,
+    make_task,
+    min_robots,
     structure_of_plan,
-    task_of,
     validate_plan,
 )
 from falsework.search.problem.result import SearchResult
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 SMALL = 20
 """Most parts, fixed ones and places for props included, of a structure that is searched exhaustively."""
@@ -84,7 +84,7 @@ def once(options: Options, assembly: Assembly) -> dict[str, Any]:
     if options.robots is not None:
         first = find_plans(assembly, robots=options.robots, settings=settings, deadline=options.deadline)
     share = options.deadline if first is None else options.deadline / 4
-    found = robots_needed(assembly, settings=settings, deadline=share)
+    found = min_robots(assembly, settings=settings, deadline=share)
     plan = found.plan
     if first is not None and first.found and (plan is None or plan.robots > first.plans[0].robots):
         plan = first.plans[0]
@@ -119,7 +119,7 @@ def fewer(options: Options, assembly: Assembly, known: dict[str, Any], **rules: 
             robots=answer["robots"] - 1,
             settings=PlannerSettings(seed=options.seed),
             deadline=options.deadline,
-            support=True,
+            allow_regrasp=True,
             **rules,
         )
         answer["verdicts"] += found.result.counters.asked
@@ -151,13 +151,13 @@ def exhaustively(options: Options, assembly: Assembly, props: int | None) -> int
         assembly: the structure.
         props: props that may be in place; None if every part is held once.
     """
-    oracle, stop = Stability(assembly), deadline(options.deadline)
+    oracle, stop = StabilityOracle(assembly), deadline(options.deadline)
     for robots in range(1, assembly.part_count):
         if props is None:
-            result = ExhaustiveSearch(task_of(assembly, robots), oracle, state_limit=STATES).run(stop=stop).result
+            result = ExhaustiveSearch(make_task(assembly, robots), oracle, state_limit=STATES).run(stop=stop).result
         else:
-            task = task_of(assembly, robots, support=True, props=props)
-            result = SupportEverywhere(task, oracle, state_limit=STATES).run(stop=stop)
+            task = make_task(assembly, robots, allow_regrasp=True, props=props)
+            result = ExhaustiveRegraspSearch(task, oracle, state_limit=STATES).run(stop=stop)
         if result.found:
             return robots
         # Even where a state slides, which is no proof, the search has visited everything that it may.

@@ -20,7 +20,7 @@ from record import report, write_to
 
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.state import HELD, REMOVED, complete_state
-from falsework.search import find_plans, task_of
+from falsework.search import find_plans, make_task
 from falsework.search.problem.task import Direction
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.viewer_state import ViewerState
@@ -39,7 +39,7 @@ COUNT = """() => new Promise(done => {
 def pictures() -> None:
     """Time a contact sheet and one state of the built-in vault, after compilation."""
     vault = load_structure("vault")
-    timeline = Timeline.of(find_plans(vault, task_of(vault)).plans[0], vault, Direction.ASSEMBLY)
+    timeline = Timeline.from_plan(find_plans(vault, make_task(vault)).plans[0], vault, Direction.ASSEMBLY)
     one_state(timeline, 0.5)
     begun = time.perf_counter()
     contact_sheet(timeline)

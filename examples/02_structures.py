@@ -6,13 +6,15 @@ Run: python examples/02_structures.py
 from __future__ import annotations
 
 from falsework.assembly import complete_state, library, load_structure
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 
 def verdict(spec: str) -> str:
     """Whether a structure stands when it is complete and nobody holds a part."""
     assembly = load_structure(spec)
-    return "stands" if Stability(assembly).verdicts(complete_state(assembly.boundary)[None]).stable[0] else "falls"
+    return (
+        "stands" if StabilityOracle(assembly).verdicts(complete_state(assembly.boundary)[None]).stable[0] else "falls"
+    )
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from falsework.assembly import Assembly, load_assembly, save_assembly
 from falsework.geometry import TriangleMesh
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 
 def box(name: str, low: tuple[float, float, float], high: tuple[float, float, float]) -> TriangleMesh:
@@ -35,7 +35,7 @@ def main() -> None:
     table = Assembly.from_meshes([*legs, top], boundary=[], ground=True, density=700.0, friction=0.5, name="table")
     print(table.names, "boundary:", [name for name, fixed in zip(table.names, table.boundary, strict=True) if fixed])
 
-    oracle = Stability(table)
+    oracle = StabilityOracle(table)
     states = np.array(
         [
             [1, 1, 1, 1, 2],  # complete

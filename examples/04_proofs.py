@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.assembly import complete_state, load_structure
-from falsework.stability import Stability, verify_certificates
+from falsework.stability import StabilityOracle, verify_certificates
 
 
 def main() -> None:
@@ -16,7 +16,7 @@ def main() -> None:
     for thickness in (0.20, 0.12, 0.08):
         arch = load_structure(f"arch:blocks=31,thickness={thickness}")
         state = complete_state(arch.boundary)[None]
-        verdicts = Stability(arch).verdicts(state, require_certificate=True)
+        verdicts = StabilityOracle(arch).verdicts(state, require_certificate=True)
 
         # The checker starts from the assembly alone and trusts no solver.
         assert verify_certificates(arch, state, verdicts).all()

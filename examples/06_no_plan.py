@@ -6,16 +6,16 @@ Run: python examples/06_no_plan.py
 from __future__ import annotations
 
 from falsework.assembly import load_structure
-from falsework.search import ExhaustiveSearch, task_of
-from falsework.stability import Stability
+from falsework.search import ExhaustiveSearch, make_task
+from falsework.stability import StabilityOracle
 
 
 def main() -> None:
     """Look at every state that can be reached by taking the arch apart."""
     arch = load_structure("arch:blocks=5")
-    oracle = Stability(arch)
+    oracle = StabilityOracle(arch)
     for robots in (1, 2, 3):
-        census = ExhaustiveSearch(task_of(arch, robots), oracle, name=arch.name).run()
+        census = ExhaustiveSearch(make_task(arch, robots), oracle, name=arch.name).run()
         print(
             f"{robots} robots: {census.states} states, {census.solvable_states} of them not dead ends, "
             f"{census.plans} plans ({census.result.outcome})"

@@ -6,8 +6,8 @@ Run: pip install sb3-contrib, then: python examples/08_maskable_ppo.py
 from __future__ import annotations
 
 from falsework.assembly import load_structure
-from falsework.search import BeamSearch, BeamSettings, StateGraph, task_of
-from falsework.stability import Stability
+from falsework.search import BeamSearch, BeamSettings, StateGraph, make_task
+from falsework.stability import StabilityOracle
 
 
 def main(steps: int = 2048) -> None:
@@ -17,10 +17,10 @@ def main(steps: int = 2048) -> None:
     from falsework.learn import DisassemblyEnv
 
     arch = load_structure("arch:blocks=5")
-    oracle = Stability(arch)
-    search = BeamSearch(task_of(arch), oracle, BeamSettings(width=16))
+    oracle = StabilityOracle(arch)
+    search = BeamSearch(make_task(arch), oracle, BeamSettings(width=16))
     search.run()
-    graph = StateGraph.build(task_of(arch), search.states())
+    graph = StateGraph.from_states(make_task(arch), search.states())
 
     # Episodes begin at states of the graph: from the complete arch alone, chance hardly ever gets to the end.
     environment = DisassemblyEnv(arch, starts=graph, oracle=oracle)

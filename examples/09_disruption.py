@@ -27,8 +27,8 @@ from falsework.robots import (
     load_cell,
     plan_robots,
 )
-from falsework.search import task_of
-from falsework.stability import Stability
+from falsework.search import make_task
+from falsework.stability import StabilityOracle
 
 
 def bottle_and_cell() -> tuple[Assembly, Cell]:
@@ -53,7 +53,7 @@ def report(name: str, plan: RobotPlan, bottle: Assembly, cell: Cell) -> None:
 def main() -> None:
     """Plan, lose three parts, plan again, compare, export."""
     bottle, cell = bottle_and_cell()
-    oracle, graph = Stability(bottle), KeyframeGraph(bottle, cell)
+    oracle, graph = StabilityOracle(bottle), KeyframeGraph(bottle, cell)
 
     first = plan_robots(bottle, cell, oracle=oracle, graph=graph)
     assert first.plan is not None, first.explanation
@@ -63,7 +63,7 @@ def main() -> None:
     free = np.flatnonzero(~bottle.boundary)
     late = free[np.argsort(bottle.mass.center[free, 2], kind="stable")[:3]].tolist()
     print(f"late: {', '.join(bottle.names[part] for part in late)}")
-    task = task_of(bottle, cell.robot_count, missing=late)
+    task = make_task(bottle, cell.robot_count, missing=late)
     second = plan_robots(bottle, cell, task=task, oracle=oracle, graph=graph)
     assert second.plan is not None, second.explanation
     other = second.plan

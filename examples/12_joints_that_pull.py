@@ -6,7 +6,7 @@ Run: python examples/12_joints_that_pull.py
 from __future__ import annotations
 
 from falsework.assembly import Joints, complete_state, load_structure
-from falsework.stability import Stability, StabilitySettings, verify_certificates
+from falsework.stability import StabilityOracle, StabilitySettings, verify_certificates
 
 
 def main() -> None:
@@ -15,9 +15,9 @@ def main() -> None:
     state = complete_state(corbel.boundary)
     state[1:-1:2] = 0  # without its other half, which it leans on
     for kilopascals in (0, 1, 3, 10):
-        joints = Joints.of(corbel.contacts, tension=1000.0 * kilopascals)
+        joints = Joints.from_arrays(corbel.contacts, tension=1000.0 * kilopascals)
         glued = corbel.replace(joints=joints)
-        verdicts = Stability(glued).verdicts(state, require_certificate=True)
+        verdicts = StabilityOracle(glued).verdicts(state, require_certificate=True)
         assert verify_certificates(glued, state[None], verdicts, StabilitySettings().claim).all()
         print(f"tension {kilopascals} kPa: {'stands' if verdicts.stable[0] else 'falls'}")
 

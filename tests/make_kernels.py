@@ -31,7 +31,7 @@ from falsework.geometry.clearance import table
 from falsework.robots.cells.warm_up import compile_kernels
 from falsework.robots.kernels import collision, coordination, numeric_ik, rrt_connect, speed_profile
 from falsework.robots.kinematics import forward
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.stability.contact.kernel import rest_range
 from falsework.stability.contact.press import PressPlanner
 from falsework.stability.contact.press_kernel import press_responses
@@ -39,7 +39,7 @@ from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.replay_kernel import replay_range
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.kernel import solve_range
-from falsework.stability.cpu.neighbourhood import fall_range
+from falsework.stability.cpu.neighbourhood import local_instability_range
 from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.margins.kernel import rest_under
@@ -52,7 +52,7 @@ from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
 GROUPS = {
     "contact": (rest_range, replay_range, press_responses),
-    "equilibrium": (fall_range, repair_range, solve_range),
+    "equilibrium": (local_instability_range, repair_range, solve_range),
     "margins": (rest_under,),
     "motion": (
         collision._distance,
@@ -66,7 +66,7 @@ GROUPS = {
         speed_profile.thin,
     ),
     "pictures": (raster.average, raster.depth_buffer, raster.lay_over, raster.shade),
-    "sets": (bits._intersect, table._ways_out),
+    "sets": (bits._intersect, table._first_exits),
 }
 MATHEMATICS = {"atan2"}
 """Functions of the C library that kernels call by name; of sine and cosine LLVM knows itself."""
@@ -129,7 +129,7 @@ def record() -> dict[str, tuple[Any, ...]]:
         released = np.where(np.arange(states.shape[1]) < 1, 1, held).astype(np.uint8)
         history = np.zeros((problem.points, 3)), np.zeros(problem.points, bool), np.zeros(0)
         next(PressPlanner(solver).proposals(held, released, *history), None)
-        prober = Stability(assembly).prober
+        prober = StabilityOracle(assembly).prober
         prober.ask(states[0], prober.own())
         words = bits.pack(states > 0)
         bits.intersect(words, words)
@@ -138,7 +138,7 @@ def record() -> dict[str, tuple[Any, ...]]:
         solids = [ColoredSolid(mesh.vertices, mesh.faces, (1.0, 0.0, 0.0), opacity) for opacity in (1.0, 0.5)]
         render(solids, Camera(width=64, height=48), bounds)
         ways = np.arange(states.shape[1] + 1, dtype=np.int32)
-        table._ways_out(words, np.zeros((states.shape[1], 1), np.uint64), ways, np.zeros(states.shape, np.int32))
+        table._first_exits(words, np.zeros((states.shape[1], 1), np.uint64), ways, np.zeros(states.shape, np.int32))
     finally:
         Kernel.__call__ = real
     return recorded

@@ -41,7 +41,7 @@ SUBPACKAGES = {
     "geometry": ("mesh", "contact", "clearance", "ways"),
     "assembly": ("library",),
     "stability": ("second_order", "cpu", "contact", "gpu", "reference", "margins", "judges"),
-    "search": ("problem", "together", "beam", "margins", "plans", "support", "device"),
+    "search": ("problem", "together", "beam", "margins", "plans", "regrasp", "device"),
     "learn": ("config", "env", "networks", "data", "algorithms", "training"),
     "robots": (
         "model",

@@ -13,7 +13,7 @@ import falsework as fw
 from falsework.errors import InputError, PlanError
 from falsework.robots.model.cell import Cell
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search import task_of
+from falsework.search import make_task
 
 CELL = resources.files("falsework.robots.cells").joinpath("bottle-12.toml")
 
@@ -39,7 +39,7 @@ def test_what_is_saved_is_loaded(arch: fw.Assembly, plan: fw.Plan, tmp_path: Pat
         assert isinstance(read, fw.Plan)
         np.testing.assert_array_equal(read.states, plan.states)
         assert (read.displacement is not None) == proofs
-    graph = fw.StateGraph.build(task_of(arch), plan.states, name="arch:blocks=5")
+    graph = fw.StateGraph.from_states(make_task(arch), plan.states, name="arch:blocks=5")
     fw.save(graph, tmp_path / "graph.npz")
     found = fw.load(tmp_path / "graph.npz")
     assert isinstance(found, fw.StateGraph)

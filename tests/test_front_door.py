@@ -22,7 +22,7 @@ import pytest
 import falsework as fw
 from falsework.assembly import Assembly, complete_state
 from falsework.errors import DependencyError, InputError, PlanError, ReadWarning
-from falsework.search import Outcome, plan_to_dict, structure_of_plan, task_of
+from falsework.search import Outcome, make_task, plan_to_dict, structure_of_plan
 from falsework.utils.files import formats as registry
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -189,14 +189,14 @@ def test_every_room_has_a_page() -> None:
 
 def test_plans_are_found_without_making_a_task(arch: Assembly) -> None:
     by_name = fw.find_plans(arch, robots=3, missing=[2])
-    by_task = fw.find_plans(arch, fw.Task.create(arch.boundary, 3, missing=[2], identity=arch.identity))
+    by_task = fw.find_plans(arch, fw.Task.from_rules(arch.boundary, 3, missing=[2], identity=arch.identity))
     np.testing.assert_array_equal(by_name.plans[0].actions, by_task.plans[0].actions)
     assert by_name.plans[0].robots == 3
     assert by_name.plans[0].missing == (2,)
     assert fw.find_plans(arch, robots=1).result.outcome is not Outcome.FOUND
-    assert task_of(arch, removable_only_if_clear=True).clearance is arch.clearance
+    assert make_task(arch, removable_only_if_clear=True).clearance is arch.clearance
     with pytest.raises(InputError, match="robots"):
-        fw.find_plans(arch, task_of(arch), robots=2)
+        fw.find_plans(arch, make_task(arch), robots=2)
 
 
 def test_every_function_takes_a_structure_by_name_or_path(arch: Assembly, plan: fw.Plan, tmp_path: Path) -> None:
@@ -205,12 +205,12 @@ def test_every_function_takes_a_structure_by_name_or_path(arch: Assembly, plan: 
     start = plan.states[4]
     calls: list[Callable[[Any], Any]] = [
         lambda given: fw.find_plans(given, robots=2).plans[0].actions.tolist(),
-        lambda given: fw.robots_needed(given).robots,
-        lambda given: task_of(given, 2).identity,
+        lambda given: fw.min_robots(given).robots,
+        lambda given: make_task(given, 2).identity,
         lambda given: fw.replan(given, start).plans[0].actions.tolist(),
         lambda given: fw.Replanner(given).replan(start).plans[0].actions.tolist(),
         lambda given: fw.validate_plan(plan, given).good,
-        lambda given: fw.Stability(given).verdicts(start[None]).stable.tolist(),
+        lambda given: fw.StabilityOracle(given).verdicts(start[None]).stable.tolist(),
         lambda given: fw.export(given, tmp_path / "copy.glb"),
         lambda given: fw.open_file(tmp_path / "plan.json", given).kind,
     ]
@@ -353,7 +353,7 @@ def test_the_structure_of_a_plan_is_found(arch: Assembly, plan: fw.Plan, tmp_pat
 
 
 def test_files_and_objects_are_opened_alike(arch: Assembly, plan: fw.Plan, tmp_path: Path) -> None:
-    graph = fw.StateGraph.build(task_of(arch), plan.states, name="arch:blocks=5")
+    graph = fw.StateGraph.from_states(make_task(arch), plan.states, name="arch:blocks=5")
     fw.save(plan, tmp_path / "plan.json")
     fw.save(graph, tmp_path / "graph.npz")
     kinds = [
@@ -406,7 +406,7 @@ def test_a_plan_is_shown_by_one_call(arch: Assembly, plan: fw.Plan) -> None:
 
 def test_results_print_as_one_line(arch: Assembly, plan: fw.Plan) -> None:
     """What a notebook shows has the numbers that matter and no arrays."""
-    planning, oracle = fw.find_plans(arch, robots=1), fw.Stability(arch)
+    planning, oracle = fw.find_plans(arch, robots=1), fw.StabilityOracle(arch)
     lines = {
         repr(arch): "7 parts, 2 of them boundary, 6 contacts",
         repr(arch.meshes[0]): "voussoir-0: 8 vertices",
@@ -433,11 +433,14 @@ def test_results_print_as_one_line(arch: Assembly, plan: fw.Plan) -> None:
         (lambda arch, plan: UNTYPED.find_plans(arch, missing=["door"]), "missing is part 'door', which does not exist"),
         (lambda arch, plan: UNTYPED.find_plans(arch, fixed="3"), "give a list of part numbers or names"),
         (lambda arch, plan: UNTYPED.replan(arch, plan.states[4], missing=[2.5]), "give a list of part numbers"),
-        (lambda arch, plan: arch.replace(loads=fw.assembly.Loads.of(3)), "loads are of 3 parts, but there are"),
+        (
+            lambda arch, plan: arch.replace(loads=fw.assembly.Loads.from_arrays(3)),
+            "loads are of 3 parts, but there are",
+        ),
         (lambda arch, plan: UNTYPED.Assembly.from_meshes([5], boundary=[0]), "a part is a int; make it a TriangleMesh"),
         (lambda arch, plan: UNTYPED.save([plan], "plan.json"), "list has no file; save an assembly, a plan"),
         (lambda arch, plan: UNTYPED.validate_plan([plan], arch), "checks a Plan, not list"),
-        (lambda arch, plan: UNTYPED.picture(fw.Stability(arch), "arch.png"), "Stability cannot be shown"),
+        (lambda arch, plan: UNTYPED.picture(fw.StabilityOracle(arch), "arch.png"), "Stability cannot be shown"),
     ],
 )
 def test_wrong_types_get_one_line(arch: Assembly, plan: fw.Plan, call: Callable[..., Any], words: str) -> None:

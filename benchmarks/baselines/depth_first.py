@@ -178,7 +178,7 @@ class DepthFirstSearch:
         undecided, sliding = self._judge.undecided, self._judge.sliding
         if self.found:
             outcome, routes = Outcome.FOUND, (self._route(),)
-        elif self.done and not interrupted and undecided == 0 and sliding == 0 and not self.task.doubt:
+        elif self.done and not interrupted and undecided == 0 and sliding == 0 and not self.task.caveat:
             outcome = Outcome.PROVED_IMPOSSIBLE
         else:
             outcome = Outcome.NOT_FOUND
@@ -189,7 +189,7 @@ class DepthFirstSearch:
             elif sliding:
                 limit = f"no plan was found in which every state is stable: {sliding} states slide"
             elif self.done and not interrupted:
-                limit = self.task.doubt
+                limit = self.task.caveat
         return SearchResult(
             outcome=outcome,
             routes=routes,
@@ -210,4 +210,4 @@ class DepthFirstSearch:
         states = np.array(self._path)
         if self.settings.direction is Direction.ASSEMBLY:
             states = states[::-1].copy()
-        return Route.through(states)
+        return Route.from_states(states)

@@ -156,7 +156,7 @@ class SharedInverse:
             StateError: states of the wrong length or with other values.
         """
         batch = as_states(states, self.assembly.boundary)
-        verdicts = Verdicts.blank(len(batch), points=self.problem.points, parts=self.problem.parts)
+        verdicts = Verdicts.all_undecided(len(batch), points=self.problem.points, parts=self.problem.parts)
         torch = self._torch
         before = torch.get_float32_matmul_precision()
         torch.set_float32_matmul_precision("highest")  # shortened mantissas stop the iterations from converging
@@ -171,7 +171,7 @@ class SharedInverse:
 
     def _check_batch(self, states: States) -> Verdicts:
         torch, method, problem, bound = self._torch, self.method, self.problem, self.method.force_bound
-        verdicts = Verdicts.blank(len(states), points=problem.points, parts=problem.parts)
+        verdicts = Verdicts.all_undecided(len(states), points=problem.points, parts=problem.parts)
         free = self._tensor(np.repeat(problem.free(states), 6, axis=1).T)
         active = self._tensor(np.repeat(problem.active(states), VARIABLES, axis=1).T)
         pull = torch.sparse.mm(self._program_back, free * self._whitened_gravity[:, None])

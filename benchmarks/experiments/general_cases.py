@@ -24,11 +24,11 @@ from falsework.learn.training.checkpoint import load_policy
 from falsework.learn.training.evaluate import sample
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.search.device.oracle import HostOracle
-from falsework.search.find import PLANS, find_plans, task_of
+from falsework.search.find import PLANS, find_plans, make_task
 from falsework.search.planner import Planner
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.settings import PlannerSettings
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 
@@ -124,7 +124,7 @@ def _load(case: Case) -> tuple[Assembly, int, Criterion]:
 
 def _success(assembly: Assembly, robots: int, criterion: Criterion, policy: Policy) -> dict[str, Any]:
     end = time.perf_counter() + _SEARCH
-    oracle = Stability(assembly, StabilitySettings(criterion=criterion))
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion))
     environment = Environment(assembly, robots, oracle=oracle, device="cpu")
     task = environment.rules.task
     found, _ = search_states(task, HostOracle(oracle), _WIDTH, 1, stop=lambda: time.perf_counter() > end)
@@ -151,8 +151,8 @@ def _success(assembly: Assembly, robots: int, criterion: Criterion, policy: Poli
 
 def _verdicts(assembly: Assembly, robots: int, criterion: Criterion, policy: Policy) -> dict[str, Any]:
     settings = PLANS if criterion == "contact" else StabilitySettings(criterion=criterion)
-    task = task_of(assembly, robots)
-    judged = task.judged_by(Stability(assembly, settings))
+    task = make_task(assembly, robots)
+    judged = task.judged_by(StabilityOracle(assembly, settings))
     plans = {}
     for name, guide in (("support", None), ("policy", PolicyGuide(policy, task=judged))):
         planning = find_plans(assembly, task, stability=settings, guide=guide, deadline=_PLAN, forces=False)

@@ -25,7 +25,7 @@ from falsework.assembly.model import Assembly, ContactWarning
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 
@@ -148,7 +148,7 @@ def generated(number: int, choice: tuple[str, ...] = tuple(TRAINED)) -> Generate
 
 def stands(assembly: Assembly, criterion: Criterion) -> bool:
     """Return whether the complete structure is proven stable."""
-    oracle = Stability(assembly, StabilitySettings(criterion=criterion))
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion))
     return bool(oracle.verdicts(complete_state(assembly.boundary)).stable[0])
 
 

@@ -16,7 +16,7 @@ from falsework.assembly.symmetry import symmetries
 from falsework.learn.algorithms.imitation import Imitation
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for
+from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, training_task
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.env.environment import Environment
@@ -74,7 +74,7 @@ class Harness:
         self.device = torch.device(device)
         self.environment = Environment(assembly, robots, device=self.device)
         if dataset is None:
-            task = task_for(assembly, robots)
+            task = training_task(assembly, robots)
             dataset = build_dataset(assembly, task, data or DataSettings(), device=str(self.device))
         self.dataset = dataset
         self.rules = self.environment.rules

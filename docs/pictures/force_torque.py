@@ -24,7 +24,7 @@ GAP = 2.6
 def force_torque_graph(path: Path) -> None:
     """Left the blocks with their contact points and normals, right all nodes and edges."""
     assembly = load_structure("stack:blocks=2,overhang=0.5,height=0.2")
-    graph = ForceTorqueGraph.of(assembly)
+    graph = ForceTorqueGraph.from_assembly(assembly)
     figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 5.0), width_ratios=(1, 1.45))
     _blocks(left, assembly, graph)
     _graph(right, assembly, graph)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from falsework.assembly import load_structure
-from falsework.search import find_plans, task_of
+from falsework.search import find_plans, make_task
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.viewer_state import ViewerState
@@ -48,8 +48,8 @@ def opened(path: Path, address: str, width: int, height: int) -> Iterator[Any]:
 def page(path: Path) -> None:
     """The page with a vault half built, its contact forces, and one part selected."""
     vault = load_structure("vault")
-    plan = find_plans(vault, task_of(vault)).plans[0]
-    model = ViewerState(Timeline.of(plan, vault), plan=plan)
+    plan = find_plans(vault, make_task(vault)).plans[0]
+    model = ViewerState(Timeline.from_plan(plan, vault), plan=plan)
     busy = [(model.timeline.holders[model.timeline.row(place)] != NO_ROBOT).sum() for place in range(len(plan))]
     middle = len(plan) // 2
     model.go_to(middle - 8 + int(np.argmax(busy[middle - 8 : middle + 8])))

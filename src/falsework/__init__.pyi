@@ -30,9 +30,9 @@ from falsework.search import PlanStep as PlanStep
 from falsework.search import StateGraph as StateGraph
 from falsework.search import Task as Task
 from falsework.search import find_plans as find_plans
-from falsework.search import robots_needed as robots_needed
+from falsework.search import min_robots as min_robots
 from falsework.search import validate_plan as validate_plan
-from falsework.stability import Stability as Stability
+from falsework.stability import StabilityOracle as StabilityOracle
 from falsework.stability import StabilitySettings as StabilitySettings
 from falsework.stability import Verdict as Verdict
 from falsework.stability import verify_certificates as verify_certificates

@@ -36,7 +36,7 @@ def stack() -> Assembly:
 
 def test_pascals_become_newtons_shared_by_the_points() -> None:
     tower = stack()
-    joints = Joints.of(tower.contacts, tension=np.where(tower.contacts.dimension == 2, 100.0, 0.0))
+    joints = Joints.from_arrays(tower.contacts, tension=np.where(tower.contacts.dimension == 2, 100.0, 0.0))
     flat = tower.contacts.dimension[tower.contacts.contact_of_point] == 2
     np.testing.assert_allclose(joints.tension, np.where(flat, 25.0, 0.0))
 
@@ -48,7 +48,7 @@ def test_the_last_joint_of_a_contact_counts() -> None:
         {"between": ["brick", "stone"], "friction": 0.7, "cohesion": 80.0},
         {"parts": ["c", "b"], "tension": 40.0},
     ]
-    joints = Joints.read(entries, ["stone", "brick", "brick", "stone"], tower.names, tower.contacts)
+    joints = Joints.from_entries(entries, ["stone", "brick", "brick", "stone"], tower.names, tower.contacts)
     assert joints is not None
     pairs = tower.contacts.parts[tower.contacts.contact_of_point]
 
@@ -80,12 +80,12 @@ def test_a_folder_keeps_its_joints(tmp_path: Path) -> None:
 
 def test_a_ground_is_of_a_material_of_its_own(tmp_path: Path) -> None:
     tower = Assembly.from_meshes([cube("a", 0, 0, 0), cube("b", 0, 0, 1)], boundary=[1])
-    joined = tower.replace(joints=Joints.of(tower.contacts, tension=8.0))
+    joined = tower.replace(joints=Joints.from_arrays(tower.contacts, tension=8.0))
     grounded = joined.with_ground()
     assert grounded.joints is not None
     assert grounded.joints.tension.sum() == pytest.approx(8.0)
     assert len(grounded.joints.tension) == len(grounded.contacts.points)
-    joints = Joints.read(
+    joints = Joints.from_entries(
         [{"between": ["stone", "ground"], "tension": 4.0}], ["stone", "stone"], grounded.names, grounded.contacts
     )
     assert joints is not None
@@ -95,7 +95,7 @@ def test_a_ground_is_of_a_material_of_its_own(tmp_path: Path) -> None:
 def test_setting_is_linear_between_its_steps() -> None:
     tower = stack()
     sets = np.where(tower.contacts.dimension == 2, 0, -1)
-    joints = Joints.of(tower.contacts, setting=[((0, 0.2), (4, 1.0))], sets=sets)
+    joints = Joints.from_arrays(tower.contacts, setting=[((0, 0.2), (4, 1.0))], sets=sets)
     points = len(tower.contacts.points)
     share = joints.set_share(np.array([[age] * points for age in (0, 2, 4, 9)], np.int32))
     flat = sets[tower.contacts.contact_of_point] == 0
@@ -133,14 +133,16 @@ def test_setting_is_linear_between_its_steps() -> None:
 def test_what_cannot_be_a_joint(entries: Any, materials: Any, message: str) -> None:
     tower = stack()
     with pytest.raises(AssemblyError) as refused:
-        Joints.read(entries, materials, tower.names, tower.contacts)
+        Joints.from_entries(entries, materials, tower.names, tower.contacts)
     assert message in str(refused.value)
     assert "\n" not in str(refused.value)
 
 
 def test_a_fastener_is_a_contact_point_among_those_of_its_pair() -> None:
     tower = stack()
-    joined = tower.replace(joints=Joints.of(tower.contacts, cohesion=np.where(tower.contacts.dimension == 2, 8.0, 0.0)))
+    joined = tower.replace(
+        joints=Joints.from_arrays(tower.contacts, cohesion=np.where(tower.contacts.dimension == 2, 8.0, 0.0))
+    )
     screwed = fasten(joined, [{"parts": ("b", "a"), "at": [0.5, 0.5, 1.0], "tension": 90.0, "shear": 40.0}])
     pairs = screwed.contacts.parts[screwed.contacts.contact_of_point]
     assert (np.diff(pairs[:, 0] * 10 + pairs[:, 1]) >= 0).all()
@@ -182,11 +184,11 @@ def test_what_cannot_be_a_fastener(change: dict[str, Any], message: str) -> None
 def test_what_cannot_be_the_strength_of_contacts() -> None:
     tower = stack()
     with pytest.raises(AssemblyError, match="tension of a joint is -1 Pa; give a number from 0 up"):
-        Joints.of(tower.contacts, tension=-1.0)
+        Joints.from_arrays(tower.contacts, tension=-1.0)
     with pytest.raises(AssemblyError, match="parts 2 and 3 touch along a line or at a point, which has no area"):
-        Joints.of(tower.contacts, tension=1.0)
+        Joints.from_arrays(tower.contacts, tension=1.0)
     with pytest.raises(AssemblyError, match="friction has shape"):
-        Joints.of(tower.contacts, friction=[0.5, 0.5])
+        Joints.from_arrays(tower.contacts, friction=[0.5, 0.5])
     other = library.build("arch:blocks=5")
     with pytest.raises(AssemblyError, match="joints are of"):
-        other.replace(joints=Joints.of(tower.contacts))
+        other.replace(joints=Joints.from_arrays(tower.contacts))

@@ -77,4 +77,4 @@ def test_wrong_loads_in_a_folder(tmp_path: Path) -> None:
 
 def test_arrays_of_the_wrong_shape() -> None:
     with pytest.raises(AssemblyError, match=r"shape \(2, 6\)"):
-        Loads.of(2, wrench=np.zeros((3, 6)))
+        Loads.from_arrays(2, wrench=np.zeros((3, 6)))

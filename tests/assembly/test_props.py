@@ -10,7 +10,7 @@ import pytest
 from falsework.assembly import Assembly, Prop, keep_props, load_structure, prop_places, with_props
 from falsework.errors import AssemblyError
 from falsework.geometry import TriangleMesh
-from falsework.stability import Criterion, Stability
+from falsework.stability import Criterion, StabilityOracle
 from falsework.stability.settings import EQUILIBRIUM
 
 
@@ -37,10 +37,10 @@ def test_a_prop_carries_an_overhang(overhang: Assembly, criterion: Criterion) ->
     propped = with_props(overhang, [Prop(1, (3.5, 0.5, 2.0), 0.0)])
     assert propped.names[-1] == "prop-plank"
     assert propped.immovable.tolist() == [False, False, True, True]
-    oracle = Stability(propped, replace(EQUILIBRIUM, criterion=criterion, cone=None))
+    oracle = StabilityOracle(propped, replace(EQUILIBRIUM, criterion=criterion, cone=None))
     verdicts = oracle.verdicts([[1, 1, 2, 0], [1, 1, 2, 2], [1, 0, 2, 0]], require_certificate=True)
     assert verdicts.verdict.tolist() == [-1, 1, 1]
-    bare = Stability(overhang, oracle.settings).verdicts([[1, 1, 2], [1, 0, 2]], require_certificate=True)
+    bare = StabilityOracle(overhang, oracle.settings).verdicts([[1, 1, 2], [1, 0, 2]], require_certificate=True)
     assert bare.verdict.tolist() == [-1, 1]
 
 
@@ -50,7 +50,7 @@ def test_a_prop_pushes_and_does_not_pull(overhang: Assembly) -> None:
     plank = box("plank", (2.4, 0, 2), (9, 1, 2.2))
     tips = Assembly.from_meshes([wall, plank], boundary=[], ground=True, name="tips")
     propped = with_props(tips, [Prop(1, (2.7, 0.5, 2.0), 0.0)])
-    assert Stability(propped).verdicts([1, 1, 2, 2], require_certificate=True).unstable[0]
+    assert StabilityOracle(propped).verdicts([1, 1, 2, 2], require_certificate=True).unstable[0]
 
 
 def test_places(overhang: Assembly) -> None:

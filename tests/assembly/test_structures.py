@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from falsework.assembly import Assembly, complete_state, load_structure
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 from tests.conftest import data_folder
 
 FOLDERS = {
@@ -123,7 +123,7 @@ def test_the_complete_armadillo_stands(name):
     state = complete_state(assembly.boundary)[None]
     for criterion in ("equilibrium", "contact"):
         assert (
-            Stability(assembly, StabilitySettings(criterion=criterion))
+            StabilityOracle(assembly, StabilitySettings(criterion=criterion))
             .verdicts(state, require_certificate=True)
             .stable.all()
         )

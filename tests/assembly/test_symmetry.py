@@ -9,7 +9,7 @@ from falsework.assembly import Assembly, load_structure
 from falsework.assembly.model import ContactWarning
 from falsework.assembly.symmetry import _motions, _same_contacts, symmetries
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from falsework.stability.settings import EQUILIBRIUM
 
 
@@ -130,7 +130,7 @@ def test_lines_matter() -> None:
 def test_images_of_states_stand_if_the_states_do() -> None:
     """Verdicts on random states of a dome and on their images under every symmetry."""
     assembly = load_structure("dome:rings=3,blocks=8,stagger=0")
-    oracle, rng = Stability(assembly, EQUILIBRIUM), np.random.default_rng(0)
+    oracle, rng = StabilityOracle(assembly, EQUILIBRIUM), np.random.default_rng(0)
     states = rng.choice([0, 1, 2], p=[0.3, 0.6, 0.1], size=(60, assembly.part_count)).astype(np.uint8)
     states[:, assembly.boundary] = 2
     verdicts = oracle.verdicts(states).verdict

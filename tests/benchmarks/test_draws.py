@@ -18,7 +18,7 @@ from falsework.assembly import load_structure  # noqa: E402
 from falsework.assembly.symmetry import symmetries  # noqa: E402
 from falsework.learn.data.symmetry_augmentation import symmetric_images  # noqa: E402
 from falsework.search.device.oracle import tensor_oracle  # noqa: E402
-from falsework.stability import Stability, StabilitySettings  # noqa: E402
+from falsework.stability import StabilityOracle, StabilitySettings  # noqa: E402
 
 
 def rows(states: Any) -> set[bytes]:
@@ -32,7 +32,7 @@ def searches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(draws, "TEST_WIDTH", 8)
     device = torch.device("cpu")
     assembly = load_structure("arch:blocks=9")
-    oracle = tensor_oracle(Stability(assembly, StabilitySettings(criterion="equilibrium")), device)
+    oracle = tensor_oracle(StabilityOracle(assembly, StabilitySettings(criterion="equilibrium")), device)
     return draws.Searches(assembly, 2, False, oracle, device, tmp_path)
 
 

@@ -13,7 +13,7 @@ from luck import HELD_OUT, TUNED, Meter, Options, Perturbation, apart, cases, ke
 from runs import read_runs
 
 from falsework.assembly import Assembly, load_structure
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 
 
 def test_number_0_is_the_structure_as_it_is_and_others_are_always_the_same() -> None:
@@ -58,9 +58,9 @@ def test_states_of_a_perturbed_structure_have_the_same_verdicts(plain: Assembly,
     states[:, plain.boundary] = 2
     perturbation = Perturbation.draw(1, plain.part_count)
     settings = StabilitySettings(criterion=criterion)
-    verdicts = Stability(plain, settings).verdicts(states).stable
+    verdicts = StabilityOracle(plain, settings).verdicts(states).stable
     assert 0 < verdicts.sum() < len(verdicts)
-    perturbed = Stability(perturbation.of(plain), settings)
+    perturbed = StabilityOracle(perturbation.of(plain), settings)
     assert (perturbed.verdicts(states[:, perturbation.order]).stable == verdicts).all()
 
 

@@ -16,16 +16,16 @@ from search_rules import ALL, EACH, LEFT_OUT, RULES, acts_in, each_of, parts_of,
 from falsework.assembly import load_structure
 from falsework.assembly.state import States
 from falsework.search import SupportGuide, Task, strategies
-from falsework.search.beam import backjumping, beam, conflicts, failures
+from falsework.search.beam import backjumping, beam, failed_moves, nogoods
 from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
 from falsework.search.problem import guide
-from falsework.stability import Stability, StabilitySettings, Verdicts
+from falsework.stability import StabilityOracle, StabilitySettings, Verdicts
 from falsework.stability.cpu import solver
 from falsework.stability.settings import EQUILIBRIUM
 
 PATCHED = (
     *(backjumping, beam, strategies, solver, BackjumpingSettings),
-    *(conflicts.Conflicts, guide.SupportGuide, failures.FailureMemory, solver.CpuSolver),
+    *(nogoods.Nogoods, guide.SupportGuide, failed_moves.FailedMoves, solver.CpuSolver),
 )
 """Modules and classes that patches and probes change."""
 
@@ -49,7 +49,7 @@ class Chance:
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """See `Oracle`."""
-        verdicts = Verdicts.blank(len(states))
+        verdicts = Verdicts.all_undecided(len(states))
         verdicts.verdict[:] = [1 if crc32(state.tobytes()) < self._most else -1 for state in states]
         return verdicts
 
@@ -57,7 +57,7 @@ class Chance:
 def dying_beam(name: str = "dome:rings=2,blocks=6") -> BackjumpingBeam:
     """Return a beam that dies again and again."""
     assembly = load_structure(name)
-    task = Task.create(assembly.boundary, 3, contacts=assembly.contacts.parts)
+    task = Task.from_rules(assembly.boundary, 3, contacts=assembly.contacts.parts)
     return BackjumpingBeam(task, Chance(0.3), guide=SupportGuide(assembly))
 
 
@@ -70,8 +70,8 @@ def die() -> None:
 def begin(what: str, name: str) -> None:
     """Ask for a guide of a structure under `contact`."""
     assembly = load_structure(name)
-    task = Task.create(assembly.boundary, 2, contacts=assembly.contacts.parts)
-    getattr(SupportGuide(assembly), what)(task.judged_by(Stability(assembly, StabilitySettings())))
+    task = Task.from_rules(assembly.boundary, 2, contacts=assembly.contacts.parts)
+    getattr(SupportGuide(assembly), what)(task.judged_by(StabilityOracle(assembly, StabilitySettings())))
 
 
 def few_ahead() -> None:
@@ -81,9 +81,9 @@ def few_ahead() -> None:
 
 USES: dict[str, Callable[[], Any]] = {
     "edges": lambda: begin("edges_first", "vault:parts=120"),
-    "beside-held": lambda: begin("beside_held", "dome:rings=2,blocks=6"),
+    "beside-held": lambda: begin("held_neighbours", "dome:rings=2,blocks=6"),
     "few-ahead": few_ahead,
-    "supports": lambda: solver.CpuSolver(Stability(load_structure("arch:blocks=5"), EQUILIBRIUM).problem),
+    "supports": lambda: solver.CpuSolver(StabilityOracle(load_structure("arch:blocks=5"), EQUILIBRIUM).problem),
 }
 """What rules take effect in; all others do in a beam that dies."""
 

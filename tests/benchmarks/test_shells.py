@@ -7,7 +7,7 @@ import pytest
 from shells import EACH, FAMILIES, NAMES, shell
 
 from falsework.assembly.state import complete_state
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 
 @pytest.mark.parametrize("family", list(FAMILIES))
@@ -15,7 +15,7 @@ def test_shells_stand_and_are_always_the_same(family: str) -> None:
     assembly = shell(f"{family}-0")
     assert assembly.identity == shell(f"{family}-0").identity != shell(f"{family}-1").identity
     assert 30 <= (~assembly.boundary).sum() <= 150
-    assert Stability(assembly).verdicts(complete_state(assembly.boundary), require_certificate=True).stable[0]
+    assert StabilityOracle(assembly).verdicts(complete_state(assembly.boundary), require_certificate=True).stable[0]
     touching = np.unique(assembly.contacts.parts)
     assert len(touching) == assembly.part_count
 

@@ -8,7 +8,7 @@ from experiments.structure_generator import TRAINED, UNSEEN, generated, stands, 
 
 from falsework.assembly import load_structure
 from falsework.errors import InputError
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 
 def test_a_number_is_always_the_same_structure() -> None:
@@ -43,4 +43,4 @@ def test_turning_a_structure_changes_nothing_that_matters() -> None:
     np.testing.assert_allclose(other.contacts.normals[:, 2], arch.contacts.normals[:, 2], atol=1e-9)
     states = np.random.default_rng(0).integers(0, 3, (60, arch.part_count), dtype=np.uint8)
     states[:, arch.boundary] = 2
-    assert (Stability(arch).verdicts(states).verdict == Stability(other).verdicts(states).verdict).all()
+    assert (StabilityOracle(arch).verdicts(states).verdict == StabilityOracle(other).verdicts(states).verdict).all()

@@ -55,7 +55,7 @@ def presses(data: dict[str, Any]) -> list[dict[str, Any]]:
         ("--alternatives", 2),
         ("--missing", 4, "--width", 4),
         ("--margin", "friction=1.2,tilt=1deg"),
-        ("--support",),
+        ("--allow-regrasp",),
         ("--proofs",),
         ("--robots", "auto", "--deadline", 20),
     ],

@@ -16,7 +16,7 @@ from falsework.errors import CellError, InputError, PlanError
 from falsework.interop.compas_read import load_compas
 from falsework.robots import load_robot_plan
 from falsework.robots.cells.cell_file import load_cell
-from falsework.search import find_plans, load_plan, load_state_graph, task_of
+from falsework.search import find_plans, load_plan, load_state_graph, make_task
 from falsework.utils.archive import read_archive
 from falsework.utils.json_text import LEVELS, parse_json
 
@@ -130,7 +130,7 @@ def plan_data() -> dict[str, Any]:
     from falsework.search.plans.plan_file import plan_to_dict
 
     assembly = load_structure("arch:blocks=3")
-    return plan_to_dict(find_plans(assembly, task_of(assembly, 2)).plans[0], proofs=True)
+    return plan_to_dict(find_plans(assembly, make_task(assembly, 2)).plans[0], proofs=True)
 
 
 def test_plans(falsework: Run, tmp_path: Path, plan_data: dict[str, Any]) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 Run = Callable[..., Any]
 
@@ -152,15 +152,15 @@ def test_an_interruption_prints_the_states_so_far(
 ) -> None:
     plan, measured = tmp_path / "plan.json", tmp_path / "measured.json"
     assert falsework("plan", stack, "--robots", 1, "--out", plan).code == 0
-    own, asked = Stability.margins, []
+    own, asked = StabilityOracle.margins, []
 
-    def margins(oracle: Stability, *arguments: Any, **options: Any) -> Any:
+    def margins(oracle: StabilityOracle, *arguments: Any, **options: Any) -> Any:
         asked.append(1)
         if len(asked) == 3:
             raise KeyboardInterrupt
         return own(oracle, *arguments, **options)
 
-    monkeypatch.setattr(Stability, "margins", margins)
+    monkeypatch.setattr(StabilityOracle, "margins", margins)
     done = falsework("margins", plan, "--out", measured, "--json", "--placement", "1mm")
     assert done.code == 130
     assert [record["state"] for record in done.answer["states"]] == [0, 1]

@@ -131,7 +131,7 @@ def test_a_plan_that_discrete_elements_do_not_build(
 
 
 @pytest.mark.parametrize(
-    "options", [("--criterion", "equilibrium"), ("--support",), ("--alternatives", 2), ("--robots", "auto")]
+    "options", [("--criterion", "equilibrium"), ("--allow-regrasp",), ("--alternatives", 2), ("--robots", "auto")]
 )
 def test_what_a_judge_does_not_go_with(falsework: Run, tmp_path: Path, options: tuple[Any, ...]) -> None:
     refused = falsework("plan", "arch:blocks=5", "--judge", *options, "--out", tmp_path / "plan.json")
@@ -314,7 +314,7 @@ def test_the_answer_names_steps_of_several_parts(falsework: Run, tmp_path: Path)
     [
         (("--parts-at-once", 0), "0 is not a number of parts of arch:blocks=3 that can move at once"),
         (("--parts-at-once", 4), "4 is not a number of parts of arch:blocks=3 that can move at once; give 1 (one at a"),
-        (("--parts-at-once", 2, "--support"), "--parts-at-once takes no --support yet"),
+        (("--parts-at-once", 2, "--allow-regrasp"), "--parts-at-once takes no --allow-regrasp yet"),
         (("--parts-at-once", 2, "--missing", "1"), "--parts-at-once takes no --missing yet"),
         (("--parts-at-once", 2, "--robots", "auto"), "--parts-at-once takes no --robots auto yet"),
         (("--parts-at-once", 2, "--alternatives", 2), "--parts-at-once takes no --alternatives yet"),

@@ -1,4 +1,4 @@
-"""`falsework plan --margin` and `--maximise`, and their checks."""
+"""`falsework plan --margin` and `--maximise-margin`, and their checks."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_an_overstated_margin_is_found(
 def test_the_weakest_step_is_as_strong_as_the_bound_lets_it(falsework: Run, tmp_path: Path) -> None:
     """The complete arch needs more friction than any other state of the best plan, so no plan is better."""
     plan = tmp_path / "plan.json"
-    done = falsework("plan", "arch:blocks=7", "--out", plan, "--maximise", "friction", "--json")
+    done = falsework("plan", "arch:blocks=7", "--out", plan, "--maximise-margin", "friction", "--json")
     assert done.code == 0, done.error
     margins = done.answer["plans"][0]["margins"]
     assert margins["maximised"] == "friction"
@@ -90,7 +90,7 @@ def test_margins_that_no_state_can_have(falsework: Run, tmp_path: Path) -> None:
         (("--margin", "tilt=1deg,tilt=2deg"), "given twice"),
         (("--margin", "tilt=89deg"), "too steep"),
         (("--margin", "placement=0.4m"), "demand a smaller error"),
-        (("--maximise", "friction", "--alternatives", "2"), "leave out --alternatives"),
+        (("--maximise-margin", "friction", "--alternatives", "2"), "leave out --alternatives"),
     ],
 )
 def test_wrong_margins(falsework: Run, stack: Path, tmp_path: Path, options: tuple[str, ...], words: str) -> None:
@@ -158,7 +158,7 @@ def test_the_friction_of_joints_counts(falsework: Run, write_structure: Any, tmp
 
 def test_a_bound_that_the_plan_passes_is_found(falsework: Run, tmp_path: Path) -> None:
     plan = tmp_path / "plan.json"
-    assert falsework("plan", "arch:blocks=5", "--out", plan, "--maximise", "friction").code == 0
+    assert falsework("plan", "arch:blocks=5", "--out", plan, "--maximise-margin", "friction").code == 0
     data = json.loads(plan.read_text())
     data["margins"]["bound"] *= 1.5
     plan.write_text(json.dumps(data))

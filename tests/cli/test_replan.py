@@ -243,7 +243,7 @@ def test_criterion_robots_and_reserve_are_those_of_the_plan(falsework: Run, tmp_
 @pytest.mark.parametrize(
     ("structure", "options"),
     [
-        ("arch:blocks=7", ("--support",)),
+        ("arch:blocks=7", ("--allow-regrasp",)),
         ("arch:blocks=5", ("--criterion", "equilibrium")),
         ("stack:blocks=4", ("--removable-only-if-clear",)),
     ],

@@ -13,8 +13,8 @@ from falsework.geometry.clearance import locked
 from falsework.geometry.clearance.directions import sphere_directions
 from falsework.geometry.clearance.first_motions import can_begin_to_move
 from falsework.geometry.clearance.locked import LockedSets
+from falsework.geometry.clearance.part_sets import SetClearance
 from falsework.geometry.clearance.sweep import Sweeper
-from falsework.geometry.clearance.together import SetClearance
 
 TOLERANCE = 1e-4
 
@@ -58,7 +58,7 @@ def test_parts_that_hook_each_other_between_two_walls_leave_together(shapes):
     assert abs(motion[0, 2]) < np.sin(np.radians(3))
     assert not clearance.leave_together(pair, open_).any(), "one of them goes first"
     assert clearance.exit_motion(pair, open_[0]) is not None, "both could"
-    assert clearance.doubt((pair,)) == ""
+    assert clearance.caveat((pair,)) == ""
     absent = np.array([[0, 0, 1, 1]], np.uint8)
     assert clearance.leave_together(pair, absent).all(), "what matters is the place, not whether the set is there"
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from falsework.assembly import Assembly, load_structure
-from falsework.search import Plan, find_plans, task_of
+from falsework.search import Plan, find_plans, make_task
 
 _PROGRAM = """
 const validator = require(process.argv[1]);
@@ -42,7 +42,7 @@ def arch() -> Assembly:
 @pytest.fixture(scope="session")
 def plan(arch: Assembly) -> Plan:
     """Takes the arch apart with two robots."""
-    return find_plans(arch, task_of(arch)).plans[0]
+    return find_plans(arch, make_task(arch)).plans[0]
 
 
 @pytest.fixture(scope="session")

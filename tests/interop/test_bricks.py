@@ -13,7 +13,7 @@ from falsework.assembly.state import complete_state
 from falsework.errors import AssemblyError, InputError
 from falsework.interop import Brick, assemble_bricks
 from falsework.interop.bricks import PLATE
-from falsework.stability import Stability, StabilitySettings, Verdict
+from falsework.stability import StabilityOracle, StabilitySettings, Verdict
 
 STICK = [
     (0, 0, 8), (6, 1, 4), (8, 2, 4), (10, 3, 8), (16, 2, 8), (22, 3, 6), (26, 2, 6), (30, 3, 6), (34, 2, 6), (38, 3, 6),
@@ -36,7 +36,7 @@ def stick(bricks: list[tuple[int, int, int]]) -> list[Brick]:
 
 def verdict(bricks: list[Brick], criterion: str = "equilibrium", **options: Any) -> int:
     assembly = assemble_bricks(bricks, **options)
-    oracle = Stability(assembly, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
     return int(oracle.verdicts(complete_state(assembly.boundary), require_certificate=True).verdict[0])
 
 
@@ -91,7 +91,7 @@ def test_ldraw_with_plates_and_wide_bricks(tmp_path: Path) -> None:
     assert heights == [3.2, 3.2, 9.6, 9.6]
     assert assembly.contacts.parts.tolist() == [[0, 1], [0, 4], [1, 2], [3, 4]]
     assert np.diff(assembly.contacts.start).tolist() == [72, 72, 72, 24]
-    assert Stability(assembly).verdicts(complete_state(assembly.boundary), require_certificate=True).stable.all()
+    assert StabilityOracle(assembly).verdicts(complete_state(assembly.boundary), require_certificate=True).stable.all()
 
 
 @ON_A_PLATE
@@ -110,7 +110,7 @@ def test_text_of_brickgpt(tmp_path: Path) -> None:
     assert assembly.contacts.parts.tolist() == [[0, 2], [0, 5], [1, 3], [1, 5], [2, 4], [3, 4]]
     assert np.diff(assembly.contacts.start).tolist() == [12, 24, 12, 24, 12, 12]
     for criterion in ("equilibrium", "contact"):
-        oracle = Stability(assembly, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
+        oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
         assert oracle.verdicts(complete_state(assembly.boundary), require_certificate=True).stable.all()
 
 

@@ -14,7 +14,7 @@ from falsework.assembly.model import ContactWarning
 from falsework.cli.main import main
 from falsework.errors import AssemblyError, InputError, MeshError, ReadWarning
 from falsework.interop.compas_read import load_compas
-from falsework.interop.compas_write import compas_of, write_compas
+from falsework.interop.compas_write import to_compas, write_compas
 
 MODEL = "compas_model.models/Model"
 KINDS = ("meshes", "assembly", "dem")
@@ -141,7 +141,7 @@ def test_meshes_and_shapes_in_a_dictionary_in_millimetres(compas: Any, tmp_path:
 
 def test_the_same_structure_gives_the_same_file(arch: Assembly) -> None:
     for kind in KINDS:
-        assert json.dumps(compas_of(arch, kind)) == json.dumps(compas_of(load_structure("arch:blocks=7"), kind))
+        assert json.dumps(to_compas(arch, kind)) == json.dumps(to_compas(load_structure("arch:blocks=7"), kind))
 
 
 def test_the_command_line_takes_it_for_a_structure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -159,7 +159,7 @@ def test_the_command_line_takes_it_for_a_structure(tmp_path: Path, capsys: pytes
 
 def box(**changes: Any) -> dict[str, Any]:
     """A mesh as COMPAS writes it, with changes."""
-    mesh = compas_of(load_structure("arch:blocks=3"), "meshes")[0]
+    mesh = to_compas(load_structure("arch:blocks=3"), "meshes")[0]
     return {**mesh, "data": {**mesh["data"], **changes}}
 
 
@@ -201,7 +201,7 @@ def test_no_such_file_and_no_such_kind(arch: Assembly, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no file"):
         load_compas(tmp_path / "model.json")
     with pytest.raises(InputError, match="meshes, assembly, dem"):
-        compas_of(arch, "brep")  # type: ignore[arg-type]
+        to_compas(arch, "brep")  # type: ignore[arg-type]
     (tmp_path / "bytes.json").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not text"):
         load_compas(tmp_path / "bytes.json")

@@ -16,8 +16,8 @@ from falsework.assembly import Assembly, load_structure
 from falsework.errors import FalseworkError
 from falsework.geometry.mesh.obj import obj_text
 from falsework.interop.compas_read import load_compas
-from falsework.interop.compas_write import compas_of
-from falsework.interop.gltf import gltf_of
+from falsework.interop.compas_write import to_compas
+from falsework.interop.gltf import to_gltf
 from falsework.search import Plan, load_plan
 from falsework.search.plans.plan_file import plan_to_dict
 
@@ -113,7 +113,7 @@ def test_damaged_meshes(edits: Any, kind: Any, small: Assembly, tmp_path: Path) 
     if kind == "obj":
         content = "".join(obj_text(one) for one in small.meshes[:1]).encode()
     elif kind in ("glb", "gltf"):
-        content = gltf_of(small, kind=kind)
+        content = to_gltf(small, kind=kind)
     else:
         written = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type=kind)
         content = written if isinstance(written, bytes) else str(written).encode()
@@ -126,7 +126,7 @@ def test_damaged_meshes(edits: Any, kind: Any, small: Assembly, tmp_path: Path) 
 @given(edits=EDITS, kind=st.sampled_from(["meshes", "assembly", "dem"]))
 def test_damaged_compas_data(edits: Any, kind: Any, small: Assembly, tmp_path: Path) -> None:
     path = tmp_path / "model.json"
-    path.write_bytes(damage(json.dumps(compas_of(small, kind)).encode(), edits))
+    path.write_bytes(damage(json.dumps(to_compas(small, kind)).encode(), edits))
     only_one_line(lambda: load_compas(path))
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from falsework.assembly import Assembly, load_structure
 from falsework.errors import InputError, PlanError
-from falsework.interop.gltf import gltf_of, write_gltf
+from falsework.interop.gltf import to_gltf, write_gltf
 from falsework.search import Plan
 
 Validate = Callable[[bytes], dict[str, Any]]
@@ -76,13 +76,13 @@ def test_the_validator_has_nothing_to_say(
     kind: Any, what: str, arch: Assembly, plan: Plan, validate_gltf: Validate
 ) -> None:
     shown = {"structure": None, "plan": plan}[what]
-    report = validate_gltf(gltf_of(arch, shown, kind=kind))
+    report = validate_gltf(to_gltf(arch, shown, kind=kind))
     assert report["issues"]["messages"] == []
     assert report["info"]["animationCount"] == (shown is not None)
 
 
 def test_the_validator_looks(arch: Assembly, validate_gltf: Validate) -> None:
-    text = gltf_of(arch, kind="gltf").replace(b'"VEC3"', b'"VEC2"', 1)
+    text = to_gltf(arch, kind="gltf").replace(b'"VEC3"', b'"VEC2"', 1)
     assert validate_gltf(text)["issues"]["numErrors"] > 0
 
 
@@ -117,7 +117,7 @@ def test_far_from_the_origin_nothing_is_lost(arch: Assembly, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("kind", ["glb", "gltf"])
 def test_between_two_steps_the_scene_is_the_state(kind: Any, arch: Assembly, plan: Plan) -> None:
-    scene = Scene(gltf_of(arch, plan, kind=kind, step_seconds=2.0))
+    scene = Scene(to_gltf(arch, plan, kind=kind, step_seconds=2.0))
     assert scene.json["asset"]["extras"]["identity"] == arch.identity
     robots: dict[int, str] = {}
     for step, state in enumerate(plan.states):
@@ -143,14 +143,14 @@ def test_presses_are_extras_in_the_axes_of_the_file(
 ) -> None:
     pressed, step, part = press_once(plan, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
     wrench = [1.0, 3.0, -2.0, 4.0, 6.0, -5.0]
-    about = Scene(gltf_of(arch, pressed)).json["extras"]["plan"]
+    about = Scene(to_gltf(arch, pressed)).json["extras"]["plan"]
     assert about["presses"] == [{"step": step, "part": part, "wrench": wrench}]
-    assert "presses" not in Scene(gltf_of(arch, plan)).json["extras"]["plan"]
+    assert "presses" not in Scene(to_gltf(arch, plan)).json["extras"]["plan"]
 
 
 def test_parts_leave_without_passing_through_others(arch: Assembly, plan: Plan) -> None:
     """Halfway out, a part is where its clearance says that nothing is: along a direction that nobody blocks."""
-    scene = Scene(gltf_of(arch, plan))
+    scene = Scene(to_gltf(arch, plan))
     for step, action in enumerate(plan.actions):
         if action < arch.part_count:
             continue
@@ -165,10 +165,10 @@ def test_parts_leave_without_passing_through_others(arch: Assembly, plan: Plan) 
 
 def test_what_cannot_be_written(arch: Assembly, plan: Plan, tmp_path: Path) -> None:
     with pytest.raises(PlanError, match="the structure it was made for"):
-        gltf_of(load_structure("arch:blocks=9"), plan)
+        to_gltf(load_structure("arch:blocks=9"), plan)
     with pytest.raises(InputError, match="0 seconds"):
-        gltf_of(arch, plan, step_seconds=0)
+        to_gltf(arch, plan, step_seconds=0)
     with pytest.raises(InputError, match="choose glb or gltf"):
-        gltf_of(arch, kind="obj")  # type: ignore[arg-type]
+        to_gltf(arch, kind="obj")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="nowhere"):
         write_gltf(tmp_path / "nowhere" / "out.glb", arch)

@@ -16,8 +16,8 @@ import pytest
 from falsework.assembly import Assembly, load_structure
 from falsework.cli.main import main
 from falsework.errors import PlanError
-from falsework.interop.instruction_table import COLUMNS, assembly_instructions, instructions_csv, way_in_words
-from falsework.search import Plan, find_plans, task_of
+from falsework.interop.instruction_table import COLUMNS, assembly_instructions, describe_motion, instructions_csv
+from falsework.search import Plan, find_plans, make_task
 from falsework.search.problem.task import Task
 
 
@@ -55,7 +55,7 @@ def test_who_follows_the_table_goes_through_the_states_of_the_plan(arch: Assembl
 
 def test_a_plan_that_starts_and_ends_half_way(arch: Assembly) -> None:
     start = np.array([1, 1, 2, 0, 2, 1, 1, 2, 2])
-    task = Task.create(arch.boundary, 3, start=[1, 1, 1, 1, 1, 1, 1, 2, 2], target=start, identity=arch.identity)
+    task = Task.from_rules(arch.boundary, 3, start=[1, 1, 1, 1, 1, 1, 1, 2, 2], target=start, identity=arch.identity)
     found = find_plans(arch, task).plans[0]
     sheet = assembly_instructions(found, arch)
     assert sheet.start == (0, 1, 2, 4, 5, 6)
@@ -76,7 +76,7 @@ def test_a_press_is_said_where_the_other_part_is_released(
 
 
 def test_missing_parts_are_marked(arch: Assembly) -> None:
-    task = Task.create(arch.boundary, 2, missing=[3], identity=arch.identity)
+    task = Task.from_rules(arch.boundary, 2, missing=[3], identity=arch.identity)
     lines = table(find_plans(arch, task).plans[0], arch)
     assert [line["part"] for line in lines if line["needed"] == "yes"] == ["3"]
 
@@ -105,7 +105,7 @@ def test_names_do_not_become_formulas() -> None:
     ],
 )
 def test_ways_in_words(way: Any, words: str) -> None:
-    assert way_in_words(np.array(way, dtype=float)) == words
+    assert describe_motion(np.array(way, dtype=float)) == words
 
 
 def test_a_plan_for_another_structure(plan: Plan) -> None:
@@ -178,7 +178,7 @@ def test_nothing_in_the_pdf_is_cut_short(tmp_path: Path) -> None:
         friction=arch.friction,
         density=60_000.0,
     )
-    plan = find_plans(long, task_of(long)).plans[0]
+    plan = find_plans(long, make_task(long)).plans[0]
     sheet = assembly_instructions(plan, long)
     said = "friction 0.364, tilt 2.48 deg, push 3.66 kN on the crown, load factor 12.3 of the weakest part, and more"
     sheet = replace(sheet, steps=tuple(replace(step, margins=said) for step in sheet.steps))

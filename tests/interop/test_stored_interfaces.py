@@ -14,7 +14,7 @@ from falsework.assembly import Assembly, ContactWarning, complete_state, load_st
 from falsework.cli.main import main
 from falsework.errors import AssemblyError, InputError
 from falsework.interop import load_compas, read_compas, write_compas
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def test_what_was_found_and_stored_comes_back(arch: Assembly, written: Path) -> 
     assert found.identity == arch.identity
     assert stored.identity != arch.identity
     both = [
-        Stability(assembly).verdicts(complete_state(arch.boundary), require_certificate=True)
+        StabilityOracle(assembly).verdicts(complete_state(arch.boundary), require_certificate=True)
         for assembly in (arch, stored)
     ]
     assert both[0].verdict.tolist() == both[1].verdict.tolist() == [1]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from falsework.assembly import Assembly, load_structure
-from falsework.interop.usd import usd_of, write_usd
+from falsework.interop.usd import to_usd, write_usd
 from falsework.search import Plan
 
 pytest.importorskip("pxr", reason="needs usd-core, of the dependency group test")
@@ -41,7 +41,7 @@ def parts_of(stage: Any) -> list[Any]:
 @pytest.mark.parametrize("spec", ["arch:blocks=7", "bottle"])
 def test_bodies_weigh_what_the_parts_do(spec: str, tmp_path: Path) -> None:
     assembly = load_structure(spec)
-    stage = opened(usd_of(assembly), tmp_path)
+    stage = opened(to_usd(assembly), tmp_path)
     assert UsdGeom.GetStageUpAxis(stage) == "Z"
     assert UsdGeom.GetStageMetersPerUnit(stage) == UsdPhysics.GetStageKilogramsPerUnit(stage) == 1
     for part, prim in enumerate(parts_of(stage)):
@@ -66,13 +66,13 @@ def test_bodies_weigh_what_the_parts_do(spec: str, tmp_path: Path) -> None:
 
 def test_only_convex_parts_collide_as_their_hulls(tmp_path: Path) -> None:
     for spec, wanted in (("arch:blocks=7", "convexHull"), ("bottle", "convexDecomposition")):
-        stage = opened(usd_of(load_structure(spec)), tmp_path)
+        stage = opened(to_usd(load_structure(spec)), tmp_path)
         shapes = {prim.GetChild("surface").GetAttribute("physics:approximation").Get() for prim in parts_of(stage)}
         assert wanted in shapes
 
 
 def test_a_plan_moves_and_the_validators_have_nothing_to_say(arch: Assembly, plan: Plan, tmp_path: Path) -> None:
-    stage = opened(usd_of(arch, plan, step_seconds=2.0), tmp_path)
+    stage = opened(to_usd(arch, plan, step_seconds=2.0), tmp_path)
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     assert [error.GetMessage() for error in UsdValidation.ValidationContext(validators).Validate(stage)] == []
     rate = stage.GetTimeCodesPerSecond()
@@ -92,7 +92,7 @@ def test_presses_are_attributes_of_the_part(
     arch: Assembly, plan: Plan, press_once: Callable[..., tuple[Plan, int, int]], tmp_path: Path
 ) -> None:
     pressed, step, part = press_once(plan, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
-    stage = opened(usd_of(arch, pressed), tmp_path)
+    stage = opened(to_usd(arch, pressed), tmp_path)
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     assert [error.GetMessage() for error in UsdValidation.ValidationContext(validators).Validate(stage)] == []
     for number, prim in enumerate(parts_of(stage)):

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from falsework.assembly import Assembly, load_structure
-from falsework.learn.data.dataset import task_for
+from falsework.learn.data.dataset import training_task
 from falsework.search import BeamSearch, BeamSettings, Direction, StateGraph
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -39,10 +39,10 @@ def searched_graph() -> Callable[..., StateGraph]:
     """Makes the graph of all states of a narrow search."""
 
     def search(assembly: Assembly, width: int, direction: Direction = Direction.DISASSEMBLY) -> StateGraph:
-        task = task_for(assembly)
-        beam = BeamSearch(task, Stability(assembly), BeamSettings(width=width, direction=direction))
+        task = training_task(assembly)
+        beam = BeamSearch(task, StabilityOracle(assembly), BeamSettings(width=width, direction=direction))
         beam.run()
-        return StateGraph.build(task, beam.states())
+        return StateGraph.from_states(task, beam.states())
 
     return search
 

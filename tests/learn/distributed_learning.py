@@ -23,7 +23,7 @@ from falsework.learn.env.environment import Environment
 from falsework.learn.networks.factory import make_policy
 from falsework.learn.training import train as module
 from falsework.learn.training.trainer import Trainer
-from falsework.search import BeamSearch, BeamSettings, task_of
+from falsework.search import BeamSearch, BeamSettings, make_task
 from falsework.utils.distributed import ProcessGroup, init_distributed
 
 PHASES = {
@@ -58,7 +58,7 @@ def update(folder: Path, shards: ProcessGroup, device: torch.device) -> None:
     """Some updates of one policy."""
     assembly = load_structure("arch:blocks=5")
     environment = Environment(assembly, 2, device=device)
-    search = BeamSearch(task_of(assembly), environment.oracle, BeamSettings(width=4))
+    search = BeamSearch(make_task(assembly), environment.oracle, BeamSettings(width=4))
     search.run()
     states = torch.from_numpy(search.states())
     policy = make_policy(assembly, PolicySettings(kind="mlp", layers=1, channels=16), device, 0)
@@ -88,7 +88,7 @@ def run(method: str, folder: Path, kept: dict[str, Trainer]) -> None:
     )
     folder.mkdir(exist_ok=True)
     result = module.train(load_structure("arch:blocks=13"), settings, folder=folder / "run", device="cpu", logs=())
-    rank = ProcessGroup.of_group().rank
+    rank = ProcessGroup.from_torch().rank
     weights = {name: tensor.clone() for name, tensor in kept["trainer"]._policy.state_dict().items()}
     weights["solved"] = kept["trainer"]._solved.states.clone()
     save_file(weights, folder / f"{rank}.safetensors")

@@ -39,7 +39,7 @@ def peg() -> Assembly:
 
 
 def test_a_cylinder_of_72_facets_is_a_handful_of_forces(peg: Assembly) -> None:
-    graph = ForceTorqueGraph.of(peg)
+    graph = ForceTorqueGraph.from_assembly(peg)
     assert len(peg.contacts) >= 20
     assert 6 <= graph.force_count <= 12
     assert graph.torque_count <= 8 * graph.force_count
@@ -54,7 +54,7 @@ def test_a_cylinder_of_72_facets_is_a_handful_of_forces(peg: Assembly) -> None:
 @pytest.mark.parametrize("name", ["bottle", "polycube", "wall:bricks=4,courses=4"])
 def test_flat_structures_have_a_force_for_each_normal_and_all_their_points(name: str) -> None:
     assembly = load_structure(name)
-    graph = ForceTorqueGraph.of(assembly)
+    graph = ForceTorqueGraph.from_assembly(assembly)
     contacts = assembly.contacts
     between = [contact for contact, pair in enumerate(contacts.parts) if not assembly.boundary[pair].all()]
 
@@ -72,14 +72,14 @@ def test_flat_structures_have_a_force_for_each_normal_and_all_their_points(name:
 def test_the_bottle_is_small() -> None:
     """What is cut along squares has parallel contacts between the same two parts; they are one force."""
     bottle = load_structure("bottle")
-    graph = ForceTorqueGraph.of(bottle)
+    graph = ForceTorqueGraph.from_assembly(bottle)
     assert graph.force_count < len(bottle.contacts)
     assert graph.force_count <= 4 * len(np.unique(bottle.contacts.parts, axis=0))
 
 
 def test_levers_lead_from_the_centres_to_the_points() -> None:
     arch = load_structure("arch:blocks=5")
-    graph = ForceTorqueGraph.of(arch)
+    graph = ForceTorqueGraph.from_assembly(arch)
     a, b = arch.mass.center[graph.force_parts[graph.point_force]].swapaxes(0, 1)
     between = (graph.levers[:, 0] - graph.levers[:, 1]).astype(float)
     scale = np.linalg.norm(b - a, axis=1) / np.linalg.norm(between, axis=1)
@@ -91,7 +91,7 @@ def test_levers_lead_from_the_centres_to_the_points() -> None:
 
 def test_edges_and_their_ends() -> None:
     """Figure 8 of the paper: how many edges a node has of each kind."""
-    graph = ForceTorqueGraph.of(load_structure("dome:rings=2,blocks=5"))
+    graph = ForceTorqueGraph.from_assembly(load_structure("dome:rings=2,blocks=5"))
     edges = graph.edges()
     parts, forces, torques = graph.part_count, graph.force_count, graph.torque_count
     assert len(edges["torque", "about", "part"]) == len(edges["part", "about", "torque"]) == torques
@@ -108,7 +108,7 @@ def test_edges_and_their_ends() -> None:
 
 
 def test_a_node_is_there_if_all_its_parts_are() -> None:
-    graph = ForceTorqueGraph.of(load_structure("bottle"))
+    graph = ForceTorqueGraph.from_assembly(load_structure("bottle"))
     state = np.random.default_rng(0).integers(0, 3, (1, graph.part_count), dtype=np.uint8)
     there = {kind: nodes[0] for kind, nodes in graph.present(state).items()}
     gone = set(np.flatnonzero(state[0] == 0).tolist())
@@ -119,7 +119,7 @@ def test_a_node_is_there_if_all_its_parts_are() -> None:
 
 
 def test_the_grid_holds_every_torque_once() -> None:
-    graph = ForceTorqueGraph.of(load_structure("polycube"))
+    graph = ForceTorqueGraph.from_assembly(load_structure("polycube"))
     grid = graph.grid()
     assert grid.taken.sum() == len(graph.point_force)
     for force in range(graph.force_count):
@@ -131,5 +131,5 @@ def test_the_grid_holds_every_torque_once() -> None:
 
 def test_two_fixed_parts_exert_no_force_worth_knowing() -> None:
     wall = load_structure("wall:bricks=3,courses=2")
-    everything = ForceTorqueGraph.of(wall.replace(boundary=np.ones(wall.part_count, dtype=bool)))
+    everything = ForceTorqueGraph.from_assembly(wall.replace(boundary=np.ones(wall.part_count, dtype=bool)))
     assert (everything.force_count, everything.torque_count) == (0, 0)

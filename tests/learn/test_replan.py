@@ -22,7 +22,7 @@ from falsework.search import ExhaustiveSearch, Outcome, Plan, find_plans
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.task import Direction
-from falsework.stability import Proof, Stability, StabilitySettings
+from falsework.stability import Proof, StabilityOracle, StabilitySettings
 from falsework.stability.contact.history import History, Replay
 from falsework.stability.contact.replay import Replayer
 
@@ -78,9 +78,9 @@ class Falling:
         return stands and not self.falls(after), history
 
 
-def falling(falls: Callable[[States], bool], seconds: float = 0.0) -> Stability:
+def falling(falls: Callable[[States], bool], seconds: float = 0.0) -> StabilityOracle:
     """An oracle of the arch whose replays fall."""
-    oracle = Stability(ARCH)
+    oracle = StabilityOracle(ARCH)
     assert oracle.replayer is not None
     oracle.__dict__["replayer"] = Falling(oracle.replayer, falls, seconds)
     return oracle
@@ -91,7 +91,7 @@ def any_state() -> st.SearchStrategy[States]:
     return values.map(lambda own: np.array([*own, HELD, HELD], dtype=np.uint8))
 
 
-def truth(request: Request, oracle: Stability) -> bool:
+def truth(request: Request, oracle: StabilityOracle) -> bool:
     """Whether there is a plan, by looking at every state there is."""
     task = request.task(ARCH)
     if not oracle.verdicts(np.stack([task.start, task.target]), require_certificate=True).stable.all():
@@ -147,7 +147,7 @@ def test_every_answer_is_true(
     assert len(answer.plans) <= alternatives
     for plan in answer.plans:
         assert validate_plan(plan, ARCH).good or not len(plan)  # a plan without steps shows nothing
-        assert answer.direction is request.way(ARCH)
+        assert answer.direction is request.resolved_direction(ARCH)
         first, last = plan.states[[0, -1]] if answer.direction is Direction.ASSEMBLY else plan.states[[-1, 0]]
         np.testing.assert_array_equal(first, state)
         if target is not None:
@@ -164,10 +164,10 @@ def test_directions() -> None:
     """Where parts are missing that the state lacks, it goes up; a target says which way; else it goes down."""
     half = find_plans(ARCH, forces=False).plans[0].states[-5]
     absent = int(np.flatnonzero(half == REMOVED)[0])
-    assert Request(half).way(ARCH) is Direction.DISASSEMBLY
-    assert Request(half, missing=[absent]).way(ARCH) is Direction.ASSEMBLY
-    assert Request(half, target=COMPLETE).way(ARCH) is Direction.ASSEMBLY
-    assert Request(half, target=EMPTY).way(ARCH) is Direction.DISASSEMBLY
+    assert Request(half).resolved_direction(ARCH) is Direction.DISASSEMBLY
+    assert Request(half, missing=[absent]).resolved_direction(ARCH) is Direction.ASSEMBLY
+    assert Request(half, target=COMPLETE).resolved_direction(ARCH) is Direction.ASSEMBLY
+    assert Request(half, target=EMPTY).resolved_direction(ARCH) is Direction.DISASSEMBLY
 
 
 def test_from_here_on(alone: Replanner) -> None:
@@ -372,7 +372,7 @@ def test_a_plan_is_replayed(alone: Replanner) -> None:
 
 
 def test_equilibrium_knows_no_history() -> None:
-    answer = Replanner(ARCH, oracle=Stability(ARCH, StabilitySettings(criterion="equilibrium"))).replan(COMPLETE)
+    answer = Replanner(ARCH, oracle=StabilityOracle(ARCH, StabilitySettings(criterion="equilibrium"))).replan(COMPLETE)
     assert answer.criterion == answer.to_dict()["criterion"] == "equilibrium"
     assert answer.replays == ()
     assert "replay" not in answer.to_dict()
@@ -419,7 +419,7 @@ def test_where_every_replay_falls_nothing_is_proved(policy: bool, end: States) -
     assert answer.plans == answer.replays == ()
     assert "whose replay in the order of assembly succeeds" in answer.reason
     # One step, which has nothing but ends.
-    last = find_plans(ARCH, oracle=Stability(ARCH), forces=False).plans[0].states[1]
+    last = find_plans(ARCH, oracle=StabilityOracle(ARCH), forces=False).plans[0].states[1]
     answer = Replanner(ARCH, make() if policy else None, falling(lambda _: True)).replan(last)
     assert answer.outcome is Outcome.NOT_FOUND
 

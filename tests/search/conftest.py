@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly import Assembly, load_structure
 from falsework.search import Task
-from falsework.stability import Proof, Stability, Verdict, Verdicts
+from falsework.stability import Proof, StabilityOracle, Verdict, Verdicts
 
 State = tuple[int, ...]
 
@@ -22,7 +22,7 @@ def verdicts_of(stable: NDArray[np.bool_], undecided: NDArray[np.bool_] | None =
     verdict = np.where(stable, Verdict.STABLE, Verdict.UNSTABLE).astype(np.int8)
     if undecided is not None:
         verdict[undecided] = Verdict.UNDECIDED
-    verdicts = Verdicts.blank(len(stable))
+    verdicts = Verdicts.all_undecided(len(stable))
     verdicts.verdict[:] = verdict
     verdicts.proof[:] = np.select([verdict == 1, verdict == -1], [Proof.FORCES, Proof.VELOCITY], Proof.NONE)
     verdicts.residual[:] = 0.0
@@ -98,7 +98,7 @@ class RuleClearance:
         rows = [[self.free(tuple(state.tolist()), part) for part in range(states.shape[1])] for state in states]
         return np.array(rows, dtype=bool).reshape(states.shape)
 
-    def doubt(self, parts: NDArray[np.bool_]) -> str:
+    def caveat(self, parts: NDArray[np.bool_]) -> str:
         return "" if self.complete or not parts.any() else "exits may be missing"
 
     def free(self, state: State, part: int) -> bool:
@@ -240,8 +240,8 @@ def small_arch() -> Assembly:
 
 
 @pytest.fixture(scope="session")
-def arch_oracle(small_arch: Assembly) -> Stability:
-    return Stability(small_arch)
+def arch_oracle(small_arch: Assembly) -> StabilityOracle:
+    return StabilityOracle(small_arch)
 
 
 @pytest.fixture

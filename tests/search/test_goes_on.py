@@ -13,13 +13,13 @@ import falsework as fw
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.props import prop_places, with_props
 from falsework.errors import InputError, PlanError, StateError
-from falsework.replanning.built import BuiltSteps
+from falsework.replanning.executed_steps import ExecutedSteps
 from falsework.replanning.named_state import named_state
 from falsework.replanning.replanner import Replanner, replan
 from falsework.search import Plan, find_plans, save_plan, validate_plan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.timed_replayer import DeadlineReplayer
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.stability.contact.replay import Replayer
 
 ARCH = load_structure("arch:blocks=7")
@@ -45,7 +45,7 @@ def test_a_replay_that_goes_on_is_that_of_the_whole(plan: Plan, reserve: float) 
         rest = goes_on.replay(plan.states[step:])
         np.testing.assert_allclose(rest.moved, whole.moved[step:], rtol=1e-9, atol=1e-15)
         assert rest.stands.tolist() == whole.stands[step:].tolist()
-        summary = goes_on.as_time_allows(plan.states[step:])
+        summary = goes_on.replay_in_time(plan.states[step:])
         assert (summary.stands, summary.steps, summary.of) == (True, len(plan), len(plan))
         assert summary.moved == pytest.approx(whole.moved.max(), rel=1e-9)
         assert len(summary.residuals) == len(summary.presses) == len(plan.states)
@@ -73,7 +73,7 @@ def test_steps_that_are_done_stay(plan: Plan) -> None:
         assert validate_plan(new, ARCH).good
         assert new.replay is not None
         assert new.replay.stands
-        repeated = Replayer(ARCH, Stability(ARCH, StabilitySettings(**vars(new.claim))).settings).replay(
+        repeated = Replayer(ARCH, StabilityOracle(ARCH, StabilitySettings(**vars(new.claim))).settings).replay(
             new.states, presses=new.presses_before
         )
         assert new.replay.denied_by(repeated) == ""
@@ -92,7 +92,7 @@ def test_what_it_takes_from_the_plan(plan: Plan, tmp_path: Path) -> None:
 
 
 def test_steps_that_do_not_come_to_rest_are_named(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(DeadlineReplayer, "built_falls_at", lambda _: 3)
+    monkeypatch.setattr(DeadlineReplayer, "executed_fails_at", lambda _: 3)
     answer = replan(plan, step=5)
     assert not answer.found
     assert answer.reason == "the steps that are done do not come to rest in a replay, after step 3"
@@ -153,7 +153,7 @@ def test_props_are_not_replanned() -> None:
         props=propped.props,
     )
     with pytest.raises(PlanError, match="has props, which replanning cannot move"):
-        BuiltSteps(plan, 0)
+        ExecutedSteps(plan, 0)
 
 
 @pytest.mark.parametrize(

@@ -9,15 +9,15 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.search import Demands, PlanMargins, SearchProgress, find_plans, maximise_margin
-from falsework.search.find import task_of
-from falsework.stability import Stability
+from falsework.search.find import make_task
+from falsework.stability import StabilityOracle
 
 
 @pytest.mark.parametrize("kind", ["friction", "tilt"])
 def test_the_weakest_step_reaches_the_bound_of_both_ends(kind: Literal["friction", "tilt"]) -> None:
     """The complete catenary is its own weakest state."""
     assembly = load_structure("catenary:blocks=9")
-    margins = maximise_margin(assembly, task_of(assembly, 2), kind).plans[0].margins
+    margins = maximise_margin(assembly, make_task(assembly, 2), kind).plans[0].margins
     assert margins is not None
     assert margins.maximised == kind
     weakest = margins.weakest(kind)
@@ -29,8 +29,10 @@ def test_the_weakest_step_reaches_the_bound_of_both_ends(kind: Literal["friction
 def test_plans_made_for_it_need_less_friction() -> None:
     assembly = load_structure("arch:blocks=15")
     first = find_plans(assembly, robots=2).plans[0]
-    before = PlanMargins.of(Stability(assembly), first.states, Demands(), also="friction").weakest("friction")
-    margins = maximise_margin(assembly, task_of(assembly, 2), "friction").plans[0].margins
+    before = PlanMargins.from_oracle(StabilityOracle(assembly), first.states, Demands(), also="friction").weakest(
+        "friction"
+    )
+    margins = maximise_margin(assembly, make_task(assembly, 2), "friction").plans[0].margins
     assert before is not None
     assert margins is not None
     after = margins.weakest("friction")
@@ -46,14 +48,14 @@ def test_a_bound_that_no_search_reaches_does_not_hold_it_up() -> None:
     def note(progress: SearchProgress) -> None:
         asked.append(progress.asked)
 
-    plan = maximise_margin(assembly, task_of(assembly, 2), "push", progress=note).plans[0]
+    plan = maximise_margin(assembly, make_task(assembly, 2), "push", progress=note).plans[0]
     assert plan.margins is not None
     assert plan.margins.bound is not None
     weakest = plan.margins.weakest("push")
     assert weakest is not None
     assert weakest[1] < 0.95 * plan.margins.bound
     assert max(asked) < 1200
-    assert np.all(Stability(assembly).verdicts(plan.states).stable)
+    assert np.all(StabilityOracle(assembly).verdicts(plan.states).stable)
 
 
 def test_a_stopped_search_returns_the_first_plan_with_its_margins() -> None:
@@ -68,7 +70,7 @@ def test_a_stopped_search_returns_the_first_plan_with_its_margins() -> None:
     find_plans(assembly, robots=2, stop=stop)
     most = len(calls) + 1
     calls.clear()
-    found = maximise_margin(assembly, task_of(assembly, 2), "friction", stop=stop)
+    found = maximise_margin(assembly, make_task(assembly, 2), "friction", stop=stop)
     assert len(calls) > most
     assert found.found
     assert found.result.interrupted

@@ -19,13 +19,13 @@ from falsework.search import (
     SupportGuide,
     Task,
     find_plans,
-    task_of,
+    make_task,
     validate_plan,
     validate_proofs,
 )
 from falsework.search.problem.result import insertion_steps
 from falsework.search.strategies import EDGES, EVERYWHERE, Portfolio
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 
 def insertions(route: tuple[tuple[int, ...], ...], parts: tuple[int, ...]) -> tuple[int, ...]:
@@ -39,8 +39,8 @@ def test_missing_parts_come_as_late_as_they_can(rules: Any, seed: int) -> None:
     """On small structures the bisection finds the lexicographic maximum over all plans."""
     oracle, _ = rules.random(seed, 6)
     missing = (2, 4)
-    task = Task.create(rules.ground(6), 1 + seed % 2, missing=missing)
-    routes = rules.enumeration(Task.create(rules.ground(6), 1 + seed % 2), oracle).routes()
+    task = Task.from_rules(rules.ground(6), 1 + seed % 2, missing=missing)
+    routes = rules.enumeration(Task.from_rules(rules.ground(6), 1 + seed % 2), oracle).routes()
     planner = Planner(task, oracle)
     result = planner.run()
     if not routes:
@@ -55,7 +55,7 @@ def test_missing_parts_come_as_late_as_they_can(rules: Any, seed: int) -> None:
 
 def test_a_missing_part_of_a_tower_is_needed_in_its_place(rules: Any) -> None:
     """The fourth floor can wait until three floors stand, and no longer."""
-    task = Task.create(rules.ground(9), 1, missing=[4])
+    task = Task.from_rules(rules.ground(9), 1, missing=[4])
     planner = Planner(task, rules.tower(9))
     assert planner.run().found
     assert planner.postponed == (2 * 3,)
@@ -73,7 +73,7 @@ def test_a_structure_that_is_all_boundary_has_a_plan_without_steps() -> None:
 @pytest.mark.parametrize("alternatives", [1, 3])
 def test_resuming_changes_nothing(rules: Any, tmp_path: Path, seed: int, alternatives: int) -> None:
     oracle, _ = rules.random(seed, 8)
-    task = Task.create(rules.ground(8), 2, missing=[3, 5])
+    task = Task.from_rules(rules.ground(8), 2, missing=[3, 5])
     settings = PlannerSettings(alternatives=alternatives, seed=seed)
     whole = Planner(task, oracle, settings)
     expected = whole.run()
@@ -101,7 +101,7 @@ def test_resuming_strategies_that_take_turns_changes_nothing(
     monkeypatch.setattr("falsework.search.strategies._FIRST_SHARE", 0.125)
     oracle, _ = rules.random(seed, 8)
     row = np.stack([np.arange(7), np.arange(1, 8)], axis=1)
-    task = Task.create(rules.ground(8), 2, contacts=row)
+    task = Task.from_rules(rules.ground(8), 2, contacts=row)
     expected = Planner(task, oracle).run()
     planner, path = Planner(task, oracle), tmp_path / "planner.npz"
     while True:
@@ -118,8 +118,8 @@ def test_resuming_strategies_that_take_turns_changes_nothing(
 
 def test_each_strategy_has_twice_as_many_verdicts_in_each_round() -> None:
     def portfolio(stage: str = "plan", parts: int = 100, *, edges: bool = False, support: bool = False, **how: Any):
-        task = Task.create(np.arange(parts) == 0, 2, support=support)
-        return Portfolio.of(PlannerSettings(**how), stage, task, edges=edges)
+        task = Task.from_rules(np.arange(parts) == 0, 2, allow_regrasp=support)
+        return Portfolio.from_settings(PlannerSettings(**how), stage, task, edges=edges)
 
     both = portfolio()
     assert both.names == (Direction.ASSEMBLY, Direction.DISASSEMBLY)
@@ -134,18 +134,18 @@ def test_each_strategy_has_twice_as_many_verdicts_in_each_round() -> None:
     assert others.names == (Direction.DISASSEMBLY, Direction.ASSEMBLY)
     assert others.allowance(0) == np.inf
     assert portfolio("postpone", width=2).widest == 2
-    assert EVERYWHERE in portfolio(support=True).names
+    assert EVERYWHERE in portfolio(allow_regrasp=True).names
 
 
 def test_a_checkpoint_of_another_search_is_refused(rules: Any, tmp_path: Path) -> None:
-    task = Task.create(rules.ground(8), 2)
+    task = Task.from_rules(rules.ground(8), 2)
     planner = Planner(task, rules.blocks(8))
     calls = iter(range(3))
     planner.run(stop=lambda: next(calls, None) is None)
     path = tmp_path / "planner.npz"
     planner.save(path)
     with pytest.raises(InputError, match="another structure, task or settings"):
-        Planner.load(path, Task.create(rules.ground(8), 1), rules.blocks(8))
+        Planner.load(path, Task.from_rules(rules.ground(8), 1), rules.blocks(8))
     with pytest.raises(InputError, match="another structure, task or settings"):
         Planner.load(path, task, rules.blocks(8), PlannerSettings(seed=1))
     data = path.read_bytes()
@@ -159,7 +159,7 @@ def test_a_checkpoint_of_another_search_is_refused(rules: Any, tmp_path: Path) -
 
 
 def test_interrupted_after_the_plan_keeps_the_plan(rules: Any) -> None:
-    task = Task.create(rules.ground(7), 2)
+    task = Task.from_rules(rules.ground(7), 2)
     planner = Planner(task, rules.blocks(7), PlannerSettings(alternatives=4))
     result = planner.run(stop=lambda: bool(planner.routes))
     assert result.found
@@ -173,7 +173,7 @@ def test_an_interruption_from_the_keyboard(rules: Any) -> None:
         if event.level == 5:
             raise KeyboardInterrupt
 
-    planner = Planner(Task.create(rules.ground(7), 2), rules.blocks(7))
+    planner = Planner(Task.from_rules(rules.ground(7), 2), rules.blocks(7))
     result = planner.run(progress=press)
     assert result.interrupted
     assert result.outcome is Outcome.NOT_FOUND
@@ -186,7 +186,7 @@ def test_an_unstable_end_is_a_proof(rules: Any, end: str) -> None:
     """A tower with a gap, held nowhere: no plan begins or ends there."""
     gap = [2, 1, 0, 1, 0]
     ends = {"start": None, "target": None} | {end: gap}
-    task = Task.create(rules.ground(5), 2, start=ends["start"], target=ends["target"])
+    task = Task.from_rules(rules.ground(5), 2, start=ends["start"], target=ends["target"])
     result = Planner(task, rules.tower(5)).run()
     assert result.outcome is Outcome.PROVED_IMPOSSIBLE
     assert result.notes == (f"the {end} state is unstable",)
@@ -195,7 +195,7 @@ def test_an_unstable_end_is_a_proof(rules: Any, end: str) -> None:
 
 def test_says_how_far_it_came(rules: Any) -> None:
     """The wide arch of rules cannot be closed by one robot: proved at once, from the end that shows it first."""
-    result = Planner(Task.create(rules.ground(9), 1), rules.arch(9)).run()
+    result = Planner(Task.from_rules(rules.ground(9), 1), rules.arch(9)).run()
     assert result.outcome is Outcome.PROVED_IMPOSSIBLE
     assert result.reached == 1
     assert result.steps == 16
@@ -211,7 +211,7 @@ def test_no_plan_found_is_not_no_plan(rules: Any) -> None:
     def guide(states: Any, actions: Any, direction: Direction) -> Any:
         return np.tile(-np.arange(100.0), 2)[None].repeat(len(states), axis=0)
 
-    task = Task.create(rules.ground(100), 1)
+    task = Task.from_rules(rules.ground(100), 1)
     settings = PlannerSettings(width=1, directions=(Direction.ASSEMBLY,))
     result = Planner(task, oracle, settings, guide=guide).run()
     assert result.outcome is Outcome.NOT_FOUND
@@ -234,7 +234,7 @@ def test_bad_settings(settings: dict[str, Any], message: str) -> None:
         PlannerSettings(**settings)
 
 
-def test_plans_of_a_real_arch(small_arch: Assembly, arch_oracle: Stability) -> None:
+def test_plans_of_a_real_arch(small_arch: Assembly, arch_oracle: StabilityOracle) -> None:
     planning = find_plans(small_arch, oracle=arch_oracle, settings=PlannerSettings(alternatives=3))
     assert planning.found
     assert len(planning.plans) == 3
@@ -247,8 +247,8 @@ def test_plans_of_a_real_arch(small_arch: Assembly, arch_oracle: Stability) -> N
     assert planning.alternatives.least_distance > 0.4
 
 
-def test_one_robot_cannot_take_an_arch_apart(small_arch: Assembly, arch_oracle: Stability) -> None:
-    planning = find_plans(small_arch, task_of(small_arch, robots=1), oracle=arch_oracle)
+def test_one_robot_cannot_take_an_arch_apart(small_arch: Assembly, arch_oracle: StabilityOracle) -> None:
+    planning = find_plans(small_arch, make_task(small_arch, robots=1), oracle=arch_oracle)
     assert not planning.found
     assert planning.result.outcome is Outcome.PROVED_IMPOSSIBLE
     assert planning.plans == ()
@@ -257,23 +257,25 @@ def test_one_robot_cannot_take_an_arch_apart(small_arch: Assembly, arch_oracle: 
     assert verdicts.velocity is not None
 
 
-def test_half_a_job(small_arch: Assembly, arch_oracle: Stability) -> None:
+def test_half_a_job(small_arch: Assembly, arch_oracle: StabilityOracle) -> None:
     """From the middle of a plan to near its end, and with a part that must stay."""
     plan = find_plans(small_arch, oracle=arch_oracle).plans[0]
-    middle = Task.create(
+    middle = Task.from_rules(
         small_arch.boundary, 2, start=plan.states[10], target=plan.states[4], identity=small_arch.identity
     )
     found = find_plans(small_arch, middle, oracle=arch_oracle)
     assert len(found.plans[0]) == 6
     assert validate_plan(found.plans[0], small_arch).good
     last = int(plan.inserted_parts[0])
-    stays = Task.create(small_arch.boundary, 2, fixed=[last], identity=small_arch.identity)
+    stays = Task.from_rules(small_arch.boundary, 2, fixed=[last], identity=small_arch.identity)
     kept = find_plans(small_arch, stays, oracle=arch_oracle)
     assert last not in kept.plans[0].actions % small_arch.part_count
     assert ((kept.plans[0].states[0] > 0) & ~small_arch.boundary).sum() == 1
 
 
-def test_a_checkpoint_is_resumed_and_removed(small_arch: Assembly, arch_oracle: Stability, tmp_path: Path) -> None:
+def test_a_checkpoint_is_resumed_and_removed(
+    small_arch: Assembly, arch_oracle: StabilityOracle, tmp_path: Path
+) -> None:
     path = tmp_path / "search.npz"
     calls = iter(range(4))
     halted = find_plans(small_arch, oracle=arch_oracle, checkpoint=path, stop=lambda: next(calls, None) is None)
@@ -294,7 +296,7 @@ def test_same_seed_same_plan(small_arch: Assembly) -> None:
     assert np.array_equal(plans[0].states, plans[1].states)
 
 
-def test_another_guide(small_arch: Assembly, arch_oracle: Stability) -> None:
+def test_another_guide(small_arch: Assembly, arch_oracle: StabilityOracle) -> None:
     """The mirror image of the support guide's preferences still leads to a plan, but another one."""
     support = SupportGuide(small_arch)
     found = find_plans(

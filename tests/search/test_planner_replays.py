@@ -76,7 +76,7 @@ def tower(rules: Any, falls: set[tuple[int, ...]]) -> tuple[Task, Any]:
     oracle, _ = rules.random(3, 5)
     oracle.supports = [[frozenset()] for _ in range(5)]
     oracle.replayer = RuleReplayer(falls)
-    return Task.create(rules.ground(5), 2), oracle
+    return Task.from_rules(rules.ground(5), 2), oracle
 
 
 @pytest.mark.parametrize("direction", list(Direction))

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from falsework.assembly import load_assembly
-from falsework.search import BeamSearch, BeamSettings, StateGraph, find_plans, task_of, validate_proofs
-from falsework.stability import Stability, StabilitySettings
+from falsework.search import BeamSearch, BeamSettings, StateGraph, find_plans, make_task, validate_proofs
+from falsework.stability import StabilityOracle, StabilitySettings
 
 Find = Callable[[str], Path]
 
@@ -25,12 +25,12 @@ NAMES = ["bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35"
 def test_data_sets_are_as_large_as_the_papers(shared_assembly: Find, name: str, seen: int, unseen: int) -> None:
     """Table 3: states of a search of width 64, and those of width 128 that are not among them, within 10 per cent."""
     assembly = load_assembly(shared_assembly(name))
-    oracle, task = Stability(assembly, StabilitySettings(criterion="equilibrium")), task_of(assembly)
+    oracle, task = StabilityOracle(assembly, StabilitySettings(criterion="equilibrium")), make_task(assembly)
     graphs = []
     for width in (64, 128):
         search = BeamSearch(task, oracle, BeamSettings(width=width))
         assert search.run().found
-        graphs.append(StateGraph.build(task, search.states()))
+        graphs.append(StateGraph.from_states(task, search.states()))
     assert len(graphs[0]) == pytest.approx(seen, rel=0.1)
     assert int(graphs[1].unseen(graphs[0].states).sum()) == pytest.approx(unseen, rel=0.1)
     assert graphs[0].solvable.all()
@@ -46,4 +46,4 @@ def test_two_robots_can_build_it(shared_assembly: Find, name: str) -> None:
     assert len(plan) == 2 * int((~assembly.boundary).sum())
     assert validate_proofs(plan, assembly).good
     some = plan.states[:: max(len(plan) // 5, 1)]
-    assert Stability(assembly).exact.check(some).stable.all()
+    assert StabilityOracle(assembly).exact.check(some).stable.all()

@@ -25,7 +25,7 @@ from falsework.assembly.library.voxels import _grow, surface
 from falsework.errors import AssemblyError, InputError, PlanError
 from falsework.interop import assembly_instructions, instructions_csv
 from falsework.interop.tracks import tracks_of
-from falsework.replanning.built import BuiltSteps
+from falsework.replanning.executed_steps import ExecutedSteps
 from falsework.replanning.plan_diff import difference
 from falsework.search import (
     ExhaustiveSearch,
@@ -34,22 +34,22 @@ from falsework.search import (
     Task,
     find_plans,
     load_plan,
+    min_robots,
     plan_schema,
-    robots_needed,
     save_plan,
     validate_plan,
 )
-from falsework.search.find import task_of
-from falsework.search.margins.demands import DemandingStability, Demands
+from falsework.search.find import make_task
+from falsework.search.margins.demands import Demands, MarginOracle
 from falsework.search.plans import plan_rules
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.task import Direction
 from falsework.search.settings import PlannerSettings
 from falsework.search.together.carried_group import carried_group, holds_together
 from falsework.search.together.moves import TogetherMoves
-from falsework.search.together.rule import LockedTogether
+from falsework.search.together.rule import InterlockedSets
 from falsework.search.together_beam import TogetherBeam
-from falsework.stability import Stability, StabilitySettings, Verdict, Verdicts
+from falsework.stability import StabilityOracle, StabilitySettings, Verdict, Verdicts
 from falsework.stability.holds import HoldSettings
 from falsework.stability.judges.build_judge import BuildJudge
 from falsework.viewer.appearance import appearance_at
@@ -86,7 +86,7 @@ class EveryStateStands:
     settings = SETTINGS
 
     def verdicts(self, states, *, near=None, require_certificate=False):
-        verdicts = Verdicts.blank(len(states))
+        verdicts = Verdicts.all_undecided(len(states))
         verdicts.verdict[:] = Verdict.STABLE
         return verdicts
 
@@ -198,7 +198,7 @@ class Enumeration:
             return False
         group = Assembly.from_meshes(meshes, boundary=[parts.index(carrier)])
         state = np.where(group.boundary, 2, 1).astype(np.uint8)
-        return bool(Stability(group, SETTINGS).verdicts(state).stable[0])
+        return bool(StabilityOracle(group, SETTINGS).verdicts(state).stable[0])
 
     def after(self, state: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
         there = [part for part in range(self.count) if state[part]]
@@ -284,10 +284,10 @@ def test_as_many_plans_as_an_enumeration_of_boxes(seed: int, count: int, robots:
     for most in (1, largest):
         expected = Enumeration(pieces, robots, most).plans()
         if most == 1:
-            single = task_of(assembly, robots, removable_only_if_clear=True)
+            single = make_task(assembly, robots, removable_only_if_clear=True)
             assert ExhaustiveSearch(single, EveryStateStands()).run().plans == expected
             continue
-        task = task_of(assembly, robots, parts_at_once=most)
+        task = make_task(assembly, robots, parts_at_once=most)
         assert plans_of(task, EveryStateStands()) == expected
 
 
@@ -306,22 +306,22 @@ def test_three_parts_that_leave_only_together(robots: int) -> None:
     bars, frame = three_bars()
     assembly = assembly_of(bars, frame)
     assert Enumeration(bars, robots, 2, fixed=frame).plans() == 0
-    two = TogetherBeam(task_of(assembly, robots, parts_at_once=2), EveryStateStands(), Direction.DISASSEMBLY)
+    two = TogetherBeam(make_task(assembly, robots, parts_at_once=2), EveryStateStands(), Direction.DISASSEMBLY)
     result = two.run(64)
     assert result.outcome is Outcome.PROVED_IMPOSSIBLE
     assert result.notes == ("no part there, and no set of up to 2, can begin to move, not even by turning",)
     expected = Enumeration(bars, robots, 3, fixed=frame).plans()
-    assert plans_of(task_of(assembly, robots, parts_at_once=3), EveryStateStands()) == expected > 0
+    assert plans_of(make_task(assembly, robots, parts_at_once=3), EveryStateStands()) == expected > 0
 
 
 @pytest.mark.parametrize(("seed", "count"), [(11, 3), (38, 4)])
 def test_as_many_stable_plans_as_an_enumeration(seed: int, count: int) -> None:
     pieces = drawn(seed, count, (3, 3, 3))
     assembly = assembly_of(pieces)
-    oracle, judge = Stability(assembly, SETTINGS), Stability(assembly, SETTINGS)
+    oracle, judge = StabilityOracle(assembly, SETTINGS), StabilityOracle(assembly, SETTINGS)
     stands = lru_cache(None)(lambda state: bool(judge.verdicts(np.array([*state, 2], np.uint8)).stable[0]))
     expected = Enumeration(pieces, 2, 2, stands).plans()
-    assert plans_of(task_of(assembly, 2, parts_at_once=2), oracle) == expected > 0
+    assert plans_of(make_task(assembly, 2, parts_at_once=2), oracle) == expected > 0
 
 
 @pytest.mark.parametrize("direction", list(Direction))
@@ -332,7 +332,7 @@ def test_beams_find_a_plan_where_there_is_one(seed: int, count: int, possible: b
     assembly = assembly_of(pieces)
     expected = Enumeration(pieces, 1, 2).plans() > 0
     assert possible is None or expected == possible
-    beam = TogetherBeam(task_of(assembly, 1, parts_at_once=2), EveryStateStands(), direction)
+    beam = TogetherBeam(make_task(assembly, 1, parts_at_once=2), EveryStateStands(), direction)
     result = beam.run(64)
     assert result.found == expected
     assert beam.examined_all or expected
@@ -462,13 +462,13 @@ def test_discrete_elements_build_it_too(shelf: Assembly, plan: Plan) -> None:
 
 
 def test_every_state_keeps_margins_that_are_asked_for(shelf: Assembly) -> None:
-    oracle = DemandingStability(shelf, StabilitySettings(), Demands.parse("tilt=2deg"))
+    oracle = MarginOracle(shelf, StabilitySettings(), Demands.from_text("tilt=2deg"))
     found = find_plans(shelf, oracle=oracle, parts_at_once=2)
     assert found.plans[0].parts_at_once == 2
     assert oracle.keeps(found.plans[0].states).all()
 
 
-class EachHeld(LockedTogether):
+class EachHeld(InterlockedSets):
     """The same rule for robots that carry nothing but the part that they hold."""
 
     def carriers(self, parts, oracle):
@@ -477,7 +477,7 @@ class EachHeld(LockedTogether):
 
 @pytest.fixture(scope="module")
 def held(shelf: Assembly) -> Plan:
-    task = replace(task_of(shelf, 2, parts_at_once=2), together=EachHeld(shelf, 2))
+    task = replace(make_task(shelf, 2, parts_at_once=2), together=EachHeld(shelf, 2))
     return find_plans(shelf, task).plans[0]
 
 
@@ -486,7 +486,7 @@ def test_two_robots_hold_a_board_each(shelf: Assembly, held: Plan) -> None:
     assert (step.parts, step.robots, str(step)) == ((2, 3), (0, 1), "insert top-2 and top-3 (R1, R2)")
     assert (step.state[2:4] == 2).all()
     assert validate_plan(held, shelf).good
-    task = replace(task_of(shelf, 1, parts_at_once=2), together=EachHeld(shelf, 2))
+    task = replace(make_task(shelf, 1, parts_at_once=2), together=EachHeld(shelf, 2))
     assert find_plans(shelf, task).result.outcome is Outcome.PROVED_IMPOSSIBLE
 
 
@@ -591,8 +591,8 @@ def test_a_check_refuses_a_group_that_falls(plan: Plan, shelf: Assembly, monkeyp
 
 
 def test_pictures_and_tracks_move_all_parts_of_a_step(shelf: Assembly, plan: Plan) -> None:
-    timeline = Timeline.of(plan, shelf)
-    np.testing.assert_allclose(timeline.ways[[2, 3]], [[0, 0, 1]] * 2, atol=1e-9)
+    timeline = Timeline.from_plan(plan, shelf)
+    np.testing.assert_allclose(timeline.exit_directions[[2, 3]], [[0, 0, 1]] * 2, atol=1e-9)
     row = next(step.number for step in plan if len(step.parts) > 1)
     look = appearance_at(timeline, row - 0.5)
     assert (look.shift[[2, 3], 2] > 0).all()
@@ -652,16 +652,16 @@ def test_printed_sheets_list_and_point_at_each_part_of_a_step(
         ({"parts_at_once": 5}, "5 is not a number of parts of shelf:shelves=0 that can move at once; give 1 .* to 4"),
         ({"parts_at_once": 2.5}, "2.5 is not a number of parts of shelf:shelves=0 that can move at once"),
         ({"parts_at_once": 2, "missing": [2]}, "several parts in one step take no missing parts"),
-        ({"parts_at_once": 2, "support": True}, "several parts in one step take no repeated holds"),
+        ({"parts_at_once": 2, "allow_regrasp": True}, "several parts in one step take no repeated holds"),
     ],
 )
 def test_rules_that_cannot_be_kept(shelf: Assembly, rules: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        task_of(shelf, 2, **rules)
+        make_task(shelf, 2, **rules)
 
 
 def test_what_moves_one_part_at_a_time_says_so(shelf: Assembly, plan: Plan, tmp_path: Path) -> None:
-    task = task_of(shelf, 2, parts_at_once=2)
+    task = make_task(shelf, 2, parts_at_once=2)
     with pytest.raises(InputError, match="beams of levels move one part at a time"):
         ExhaustiveSearch(task, EveryStateStands())
     with pytest.raises(InputError, match="have no alternatives yet"):
@@ -669,8 +669,8 @@ def test_what_moves_one_part_at_a_time_says_so(shelf: Assembly, plan: Plan, tmp_
     with pytest.raises(InputError, match="a search with several parts in one step cannot be saved"):
         find_plans(shelf, task, checkpoint=tmp_path / "search")
     with pytest.raises(InputError, match="no bound on the robots is known where steps move several parts"):
-        robots_needed(shelf, parts_at_once=2)
+        min_robots(shelf, parts_at_once=2)
     with pytest.raises(PlanError, match="several parts in one step, which replanning cannot"):
-        BuiltSteps(plan, 1)
+        ExecutedSteps(plan, 1)
     with pytest.raises(PlanError, match="several parts in one step cannot be compared"):
         difference(plan, plan)

@@ -21,14 +21,14 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.ways.moves import Move, apply
 from falsework.interop import assembly_instructions, instructions_csv
 from falsework.interop.tracks import tracks_of
-from falsework.replanning.built import BuiltSteps
+from falsework.replanning.executed_steps import ExecutedSteps
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search import Outcome, Plan, find_plans, robots_needed, validate_plan
-from falsework.search.find import task_of
+from falsework.search import Outcome, Plan, find_plans, min_robots, validate_plan
+from falsework.search.find import make_task
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.task import Direction
 from falsework.search.settings import PlannerSettings
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.viewer.appearance import TRAVEL, appearance_at, diagonal
 from falsework.viewer.timeline import Timeline
 
@@ -88,7 +88,7 @@ def plan() -> Plan:
 def test_a_drawer_behind_a_lip_is_lifted_and_then_pulled_out(plan: Plan) -> None:
     assembly = drawer()
     assert plan.moves == 2
-    (up, out), _ = plan.ways_out
+    (up, out), _ = plan.exit_directions
     assert up.direction == (0.0, 0.0, 1.0)
     assert 0.06 - 1e-3 <= up.distance <= 0.15 + 1e-3
     assert out.direction == (1.0, 0.0, 0.0)
@@ -101,7 +101,11 @@ def test_a_drawer_behind_a_lip_is_lifted_and_then_pulled_out(plan: Plan) -> None
 def test_without_several_moves_it_is_proven_that_there_is_no_plan() -> None:
     found = find_plans(drawer(), robots=1, removable_only_if_clear=True, stability=SETTINGS)
     assert found.result.outcome is Outcome.PROVED_IMPOSSIBLE
-    assert find_plans(shaft(), robots=1, moves=2, stability=SETTINGS).plans[0].ways_out[0][0].direction == (1, 0, 0)
+    assert find_plans(shaft(), robots=1, moves=2, stability=SETTINGS).plans[0].exit_directions[0][0].direction == (
+        1,
+        0,
+        0,
+    )
 
 
 @pytest.mark.parametrize("direction", Direction)
@@ -111,8 +115,8 @@ def test_a_bar_that_a_robot_holds_moves_aside_for_a_pin(direction: Direction) ->
     one = find_plans(assembly, robots=1, moves=6, stability=SETTINGS, settings=settings, target=[0, 1, 2])
     assert one.result.outcome is Outcome.PROVED_IMPOSSIBLE
     two = find_plans(assembly, robots=2, moves=2, stability=SETTINGS, settings=settings, target=[0, 2, 2])
-    (step,) = [row for row, way in enumerate(two.plans[0].ways_out) if way]
-    aside, out = two.plans[0].ways_out[step]
+    (step,) = [row for row, way in enumerate(two.plans[0].exit_directions) if way]
+    aside, out = two.plans[0].exit_directions[step]
     assert (aside.parts, out.parts) == ((1,), (0,))
     assert validate_plan(two.plans[0], assembly, SETTINGS).good
 
@@ -125,10 +129,10 @@ def test_a_part_that_rests_on_one_that_moves_aside_falls_meanwhile() -> None:
     frame |= {(x, y, 4) for x in range(2, 6) for y in range(3)} | {(5, y, z) for y in range(3) for z in range(5)}
     assembly = of_cubes(pin, bar, rider, frame=frame)
     state = np.array([[2, 2, 1, 2]], dtype=np.uint8)
-    free = task_of(assembly, 2, moves=3).clearance
+    free = make_task(assembly, 2, moves=3).clearance
     assert free is not None
     assert free.can_leave(state)[0, 0]
-    judged = task_of(assembly, 2, moves=3).judged_by(Stability(assembly))
+    judged = make_task(assembly, 2, moves=3).judged_by(StabilityOracle(assembly))
     assert judged.clearance is not None
     assert not judged.clearance.can_leave(state)[0, 0]
 
@@ -136,13 +140,13 @@ def test_a_part_that_rests_on_one_that_moves_aside_falls_meanwhile() -> None:
 def test_ways_are_written_and_read(plan: Plan) -> None:
     data = json.loads(json.dumps(plan_to_dict(plan)))
     assert data["rules"]["moves"] == 2
-    assert [move.keys() for move in data["steps"][0]["way_out"]] == [{"direction", "distance"}] * 2
+    assert [move.keys() for move in data["steps"][0]["exit_direction_of"]] == [{"direction", "distance"}] * 2
     again = plan_from_dict(data)
-    assert again.ways_out == plan.ways_out
+    assert again.exit_directions == plan.exit_directions
     straight = find_plans("arch:blocks=3", moves=4).plans[0]
     assert straight.moves == 1
     assert "moves" not in plan_to_dict(straight)["rules"]
-    assert not any("way_out" in step for step in plan_to_dict(straight)["steps"])
+    assert not any("exit_direction_of" in step for step in plan_to_dict(straight)["steps"])
 
 
 def change(data: Any, value: Any, *path: Any) -> Any:
@@ -161,13 +165,29 @@ def change(data: Any, value: Any, *path: Any) -> Any:
         (0, ("rules", "moves"), "rules.moves is 0; give a whole number >= 1"),
         (101, ("rules", "moves"), "rules.moves is 101; give a whole number <= 100"),
         (False, ("rules", "removable_only_if_clear"), "they need rules.removable_only_if_clear"),
-        ([1.0, 1.0, 0.0], ("steps", 0, "way_out", 0, "direction"), r"way_out\[0\].direction is no unit vector"),
-        (0.0, ("steps", 0, "way_out", 1, "distance"), r"way_out\[1\] moves nothing"),
-        (-1.0, ("steps", 0, "way_out", 1, "distance"), r"way_out\[1\].distance is -1.0"),
-        ([9], ("steps", 0, "way_out", 1, "parts"), r"way_out\[1\].parts\[0\] is 9; it must be a part from 0 to 6"),
-        ([], ("steps", 0, "way_out", 1, "parts"), r"way_out\[1\].parts is empty"),
-        (1e9, ("steps", 0, "way_out", 1, "angle"), r"way_out\[1\] has only one of angle and point; a turn has both"),
-        ([{"direction": [1.0, 0.0, 0.0], "distance": 1.0}], ("steps", 1, "way_out"), "step 2 has a way_out"),
+        (
+            [1.0, 1.0, 0.0],
+            ("steps", 0, "exit_direction_of", 0, "direction"),
+            r"exit_direction_of\[0\].direction is no unit vector",
+        ),
+        (0.0, ("steps", 0, "exit_direction_of", 1, "distance"), r"exit_direction_of\[1\] moves nothing"),
+        (-1.0, ("steps", 0, "exit_direction_of", 1, "distance"), r"exit_direction_of\[1\].distance is -1.0"),
+        (
+            [9],
+            ("steps", 0, "exit_direction_of", 1, "parts"),
+            r"exit_direction_of\[1\].parts\[0\] is 9; it must be a part from 0 to 6",
+        ),
+        ([], ("steps", 0, "exit_direction_of", 1, "parts"), r"exit_direction_of\[1\].parts is empty"),
+        (
+            1e9,
+            ("steps", 0, "exit_direction_of", 1, "angle"),
+            r"exit_direction_of\[1\] has only one of angle and point; a turn has both",
+        ),
+        (
+            [{"direction": [1.0, 0.0, 0.0], "distance": 1.0}],
+            ("steps", 1, "exit_direction_of"),
+            "step 2 has a exit_direction_of",
+        ),
     ],
 )
 def test_damaged_ways_are_refused(plan: Plan, value: Any, path: tuple, message: str) -> None:
@@ -177,10 +197,10 @@ def test_damaged_ways_are_refused(plan: Plan, value: Any, path: tuple, message: 
 
 
 def test_a_check_takes_no_way_from_a_plan_without_sweeping_it(plan: Plan) -> None:
-    assembly, (up, out) = drawer(), plan.ways_out[0]
+    assembly, (up, out) = drawer(), plan.exit_directions[0]
 
     def reason(*moves: Move, **changes: Any) -> str:
-        bare = replace(plan, displacement=None, loads=(), replay=None, ways_out=(moves, ()), **changes)
+        bare = replace(plan, displacement=None, loads=(), replay=None, exit_directions=(moves, ()), **changes)
         return validate_plan(bare, assembly).reason
 
     assert reason(up, out) == ""
@@ -196,9 +216,9 @@ def test_a_check_takes_no_way_from_a_plan_without_sweeping_it(plan: Plan) -> Non
 
 def test_pictures_and_files_of_other_programs_show_the_way(plan: Plan) -> None:
     assembly = drawer()
-    timeline = Timeline.of(plan, assembly)
+    timeline = Timeline.from_plan(plan, assembly)
     far = TRAVEL * diagonal(assembly)
-    up, out = plan.ways_out[0]
+    up, out = plan.exit_directions[0]
     length = up.distance + min(out.distance, far)
     at_corner = appearance_at(timeline, 1.0 - 2.0 * up.distance / length).shift[0] if length > 2 * up.distance else None
     assert at_corner is not None
@@ -215,7 +235,7 @@ def test_robots_and_replanning_refuse_such_plans_by_name(plan: Plan) -> None:
     with pytest.raises(PlanError, match="robot plans move one part at a time, and straight"):
         RobotPlan(plan, (), (), (), "cell", "identity")
     with pytest.raises(PlanError, match="the plan has ways out of several moves, which replanning does not"):
-        BuiltSteps(plan, 0)
+        ExecutedSteps(plan, 0)
 
 
 @pytest.mark.parametrize(
@@ -229,18 +249,18 @@ def test_robots_and_replanning_refuse_such_plans_by_name(plan: Plan) -> None:
 )
 def test_wrong_numbers_are_refused(rules: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        task_of("arch:blocks=3", 2, **rules)
+        make_task("arch:blocks=3", 2, **rules)
 
 
 def test_ways_out_can_be_sent_to_another_process() -> None:
     assembly, state = shaft(), np.array([[2, 2]], dtype=np.uint8)
-    sent = pickle.loads(pickle.dumps(task_of(assembly, 2, moves=2).clearance))
+    sent = pickle.loads(pickle.dumps(make_task(assembly, 2, moves=2).clearance))
     np.testing.assert_array_equal(sent.can_leave(state), [[True, False]])
 
 
 def test_no_number_of_robots_is_refuted_where_holds_open_ways() -> None:
     """With two robots, the fewest, the bar is held aside."""
-    found = robots_needed(latch(), stability=SETTINGS, moves=2, target=[0, 2, 2])
+    found = min_robots(latch(), stability=SETTINGS, moves=2, target=[0, 2, 2])
     assert found.robots == 2
 
 
@@ -293,21 +313,21 @@ def screwed() -> tuple[Assembly, Plan]:
 
 def test_a_bolt_screws_out_of_its_thread(screwed: tuple[Assembly, Plan]) -> None:
     assembly, plan = screwed
-    (move,) = plan.ways_out[0]
+    (move,) = plan.exit_directions[0]
     pitch = 0.1 / np.pi
     np.testing.assert_allclose(move.direction, (0.0, 0.0, 1.0), atol=1e-3)
     assert move.distance / move.angle == pytest.approx(pitch, rel=5e-3)
     assert validate_plan(plan, assembly, SETTINGS).good
     again = plan_from_dict(json.loads(json.dumps(plan_to_dict(plan))))
-    assert again.ways_out == plan.ways_out
+    assert again.exit_directions == plan.exit_directions
     assert again.turns
 
 
 def test_another_pitch_does_not_pass(screwed: tuple[Assembly, Plan]) -> None:
     assembly, plan = screwed
-    (move,) = plan.ways_out[0]
+    (move,) = plan.exit_directions[0]
     for wrong in (replace(move, angle=0.0), replace(move, angle=-move.angle), replace(move, angle=1.3 * move.angle)):
-        bare = replace(plan, forces=None, ways_out=((wrong,), ()))
+        bare = replace(plan, forces=None, exit_directions=((wrong,), ()))
         assert "move 1 takes bolt into plate" in validate_plan(bare, assembly, SETTINGS).reason
     bare = replace(plan, forces=None, turns=False)
     assert "its way has a turn, and none is allowed" in validate_plan(bare, assembly, SETTINGS).reason
@@ -315,8 +335,8 @@ def test_another_pitch_does_not_pass(screwed: tuple[Assembly, Plan]) -> None:
 
 def test_turns_are_shown_in_pictures_and_refused_by_name_elsewhere(screwed: tuple[Assembly, Plan]) -> None:
     assembly, plan = screwed
-    (move,) = plan.ways_out[0]
-    look = appearance_at(Timeline.of(plan, assembly), 0.5)
+    (move,) = plan.exit_directions[0]
+    look = appearance_at(Timeline.from_plan(plan, assembly), 0.5)
     turn = Rotation.from_matrix(look.turn[0]).as_rotvec()
     share = look.shift[0, 2] / move.distance
     assert 0.0 < share < 1.0
@@ -349,7 +369,7 @@ def test_a_lid_tips_up_and_slides_out_and_no_straight_moves_do() -> None:
     straight = find_plans(assembly, robots=1, moves=8, stability=SETTINGS)
     assert straight.result.outcome is Outcome.PROVED_IMPOSSIBLE
     plan = find_plans(assembly, robots=1, moves=2, turns=True, stability=SETTINGS).plans[0]
-    tip, slide = plan.ways_out[0]
+    tip, slide = plan.exit_directions[0]
     np.testing.assert_allclose(np.abs(tip.direction), (0.0, 1.0, 0.0), atol=1e-6)
     assert 0.1 < abs(tip.angle) < 0.4
     assert slide.direction[0] == pytest.approx(np.cos(tip.angle), abs=1e-6)

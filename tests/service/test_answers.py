@@ -17,7 +17,7 @@ from falsework.search import validate_plan
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_file import plan_from_dict
 from falsework.search.plans.plan_model import plan_schema
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 
 HALF = [1, 2, 0, 2, 1, 2, 2]
 """The keystone is not in, and robots hold its neighbours."""
@@ -116,7 +116,7 @@ def test_verdicts_agree_with_the_exact_solver(live: Any) -> None:
     random = np.random.default_rng(0)
     states = random.integers(0, 3, (60, live.assembly.part_count))
     states[:, live.assembly.boundary] = 2
-    truth = Stability(live.assembly, StabilitySettings(solver="exact")).verdicts(states, require_certificate=True)
+    truth = StabilityOracle(live.assembly, StabilitySettings(solver="exact")).verdicts(states, require_certificate=True)
     for explain in (False, True):
         found = live.post("/stability", {"states": states.tolist(), "explain": explain}).json()["verdicts"]
         assert [record["verdict"] == "stable" for record in found] == truth.stable.tolist()

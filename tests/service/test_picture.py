@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from falsework.assembly import load_structure
 from falsework.errors import PlanError
-from falsework.search import find_plans, task_of
+from falsework.search import find_plans, make_task
 from falsework.search.plans.plan_file import plan_to_dict
 from falsework.service.picture import PictureOrder, draw_png
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 pillow = pytest.importorskip("PIL.Image", reason="needs Pillow; pip install 'falsework[picture]'")
 
@@ -97,7 +97,7 @@ def test_a_step_or_a_structure_that_does_not_fit_the_plan(live: Any) -> None:
 def test_a_short_plan_takes_little_memory(claim: str) -> None:
     """Of 250 kB that would unpack to 150 MB and more."""
     assembly = load_structure("arch:blocks=3")
-    (plan,) = find_plans(assembly, task_of(assembly, 2)).plans
+    (plan,) = find_plans(assembly, make_task(assembly, 2)).plans
     content, count = plan_to_dict(plan), 400_000
     if claim == "parts":
         content["structure"]["parts"] = [str(number) for number in range(count // 10)]
@@ -106,7 +106,7 @@ def test_a_short_plan_takes_little_memory(claim: str) -> None:
         zeros = zlib.compress(bytes(count * 8 * 6 * (len(plan) + 1)))
         counted = "parts" if claim == "displacements" else "points"
         content[claim] = {counted: count, "zlib_base64": base64.b64encode(zeros).decode()}
-    oracle = Stability(assembly)
+    oracle = StabilityOracle(assembly)
     order = PictureOrder(plan.states[0], content, 0, 1, False, 80, -58.0, 24.0)
     tracemalloc.start()
     try:
@@ -148,7 +148,7 @@ def test_without_pillow_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
     assert (done.number, done.status) == (7, 501)
     assert b"falsework[picture]" in done.body
     with pytest.raises(ImportError, match="picture"):
-        draw_png(Stability(assembly), PictureOrder(**order))
+        draw_png(StabilityOracle(assembly), PictureOrder(**order))
 
 
 def test_a_picture_that_takes_too_long_is_refused(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:

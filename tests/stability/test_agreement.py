@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly import library, load_structure
 from falsework.assembly.model import Assembly
-from falsework.stability import ExactSolver, Stability, StabilitySettings, Verdict, verify_certificates
+from falsework.stability import ExactSolver, StabilityOracle, StabilitySettings, Verdict, verify_certificates
 
 TOLERANCE = 1e-4
 SMALL = ("arch:blocks=7", "wall:bricks=3,courses=3", "corbel", "bottle", "polycube")
@@ -22,7 +22,7 @@ REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35",
 def compare(assembly: Assembly, states: NDArray[np.uint8], cone: str, *, exact: bool = True) -> NDArray[np.int8]:
     """Check that the fast solver decides every state with a proof, as the exact solver does; return the verdicts."""
     settings = StabilitySettings(criterion="equilibrium", cone=cone)  # type: ignore[arg-type]
-    stability = Stability(assembly, settings)
+    stability = StabilityOracle(assembly, settings)
     verdicts = stability.verdicts(states, require_certificate=True)
     assert not verdicts.undecided.any()
     assert stability.counters.rejected == 0
@@ -49,7 +49,7 @@ def test_three_methods_agree(scenes: Any, simplex: Callable[..., float], structu
     verdict = compare(assembly, states, "octagon")
     assert {Verdict.STABLE, Verdict.UNSTABLE} == set(verdict.tolist())
     residual = (
-        Stability(assembly, StabilitySettings(criterion="equilibrium"))
+        StabilityOracle(assembly, StabilitySettings(criterion="equilibrium"))
         .verdicts(states, require_certificate=True)
         .residual
     )
@@ -101,7 +101,7 @@ def test_any_tolerance(scenes: Any, simplex: Callable[..., float], tolerance: fl
     assembly = library.build("stack:blocks=3,overhang=1.001")
     states = mixed_states(scenes, assembly, 8, seed=15)
     settings = StabilitySettings(criterion="equilibrium", tolerance=tolerance)
-    verdicts = Stability(assembly, settings).verdicts(states, require_certificate=True)
+    verdicts = StabilityOracle(assembly, settings).verdicts(states, require_certificate=True)
     assert not verdicts.undecided.any()
     close = 0
     for state, verdict, on_tolerance in zip(states, verdicts.verdict, verdicts.on_tolerance, strict=True):

@@ -19,8 +19,8 @@ from falsework.errors import InputError
 from falsework.search import find_plans
 from falsework.stability import (
     ExactSolver,
-    Stability,
     StabilityCriterion,
+    StabilityOracle,
     StabilitySettings,
     Verdict,
     Verdicts,
@@ -47,7 +47,7 @@ def case(request: pytest.FixtureRequest, scenes: Any) -> tuple[Assembly, NDArray
     states = np.unique(scenes.few_changes(assembly, 40, seed=1), axis=0)
     states = states[(states == 1).any(axis=1)]
     settings = StabilitySettings(criterion="equilibrium", cone=request.param)
-    verdicts = Stability(assembly, settings).verdicts(states, require_certificate=True)
+    verdicts = StabilityOracle(assembly, settings).verdicts(states, require_certificate=True)
     assert verdicts.stable.sum() > 3
     assert verdicts.unstable.sum() > 3
     return assembly, states, verdicts, settings.claim
@@ -101,7 +101,7 @@ def test_perturbed_forces_are_rejected(case: tuple) -> None:
 
 def test_a_single_force_that_is_not_a_number_is_rejected(case: tuple) -> None:
     assembly, states, verdicts, claim = case
-    problem = Stability(assembly, StabilitySettings(criterion="equilibrium")).problem
+    problem = StabilityOracle(assembly, StabilitySettings(criterion="equilibrium")).problem
     for row in np.flatnonzero(verdicts.stable):
         forces = verdicts.forces.copy()
         forces[row, np.flatnonzero(problem.active(states)[row])[0], 1] = np.nan
@@ -111,7 +111,7 @@ def test_a_single_force_that_is_not_a_number_is_rejected(case: tuple) -> None:
 def test_forces_where_nothing_touches_count_for_nothing(case: tuple) -> None:
     """Forces on contacts that do not act in a state are ignored, so they can neither help nor spoil."""
     assembly, states, verdicts, claim = case
-    idle = ~Stability(assembly, StabilitySettings(criterion="equilibrium")).problem.active(states)
+    idle = ~StabilityOracle(assembly, StabilitySettings(criterion="equilibrium")).problem.active(states)
     tampered = with_forces(verdicts, np.where(idle[:, :, None], 1e3, verdicts.forces))
     assert verify_certificates(assembly, states, tampered, claim).all()
     only_idle = with_forces(verdicts, np.where(idle[:, :, None], 1e3, 0.0 * verdicts.forces))
@@ -122,7 +122,7 @@ def test_forces_where_nothing_touches_count_for_nothing(case: tuple) -> None:
 def along_a_plan() -> tuple[Assembly, NDArray, NDArray]:
     """Successive states of a plan, and forces that mostly are those of the state before."""
     vault = library.build("vault")
-    oracle = Stability(vault, EQUILIBRIUM)
+    oracle = StabilityOracle(vault, EQUILIBRIUM)
     plan = find_plans(vault, robots=2, oracle=oracle).plans[0]
     states, assembly = plan.states[60:], vault
     found = [oracle.verdicts(states[0], require_certificate=True)]
@@ -214,7 +214,7 @@ def test_what_only_grows_along_a_plan_is_added_up(along_a_plan: tuple, residual_
 def test_forces_of_another_state_are_rejected(scenes: Any) -> None:
     """What carries a tower of three does not balance the tower without its base, nor with another block free."""
     tower = scenes.tower(3)
-    verdicts = Stability(tower, StabilitySettings(criterion="equilibrium")).verdicts(
+    verdicts = StabilityOracle(tower, StabilitySettings(criterion="equilibrium")).verdicts(
         [1, 1, 1, 2], require_certificate=True
     )
     assert verdicts.stable[0]
@@ -245,7 +245,7 @@ def test_random_velocities_are_rejected(case: tuple) -> None:
 
 def test_a_velocity_of_a_part_that_is_held_proves_nothing(scenes: Any) -> None:
     tower = scenes.tower(2)
-    verdicts = Stability(tower, StabilitySettings(criterion="equilibrium")).verdicts(
+    verdicts = StabilityOracle(tower, StabilitySettings(criterion="equilibrium")).verdicts(
         [0, 1, 2], require_certificate=True
     )
     assert verdicts.unstable[0]
@@ -309,7 +309,7 @@ def test_the_octagon_is_the_narrower_cone(scenes: Any) -> None:
 def test_forces_above_the_bound_are_rejected(scenes: Any) -> None:
     """Walls may press harder on a clamped cube without disturbing it, up to the bound on all normal forces."""
     clamp = scenes.clamp(friction=1.0)
-    verdicts = Stability(clamp, StabilitySettings(criterion="equilibrium")).verdicts(
+    verdicts = StabilityOracle(clamp, StabilitySettings(criterion="equilibrium")).verdicts(
         [1, 2, 2], require_certificate=True
     )
     assert verdicts.stable[0]
@@ -328,7 +328,7 @@ def test_forces_above_the_bound_are_rejected(scenes: Any) -> None:
 
 def test_certificates_must_be_there_and_fit(scenes: Any) -> None:
     tower = scenes.tower(1)
-    stability = Stability(tower, StabilitySettings(criterion="equilibrium"))
+    stability = StabilityOracle(tower, StabilitySettings(criterion="equilibrium"))
     state = np.array([[1, 2]], np.uint8)
     with pytest.raises(InputError, match="no certificates"):
         verify_certificates(tower, state, stability.verdicts(state))
@@ -361,7 +361,7 @@ def test_no_state_passes_both_checks(seed: int, cone: str, push: float, blend: f
     above = residual_of_forces(assembly, state, forces, claim)[0]
     below = residual_bound_of_velocity(assembly, state, velocity, claim)[0]
     assert below <= above + 1e-9
-    verdicts = Verdicts.blank(1, points=len(assembly.contacts.points), parts=assembly.part_count)
+    verdicts = Verdicts.all_undecided(1, points=len(assembly.contacts.points), parts=assembly.part_count)
     passed = []
     for verdict in (Verdict.STABLE, Verdict.UNSTABLE):
         claimed = replace(verdicts, verdict=np.array([verdict], np.int8), forces=forces, velocity=velocity)
@@ -383,11 +383,11 @@ def test_rounding_that_is_forgiven_carries_nothing(scenes: Any, cone: str) -> No
     )
     claim = StabilityCriterion(cone=cone)
     settings = StabilitySettings(criterion="equilibrium", cone=cone)  # type: ignore[arg-type]
-    verdicts = Stability(assembly, settings).verdicts(complete_state(assembly.boundary), require_certificate=True)
+    verdicts = StabilityOracle(assembly, settings).verdicts(complete_state(assembly.boundary), require_certificate=True)
     assert verdicts.unstable[0]
     # The forces that would hold the plate, were its cone only a little wider.
     wider = assembly.replace(friction=0.5 + 1e-3)
-    held = Stability(wider, settings).verdicts(complete_state(assembly.boundary), require_certificate=True)
+    held = StabilityOracle(wider, settings).verdicts(complete_state(assembly.boundary), require_certificate=True)
     assert held.stable[0]
     assert not verify_certificates(assembly, complete_state(assembly.boundary)[None], held, claim)[0]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.loads import Loads
 from falsework.assembly.model import Assembly
-from falsework.stability import Stability, StabilitySettings, Verdict, verify_certificates
+from falsework.stability import StabilityOracle, StabilitySettings, Verdict, verify_certificates
 from falsework.stability.problem import TOLERANCE
 
 CRITERIA = ("equilibrium", "contact")
@@ -29,7 +29,7 @@ def pairs(monkeypatch: pytest.MonkeyPatch) -> Any:
 def verdict_of(assembly: Assembly, criterion: Any) -> Verdict:
     """Verdict with a circular cone of friction; its certificate is accepted."""
     settings = StabilitySettings(criterion=criterion, cone="quadratic")
-    verdicts = Stability(assembly, settings).verdicts(STATE, require_certificate=True)
+    verdicts = StabilityOracle(assembly, settings).verdicts(STATE, require_certificate=True)
     assert verdicts.undecided.any() or verify_certificates(assembly, STATE, verdicts, settings.claim)[0]
     return Verdict(int(verdicts.verdict[0]))
 
@@ -118,7 +118,7 @@ def test_a_moment_turns_a_ring_in_a_cone(pairs: Any, criterion: str, friction: f
     def turned(moment: float) -> Verdict:
         wrench = np.zeros((2, 6))
         wrench[0, 5] = moment
-        return verdict_of(body.replace(loads=Loads.of(2, wrench=wrench)), criterion)
+        return verdict_of(body.replace(loads=Loads.from_arrays(2, wrench=wrench)), criterion)
 
     locked = np.tan(np.pi / facets)
     assert turned(1.02 * most(friction + locked)) == Verdict.UNSTABLE

@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 
 from falsework.assembly import library
 from falsework.assembly.model import Assembly
-from falsework.stability import ExactSolver, Stability, StabilitySettings, Verdict, build_problem, verify_certificates
+from falsework.stability import (
+    ExactSolver,
+    StabilityOracle,
+    StabilitySettings,
+    Verdict,
+    build_problem,
+    verify_certificates,
+)
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import Cone
 from falsework.stability.reference.conic_program import into_cone
@@ -27,7 +34,7 @@ def decided(assembly: Assembly, states: NDArray[np.uint8], cone: Cone) -> NDArra
     """Verdicts on which the processor, with the exact solver's help, and the exact solver alone agree; all proven."""
     settings = StabilitySettings(criterion="equilibrium", cone=cone)
     both, alone = (
-        Stability(assembly, settings).verdicts(states, require_certificate=True),
+        StabilityOracle(assembly, settings).verdicts(states, require_certificate=True),
         ExactSolver(assembly, settings).check(states),
     )
     for verdicts in (both, alone):
@@ -72,7 +79,7 @@ def test_contacts_do_not_pull(scenes: Any, cone: Cone, friction: float) -> None:
     assert verdicts.residual[0] == pytest.approx(1, abs=1e-6)
     assert verdicts.forces is not None
     assert (verdicts.forces[0, :, 0] >= 0).all()
-    assert Stability(assembly, settings).verdicts(state, require_certificate=True).verdict[0] == Verdict.UNSTABLE
+    assert StabilityOracle(assembly, settings).verdicts(state, require_certificate=True).verdict[0] == Verdict.UNSTABLE
 
 
 @pytest.mark.parametrize("cone", CONES)

@@ -15,7 +15,7 @@ from falsework.assembly.joints import Joints
 from falsework.assembly.model import Assembly
 from falsework.geometry import ContactSettings, TriangleMesh
 from falsework.search import find_plans, validate_plan
-from falsework.stability import Stability, StabilitySettings, Verdict, Verdicts, verify_certificates
+from falsework.stability import StabilityOracle, StabilitySettings, Verdict, Verdicts, verify_certificates
 from falsework.stability.certificate import residual_bound_of_velocity, residual_of_forces
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.problem import TOLERANCE
@@ -36,7 +36,7 @@ def pairs(monkeypatch: pytest.MonkeyPatch) -> Any:
 def checked(assembly: Assembly, criterion: Any) -> Verdicts:
     """Verdict with a circular cone of friction; its certificate is accepted."""
     settings = StabilitySettings(criterion=criterion, cone="quadratic")
-    verdicts = Stability(assembly, settings).verdicts(STATE, require_certificate=True)
+    verdicts = StabilityOracle(assembly, settings).verdicts(STATE, require_certificate=True)
     assert verdicts.undecided.any() or verify_certificates(assembly, STATE, verdicts, settings.claim)[0]
     return verdicts
 
@@ -126,7 +126,7 @@ def test_without_enough_friction_for_both_faces_a_contact_carries_nothing(scenes
     assert verdict_of(smooth, criterion) == Verdict.STABLE
     assert verdict_of(structure, criterion) == Verdict.UNSTABLE
     settings = StabilitySettings(criterion=criterion, cone="quadratic")
-    assert Stability(structure, settings).verdicts(STATE).unstable[0]
+    assert StabilityOracle(structure, settings).verdicts(STATE).unstable[0]
     proven = checked(smooth, criterion)
     assert not verify_certificates(structure, STATE, proven, settings.claim)[0]
     assert proven.forces is not None
@@ -142,7 +142,7 @@ def test_without_enough_friction_for_both_faces_a_contact_carries_nothing(scenes
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_margins_do_not_count_on_contacts_that_carry_nothing(scenes: Any, criterion: Any) -> None:
     structure, settings = wedge(scenes, 2.0, -2.0, 0.5), StabilitySettings(criterion=criterion, cone="quadratic")
-    (margins,) = Stability(structure, settings).margins(STATE, ["friction"])
+    (margins,) = StabilityOracle(structure, settings).margins(STATE, ["friction"])
     assert margins.friction is not None
     assert margins.friction.value == pytest.approx(np.tan(np.radians(2.0)), rel=0.02)
 
@@ -167,11 +167,11 @@ def test_the_reduced_cone_lies_in_those_of_both_surfaces(scenes: Any, tension: f
     body = scenes.make([scenes.box((0, 0, 0), (1, 1, 1)), scenes.box((0, 0, -1), (1, 1, 0), "bed")], [1], friction=0.5)
     if tension or cohesion:
         given = cohesion if cohesion else np.nan
-        body = body.replace(joints=Joints.of(body.contacts, tension=4 * tension, cohesion=4 * given))
-    whole = strength_of(body).of(np.zeros(500, np.int64))
+        body = body.replace(joints=Joints.from_arrays(body.contacts, tension=4 * tension, cohesion=4 * given))
+    whole = strength_of(body).take(np.zeros(500, np.int64))
     for lean in (1e-4, 0.02, 0.2, 0.46, 0.47):
         leaning = replace(body, contacts=replace(body.contacts, lean=np.full(4, lean)))
-        reduced = strength_of(leaning).of(np.zeros(500, np.int64))
+        reduced = strength_of(leaning).take(np.zeros(500, np.int64))
         assert reduced.idle.all() == (lean > np.arctan(0.5))
         trial = rng.normal(size=(500, 3)) * [1, 3, 3] + [rng.choice([-1.0, 1.0]), 0, 0]
         forces = into_cone(trial[None], reduced, "quadratic")[0][0]

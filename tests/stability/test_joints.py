@@ -12,7 +12,7 @@ from falsework.assembly import Joints, fasten, library
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
 from falsework.search import find_plans
-from falsework.stability import ExactSolver, Replayer, Stability, StabilitySettings, Verdict, verify_certificates
+from falsework.stability import ExactSolver, Replayer, StabilityOracle, StabilitySettings, Verdict, verify_certificates
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.judges.discrete_elements import settle
 from falsework.stability.margins.placement import placement_curve
@@ -24,14 +24,14 @@ EQUILIBRIUM = ("octagon", "quadratic")
 
 def stands(assembly: Any, criterion: str = "contact", **settings: Any) -> bool:
     """Whether the complete structure stands; the checker has accepted the proof of the answer."""
-    oracle = Stability(assembly, StabilitySettings(criterion=criterion, **settings))  # type: ignore[arg-type]
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion, **settings))  # type: ignore[arg-type]
     verdicts = oracle.verdicts(complete_state(assembly.boundary), require_certificate=True)
     assert not verdicts.undecided.any()
     return bool(verdicts.stable[0])
 
 
 def joined(assembly: Any, **values: Any) -> Any:
-    return assembly.replace(joints=Joints.of(assembly.contacts, **values))
+    return assembly.replace(joints=Joints.from_arrays(assembly.contacts, **values))
 
 
 def hanging(scenes: Any) -> Any:
@@ -112,9 +112,9 @@ def test_friction_of_a_pair_is_its_own(scenes: Any) -> None:
     slab = scenes.box([-1, -2, -0.1], [1, 2, 0], "slab", turn)
     blocks = [scenes.box([-0.5, y, 0], [0.5, y + 1, 0.05], f"block-{y}", turn) for y in (-1.5, 0.5)]
     pair = scenes.make([slab, *blocks], [0], friction=0.3)
-    rough = Joints.read([{"parts": ["block-0.5", "slab"], "friction": 0.5}], None, pair.names, pair.contacts)
+    rough = Joints.from_entries([{"parts": ["block-0.5", "slab"], "friction": 0.5}], None, pair.names, pair.contacts)
     for criterion in CRITERIA:
-        oracle = Stability(pair.replace(joints=rough), StabilitySettings(criterion=criterion, cone="quadratic"))
+        oracle = StabilityOracle(pair.replace(joints=rough), StabilitySettings(criterion=criterion, cone="quadratic"))
         assert oracle.verdicts([[2, 2, 1], [2, 1, 2]], require_certificate=True).stable.tolist() == [True, False]
 
 
@@ -142,7 +142,7 @@ def test_fast_exact_and_simplex_agree(scenes: Any, simplex: Callable[..., float]
         states = np.concatenate([scenes.few_changes(assembly, 3, seed), scenes.random_states(assembly, 3, seed)])
         states = np.unique(states, axis=0)
         settings = StabilitySettings(criterion="equilibrium", cone=cone)  # type: ignore[arg-type]
-        oracle = Stability(assembly, settings)
+        oracle = StabilityOracle(assembly, settings)
         verdicts = oracle.verdicts(states, require_certificate=True)
         assert not verdicts.undecided.any()
         assert oracle.counters.rejected == 0
@@ -164,7 +164,7 @@ def test_what_stands_in_contact_is_in_equilibrium(scenes: Any, structure: str) -
         assembly = random_joints(library.build(structure), seed)
         states = np.unique(scenes.random_states(assembly, 12, seed, (0.25, 0.65, 0.1)), axis=0)
         settings = StabilitySettings()
-        verdicts = Stability(assembly, settings).verdicts(states, require_certificate=True)
+        verdicts = StabilityOracle(assembly, settings).verdicts(states, require_certificate=True)
         assert verify_certificates(assembly, states, verdicts, settings.claim)[~verdicts.undecided].all()
         exact = ExactSolver(assembly, StabilitySettings(criterion="equilibrium", cone="quadratic")).check(states)
         assert (exact.verdict[verdicts.stable] == Verdict.STABLE).all()
@@ -179,18 +179,22 @@ def test_the_checker_refuses_more_tension_than_there_is(scenes: Any) -> None:
     state = complete_state(block.boundary)[None]
     for criterion in CRITERIA:
         settings = StabilitySettings(criterion=criterion)
-        verdicts = Stability(joined(block, tension=1.05 * weight), settings).verdicts(state, require_certificate=True)
+        verdicts = StabilityOracle(joined(block, tension=1.05 * weight), settings).verdicts(
+            state, require_certificate=True
+        )
         assert verify_certificates(joined(block, tension=1.05 * weight), state, verdicts, settings.claim).all()
         assert not verify_certificates(joined(block, tension=0.95 * weight), state, verdicts, settings.claim).any()
         assert not verify_certificates(block, state, verdicts, settings.claim).any()
-        falls = Stability(joined(block, tension=0.95 * weight), settings).verdicts(state, require_certificate=True)
+        falls = StabilityOracle(joined(block, tension=0.95 * weight), settings).verdicts(
+            state, require_certificate=True
+        )
         assert verify_certificates(block, state, falls, settings.claim).all()
         assert not verify_certificates(joined(block, tension=1.05 * weight), state, falls, settings.claim).any()
 
 
 def test_equilibrium_refuses_joints_that_set(scenes: Any) -> None:
     with pytest.raises(InputError, match="joints that set need the criterion contact"):
-        Stability(setting_bracket(scenes, 3), StabilitySettings(criterion="equilibrium"))
+        StabilityOracle(setting_bracket(scenes, 3), StabilitySettings(criterion="equilibrium"))
 
 
 def test_no_forces_are_proven_beside_the_bound_of_others(scenes: Any) -> None:
@@ -198,7 +202,7 @@ def test_no_forces_are_proven_beside_the_bound_of_others(scenes: Any) -> None:
     assembly = random_joints(library.build("arch:blocks=7"), 1)
     states = scenes.random_states(assembly, 30, 5)
     settings = StabilitySettings(criterion="equilibrium")
-    verdicts = Stability(assembly, settings).verdicts(states, require_certificate=True)
+    verdicts = StabilityOracle(assembly, settings).verdicts(states, require_certificate=True)
     other = verdicts[np.arange(len(states))]
     other.verdict[:] = -verdicts.verdict
     assert not verify_certificates(assembly, states, other, settings.claim).any()
@@ -239,7 +243,7 @@ def test_glue_bears_what_it_has_set_to(scenes: Any, steps: int, falls_at: int | 
     states = [[2, 0, 2, 0, 0], [2, 2, 2, 0, 0], [2, 2, 2, 2, 0], [2, 2, 2, 1, 0], [2, 2, 2, 1, 2], [2, 1, 2, 1, 2]]
     yard = setting_bracket(scenes, steps)
     assert Replayer(yard).replay(states).falls_at == falls_at
-    assert Stability(yard).verdicts(states[-1], require_certificate=True).stable.all()  # once it has set
+    assert StabilityOracle(yard).verdicts(states[-1], require_certificate=True).stable.all()  # once it has set
     replayer = Replayer(yard)
     history = replayer.replay(states[:1]).histories[0]
     stood = []
@@ -266,10 +270,10 @@ def test_an_edge_that_tears_lets_the_rest_fall(scenes: Any) -> None:
     weight = 9.81 * beam.mass.mass[2]
     glued = joined(beam, tension=2.2 * weight, cohesion=10 * weight)
     for criterion in CRITERIA:
-        oracle = Stability(glued, StabilitySettings(criterion=criterion))
+        oracle = StabilityOracle(glued, StabilitySettings(criterion=criterion))
         assert oracle.verdicts([[2, 2, 1, 1], [2, 2, 1, 0], [2, 2, 0, 1]], require_certificate=True).stable.all()
         weak = joined(beam, tension=1.8 * weight, cohesion=10 * weight)
-        oracle = Stability(weak, StabilitySettings(criterion=criterion))
+        oracle = StabilityOracle(weak, StabilitySettings(criterion=criterion))
         assert oracle.verdicts([[2, 2, 1, 0], [2, 2, 0, 1]], require_certificate=True).unstable.all()
 
 
@@ -296,13 +300,13 @@ def test_margins_know_joints(scenes: Any) -> None:
     block = hanging(scenes)
     weight = 9.81 * block.mass.mass[1]
     for criterion in CRITERIA:
-        oracle = Stability(joined(block, tension=3.0 * weight), StabilitySettings(criterion=criterion))
+        oracle = StabilityOracle(joined(block, tension=3.0 * weight), StabilitySettings(criterion=criterion))
         (found,) = oracle.margins(complete_state(block.boundary), ["load_factor"])
         assert found.load_factor is not None
         assert found.load_factor.value == pytest.approx(3.0, rel=0.011)
     slope = scenes.slope(0.2, friction=0.5)
     rough = joined(slope, cohesion=9.81 * slope.mass.mass[0] * 0.1)
-    (found,) = Stability(rough, StabilitySettings(criterion="equilibrium", cone="quadratic")).margins(
+    (found,) = StabilityOracle(rough, StabilitySettings(criterion="equilibrium", cone="quadratic")).margins(
         complete_state(slope.boundary), ["friction"]
     )
     assert found.friction is not None
@@ -328,12 +332,12 @@ def test_joints_keep_their_strength_per_area_where_parts_are_placed_with_an_erro
         glued,
         complete_state(block.boundary),
         [1e-3],
-        lambda moved, states: Stability(moved).verdicts(states).stable,
+        lambda moved, states: StabilityOracle(moved).verdicts(states).stable,
         draws=5,
     )
     assert curve.shares.tolist() == [[expected]]
     assert curve.refused.tolist() == [0]
-    again = glued.joints.found_anew(glued.contacts, glued.contacts)
+    again = glued.joints.recomputed(glued.contacts, glued.contacts)
     for mine, theirs in zip(again.arrays, glued.joints.arrays, strict=True):
         np.testing.assert_allclose(mine, theirs)
 

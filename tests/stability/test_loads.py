@@ -9,14 +9,14 @@ import pytest
 
 from falsework.assembly import Loads
 from falsework.assembly.state import complete_state
-from falsework.stability import Replayer, Stability, StabilitySettings, Verdict
+from falsework.stability import Replayer, StabilityOracle, StabilitySettings, Verdict
 from falsework.stability.judges.discrete_elements import settle
 
 
 def verdict(assembly: Any, **settings: Any) -> int:
     """Verdict of the complete structure; the checker has accepted its proof."""
     return int(
-        Stability(assembly, StabilitySettings(**settings))
+        StabilityOracle(assembly, StabilitySettings(**settings))
         .verdicts(complete_state(assembly.boundary), require_certificate=True)
         .verdict[0]
     )
@@ -31,7 +31,7 @@ def test_a_push_moves_a_block_past_mu_times_its_weight(scenes: Any, settings: di
     for share, stands in ((0.99, True), (1.01, False)):
         wrench = np.zeros((2, 6))
         wrench[0, :2] = share * limit * np.array([0.6, -0.8])
-        loaded = block.replace(loads=Loads.of(2, wrench=wrench))
+        loaded = block.replace(loads=Loads.from_arrays(2, wrench=wrench))
         assert (verdict(loaded, **settings) == Verdict.STABLE) == stands
         assert (settle(loaded, complete_state(loaded.boundary)).stands[0] == 1) == stands
 
@@ -44,7 +44,7 @@ def test_a_weight_past_the_edge_tips_a_block(scenes: Any) -> None:
         wrench = np.zeros((2, 6))
         force = share * weight * 0.5 / 0.25  # a quarter of a metre past the edge
         wrench[0, 2], wrench[0, 4] = -force, 0.75 * force
-        loaded = tower.replace(loads=Loads.of(2, wrench=wrench))
+        loaded = tower.replace(loads=Loads.from_arrays(2, wrench=wrench))
         assert (verdict(loaded) == Verdict.STABLE) == stands
 
 
@@ -52,8 +52,8 @@ def test_a_load_acts_only_while_its_part_is_there(scenes: Any) -> None:
     tower = scenes.tower(2)
     wrench = np.zeros((3, 6))
     wrench[1, 0] = 9.81 * tower.mass.mass[1]
-    loaded = tower.replace(loads=Loads.of(3, wrench=wrench), friction=0.4)
-    oracle = Stability(loaded)
+    loaded = tower.replace(loads=Loads.from_arrays(3, wrench=wrench), friction=0.4)
+    oracle = StabilityOracle(loaded)
     assert oracle.verdicts([[1, 1, 2], [1, 0, 2], [1, 2, 2]], require_certificate=True).verdict.tolist()[1:] == [1, 1]
     assert oracle.verdicts([[1, 1, 2]], require_certificate=True).verdict[0] != Verdict.STABLE
 
@@ -62,5 +62,5 @@ def test_a_replay_takes_loads_up_when_a_robot_lets_go(scenes: Any) -> None:
     block = scenes.slope(0.0, friction=0.4)
     states = np.array([[0, 2], [2, 2], [1, 2]], np.uint8)
     for earthquake, falls_at in ((0.39, None), (0.41, 2)):
-        shaken = block.replace(loads=Loads.of(2, acceleration=[earthquake, 0, 0]))
+        shaken = block.replace(loads=Loads.from_arrays(2, acceleration=[earthquake, 0, 0]))
         assert Replayer(shaken).replay(states).falls_at == falls_at

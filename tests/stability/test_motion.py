@@ -7,7 +7,7 @@ import pytest
 
 from falsework.assembly import Assembly
 from falsework.assembly.library.blocks import box, gather
-from falsework.stability import Stability, StabilitySettings, Verdict
+from falsework.stability import StabilityOracle, StabilitySettings, Verdict
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.motion import motion_of
 from falsework.stability.settings import EQUILIBRIUM
@@ -31,7 +31,7 @@ STATES = np.array([[1, 1, 2, 2], [2, 1, 2, 2]], dtype=np.uint8)
 
 
 def test_what_slides_slides_down_and_what_settles_is_left_out(clamp: Assembly) -> None:
-    verdicts = Stability(clamp).verdicts(STATES, require_certificate=True)
+    verdicts = StabilityOracle(clamp).verdicts(STATES, require_certificate=True)
     assert verdicts.verdict.tolist() == [Verdict.SLIDES, Verdict.STABLE]
     assert verdicts.displacement is not None
     assert verdicts.displacement[0, 1].any()  # the other cube settles on its wall
@@ -45,7 +45,7 @@ def test_what_slides_slides_down_and_what_settles_is_left_out(clamp: Assembly) -
 def test_an_unstable_state_moves_as_its_proof_says(clamp: Assembly) -> None:
     slippery = clamp.replace(friction=0.0)
     for settings in (StabilitySettings(), EQUILIBRIUM):
-        verdicts = Stability(slippery, settings).verdicts(STATES, require_certificate=True)
+        verdicts = StabilityOracle(slippery, settings).verdicts(STATES, require_certificate=True)
         assert verdicts.verdict.tolist() == [Verdict.UNSTABLE, Verdict.STABLE]
         motion = motion_of(slippery, verdicts, 0)
         assert motion is not None
@@ -55,11 +55,11 @@ def test_an_unstable_state_moves_as_its_proof_says(clamp: Assembly) -> None:
 
 
 def test_without_certificates_no_motion_is_known(clamp: Assembly) -> None:
-    assert motion_of(clamp, Stability(clamp).verdicts(STATES), 0) is None
+    assert motion_of(clamp, StabilityOracle(clamp).verdicts(STATES), 0) is None
 
 
 def test_no_guess_is_made_from_a_displacement_that_slides(clamp: Assembly) -> None:
-    oracle = Stability(clamp)
+    oracle = StabilityOracle(clamp)
     solver = ContactSolver(clamp, oracle.problem, oracle.settings)
     guess = np.full((2, clamp.part_count, 6), np.nan)
     verdicts = solver.check(STATES, certificates=False, parents=STATES[[1, 1]], guess=guess)

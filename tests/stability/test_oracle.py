@@ -18,7 +18,7 @@ from falsework.stability import (
     ExactSolver,
     Proof,
     Solver,
-    Stability,
+    StabilityOracle,
     StabilitySettings,
     Verdicts,
     verify_certificates,
@@ -57,7 +57,7 @@ def children(assembly: Assembly, parent: NDArray[np.uint8]) -> NDArray[np.uint8]
     return np.array(rows)
 
 
-def balanced(stability: Stability) -> bool:
+def balanced(stability: StabilityOracle) -> bool:
     """Whether every state that was asked is accounted for."""
     counters = stability.counters.to_dict()
     answered = sum(count for name, count in counters.items() if name not in ("asked", "rejected", "warm"))
@@ -65,7 +65,7 @@ def balanced(stability: Stability) -> bool:
 
 
 def test_verdicts_are_verified_under_their_own_criterion(arch: Assembly, states: NDArray) -> None:
-    stability = Stability(arch)
+    stability = StabilityOracle(arch)
     verdicts = stability.verdicts(states, require_certificate=True)
     assert stability.settings.claim == CONTACT
     stable = verdicts.stable
@@ -77,7 +77,7 @@ def test_verdicts_are_verified_under_their_own_criterion(arch: Assembly, states:
 
 
 def test_check_returns_proofs_that_hold(arch: Assembly, states: NDArray, expected: NDArray) -> None:
-    stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
+    stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium"))
     verdicts = stability.verdicts(states, require_certificate=True)
     np.testing.assert_array_equal(verdicts.verdict, expected)
     assert verify_certificates(arch, states, verdicts).all()
@@ -92,17 +92,17 @@ def test_check_returns_proofs_that_hold(arch: Assembly, states: NDArray, expecte
 
 
 def test_judge_agrees_and_carries_no_proofs(arch: Assembly, states: NDArray, expected: NDArray) -> None:
-    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).verdicts(states)
+    verdicts = StabilityOracle(arch, StabilitySettings(criterion="equilibrium")).verdicts(states)
     np.testing.assert_array_equal(verdicts.verdict, expected)
     assert verdicts.forces is None
     assert verdicts.velocity is None
     np.testing.assert_array_equal(
-        Stability(arch, StabilitySettings(criterion="equilibrium")).verdicts(states).stable, expected == 1
+        StabilityOracle(arch, StabilitySettings(criterion="equilibrium")).verdicts(states).stable, expected == 1
     )
 
 
 def test_asking_again_costs_nothing(arch: Assembly, states: NDArray, expected: NDArray) -> None:
-    stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
+    stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium"))
     unique = len(np.unique(states, axis=0))
     first = stability.verdicts(states)
     solved = stability.counters.cpu + stability.counters.exact
@@ -118,7 +118,7 @@ def test_asking_again_costs_nothing(arch: Assembly, states: NDArray, expected: N
 
 
 def test_the_rules_answer_without_solving(arch: Assembly) -> None:
-    stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
+    stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium"))
     complete = complete_state(arch.boundary)
     assert stability.verdicts(complete).stable[0]
     held = children(arch, complete)[1::2]
@@ -139,16 +139,16 @@ def test_the_rules_answer_without_solving(arch: Assembly) -> None:
 
 
 def test_what_was_checked_is_known_to_judge(arch: Assembly, states: NDArray) -> None:
-    stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
+    stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium"))
     stability.verdicts(states, require_certificate=True)
     before = stability.counters.cpu + stability.counters.exact
     stability.verdicts(states)
     assert stability.counters.cpu + stability.counters.exact == before
 
 
-def judged(arch: Assembly) -> tuple[Stability, NDArray[np.uint8]]:
+def judged(arch: Assembly) -> tuple[StabilityOracle, NDArray[np.uint8]]:
     """An oracle of a complete arch and of it with one part held, each judged from the state before."""
-    stability = Stability(arch)
+    stability = StabilityOracle(arch)
     whole = complete_state(arch.boundary)
     held = whole.copy()
     held[4] = 2
@@ -159,7 +159,7 @@ def judged(arch: Assembly) -> tuple[Stability, NDArray[np.uint8]]:
 def test_what_was_judged_is_proven_from_memory(arch: Assembly) -> None:
     stability, states = judged(arch)
     again = stability.verdicts(states, near=states, require_certificate=True)
-    cold = Stability(arch).verdicts(states, require_certificate=True)
+    cold = StabilityOracle(arch).verdicts(states, require_certificate=True)
     assert again.stable.all()
     assert cold.stable.all()
     assert (again.proof == Proof.DISPLACEMENT).all()
@@ -176,7 +176,7 @@ def test_each_state_serves_those_that_are_near_to_it(arch: Assembly) -> None:
     chain, before = np.stack(states), np.stack([states[0], *states[:-1]])
     for order in (np.arange(6), np.arange(6)[::-1]):
         for settings in (StabilitySettings(), StabilitySettings(criterion="equilibrium")):
-            stability = Stability(arch, settings)
+            stability = StabilityOracle(arch, settings)
             found = stability.verdicts(chain[order], near=before[order], require_certificate=True)
             assert found.stable.all()
             assert verify_certificates(arch, chain[order], found, settings.claim).all()
@@ -186,7 +186,7 @@ def test_each_state_serves_those_that_are_near_to_it(arch: Assembly) -> None:
 
 def test_states_that_are_near_to_each_other_alone_begin_from_rest(arch: Assembly) -> None:
     _, states = judged(arch)
-    stability = Stability(arch)
+    stability = StabilityOracle(arch)
     assert stability.verdicts(states, near=states[::-1].copy(), require_certificate=True).stable.all()
     assert stability.counters.warm == 0
     assert balanced(stability)
@@ -195,7 +195,7 @@ def test_states_that_are_near_to_each_other_alone_begin_from_rest(arch: Assembly
 def test_forces_are_proven_from_memory_too(arch: Assembly) -> None:
     _, states = judged(arch)
     settings = StabilitySettings(criterion="equilibrium")
-    stability = Stability(arch, settings)
+    stability = StabilityOracle(arch, settings)
     stability.verdicts(states, near=states)
     again = stability.verdicts(states, near=states, require_certificate=True)
     assert (again.proof == Proof.FORCES).all()
@@ -213,7 +213,7 @@ def test_a_displacement_that_proves_nothing_is_not_passed_on(arch: Assembly) -> 
 
 
 def test_the_next_state_is_checked_from_the_one_before(arch: Assembly) -> None:
-    stability = Stability(arch)
+    stability = StabilityOracle(arch)
     whole = complete_state(arch.boundary)
     held, fallen = whole.copy(), whole.copy()
     held[4], fallen[4] = 2, 0
@@ -228,20 +228,20 @@ def test_the_next_state_is_checked_from_the_one_before(arch: Assembly) -> None:
 
 
 def test_the_next_state_is_checked_from_rest_where_nothing_is_known_of_the_one_before(arch: Assembly) -> None:
-    stability = Stability(arch)
+    stability = StabilityOracle(arch)
     whole = complete_state(arch.boundary)
     held = whole.copy()
     held[4] = 2
     found = stability.verdicts(held, near=whole, require_certificate=True)
     assert found.stable[0]
-    cold = Stability(arch).verdicts(held, require_certificate=True)
+    cold = StabilityOracle(arch).verdicts(held, require_certificate=True)
     np.testing.assert_array_equal(found.displacement, cold.displacement)
 
 
 def test_each_state_needs_a_near_one(arch: Assembly) -> None:
     states = np.stack([complete_state(arch.boundary)] * 3)
     with pytest.raises(StateError, match="1 near states do not fit 3 states; give one for each"):
-        Stability(arch).verdicts(states, near=states[:1])
+        StabilityOracle(arch).verdicts(states, near=states[:1])
 
 
 @pytest.mark.parametrize("structure", ["arch:blocks=9,thickness=0.25", "wall:bricks=4,courses=4", "dome"])
@@ -249,8 +249,8 @@ def test_warm_starts_change_no_verdict(structure: str) -> None:
     """Children that start from their parent's forces get the verdicts that they get on their own."""
     assembly = library.build(structure)
     warm, cold = (
-        Stability(assembly, StabilitySettings(criterion="equilibrium")),
-        Stability(assembly, StabilitySettings(criterion="equilibrium")),
+        StabilityOracle(assembly, StabilitySettings(criterion="equilibrium")),
+        StabilityOracle(assembly, StabilitySettings(criterion="equilibrium")),
     )
     parent = complete_state(assembly.boundary)
     assert warm.verdicts(parent, near=parent).stable[0]
@@ -273,7 +273,7 @@ def test_parents_may_be_anything(arch: Assembly, states: NDArray, expected: NDAr
     """A parent only says where to look first: even a wrong one, never judged or unstable, changes no verdict."""
     random = np.random.default_rng(5)
     for parents in (states[::-1], states[random.permutation(len(states))], np.where(arch.boundary, 2, 0 * states)):
-        stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
+        stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium"))
         np.testing.assert_array_equal(stability.verdicts(states, near=parents).verdict, expected)
 
 
@@ -298,7 +298,7 @@ def test_a_proof_found_near_a_change_proves_the_whole(structure: str) -> None:
 
 def test_threads_change_nothing(arch: Assembly, states: NDArray) -> None:
     one, two, again = (
-        Stability(arch, StabilitySettings(criterion="equilibrium", cpu=CpuSettings(threads=threads))).verdicts(
+        StabilityOracle(arch, StabilitySettings(criterion="equilibrium", cpu=CpuSettings(threads=threads))).verdicts(
             states, require_certificate=True
         )
         for threads in (1, 2, 2)
@@ -312,18 +312,20 @@ def test_threads_change_nothing(arch: Assembly, states: NDArray) -> None:
 
 
 def test_order_changes_nothing(arch: Assembly, states: NDArray) -> None:
-    stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
+    stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium"))
     order = np.random.default_rng(1).permutation(len(states))
     straight, shuffled = (
         stability.verdicts(states, require_certificate=True),
-        Stability(arch, StabilitySettings(criterion="equilibrium")).verdicts(states[order], require_certificate=True),
+        StabilityOracle(arch, StabilitySettings(criterion="equilibrium")).verdicts(
+            states[order], require_certificate=True
+        ),
     )
     np.testing.assert_array_equal(straight.verdict[order], shuffled.verdict)
     np.testing.assert_array_equal(straight.residual[order], shuffled.residual)
 
 
 def test_an_empty_batch(arch: Assembly) -> None:
-    stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
+    stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium"))
     nothing = np.zeros((0, arch.part_count), np.uint8)
     for verdicts in (
         stability.verdicts(nothing, require_certificate=True),
@@ -336,7 +338,7 @@ def test_an_empty_batch(arch: Assembly) -> None:
 
 
 def test_one_state_is_a_batch_of_one(arch: Assembly) -> None:
-    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).verdicts(
+    verdicts = StabilityOracle(arch, StabilitySettings(criterion="equilibrium")).verdicts(
         complete_state(arch.boundary), require_certificate=True
     )
     assert len(verdicts) == 1
@@ -344,7 +346,9 @@ def test_one_state_is_a_batch_of_one(arch: Assembly) -> None:
 
 
 def test_verdicts_can_be_taken_apart(arch: Assembly, states: NDArray) -> None:
-    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).verdicts(states, require_certificate=True)
+    verdicts = StabilityOracle(arch, StabilitySettings(criterion="equilibrium")).verdicts(
+        states, require_certificate=True
+    )
     assert len(verdicts[3]) == 1
     assert verdicts[3].verdict[0] == verdicts.verdict[3]
     assert verdicts[-1].verdict[0] == verdicts.verdict[-1]
@@ -353,13 +357,13 @@ def test_verdicts_can_be_taken_apart(arch: Assembly, states: NDArray) -> None:
     assert few.velocity is not None
     assert len(few.velocity) == len(few)
     assert verdicts.without_certificates().forces is None
-    blank = Verdicts.blank(2)
+    blank = Verdicts.all_undecided(2)
     assert blank.undecided.all()
     assert (blank.proof == Proof.NONE).all()
 
 
 def test_the_exact_solver_can_be_asked_alone(arch: Assembly, states: NDArray, expected: NDArray) -> None:
-    stability = Stability(arch, StabilitySettings(criterion="equilibrium", solver="exact"))
+    stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium", solver="exact"))
     verdicts = stability.verdicts(states[:20], require_certificate=True)
     np.testing.assert_array_equal(verdicts.verdict, expected[:20])
     assert (verdicts.decided_by == Solver.EXACT).all()
@@ -372,7 +376,7 @@ def test_what_the_fast_solver_leaves_goes_to_the_exact_one(arch: Assembly, state
     """With next to no iterations nothing is decided fast, yet everything is decided."""
     cpu = CpuSettings(iterations=1, interior_steps=0)
     for certificates in (True, False):
-        stability = Stability(arch, StabilitySettings(criterion="equilibrium", cpu=cpu))
+        stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium", cpu=cpu))
         verdicts = stability.verdicts(states, require_certificate=certificates)
         np.testing.assert_array_equal(verdicts.verdict, expected)
         assert stability.counters.exact > 0
@@ -384,8 +388,8 @@ def test_searches_of_large_structures_do_not_wait_for_the_exact_solver(
 ) -> None:
     cpu = CpuSettings(iterations=1, interior_steps=0)
     parents = states[np.flatnonzero(expected == 1)[:1]].repeat(len(states), axis=0)
-    stability = Stability(arch, StabilitySettings(criterion="equilibrium", cpu=cpu))
-    monkeypatch.setattr("falsework.stability.oracle.LEFT_OPEN", arch.part_count)
+    stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium", cpu=cpu))
+    monkeypatch.setattr("falsework.stability.oracle.UNDECIDED_FROM", arch.part_count)
     verdicts = stability.verdicts(states, near=parents)
     decided = ~verdicts.undecided
     assert not decided.all()
@@ -399,7 +403,7 @@ def test_a_proof_that_is_rejected_goes_to_the_exact_solver(
     arch: Assembly, states: NDArray, expected: NDArray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Were the fast solver wrong, the checker would see it and the exact solver decide."""
-    stability = Stability(arch, StabilitySettings(criterion="equilibrium"))
+    stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium"))
     solve = CpuSolver.check
 
     def lie(*arguments: Any, **options: Any) -> Verdicts:
@@ -431,7 +435,7 @@ def test_a_proof_that_is_rejected_goes_to_the_exact_solver(
     ],
 )
 def test_bad_states_are_named(arch: Assembly, as_near: bool, state: Any, message: str) -> None:
-    stability, whole = Stability(arch, StabilitySettings(criterion="equilibrium")), complete_state(arch.boundary)
+    stability, whole = StabilityOracle(arch, StabilitySettings(criterion="equilibrium")), complete_state(arch.boundary)
     with pytest.raises(StateError, match=message) as caught:
         stability.verdicts(whole if as_near else state, near=state if as_near else None)
     assert "\n" not in str(caught.value)

@@ -13,7 +13,15 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.geometry import TriangleMesh
 from falsework.search import Outcome, PlannerSettings, find_plans, validate_plan
-from falsework.stability import Proof, Replayer, Stability, StabilitySettings, Verdict, Verdicts, verify_certificates
+from falsework.stability import (
+    Proof,
+    Replayer,
+    StabilityOracle,
+    StabilitySettings,
+    Verdict,
+    Verdicts,
+    verify_certificates,
+)
 from falsework.stability.motion import motion_of
 from falsework.stability.second_order.growth import NEUTRAL, growth_of_motion
 from falsework.stability.stiffness import SETTLEMENT
@@ -30,7 +38,7 @@ PRISM_FACES = np.array(
 def checked(assembly: Assembly, state: Any = None) -> Verdicts:
     """Verdict of one state, by default the complete structure, whose certificate the checker accepts."""
     states = np.asarray(complete_state(assembly.boundary) if state is None else state, np.uint8)[None]
-    verdicts = Stability(assembly).verdicts(states, require_certificate=True)
+    verdicts = StabilityOracle(assembly).verdicts(states, require_certificate=True)
     assert verify_certificates(assembly, states, verdicts).all()
     return verdicts
 

@@ -11,7 +11,7 @@ import pytest
 from falsework.assembly import library
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state, empty_state
-from falsework.stability import Proof, Stability, StabilitySettings, Verdict, Verdicts
+from falsework.stability import Proof, StabilityOracle, StabilitySettings, Verdict, Verdicts
 
 CONES = ("octagon", "quadratic")
 
@@ -20,7 +20,7 @@ def verdict_of(assembly: Assembly, state: Any = None, **settings: Any) -> Verdic
     """Verdict of one state, by default the complete structure; the oracle has checked its certificate."""
     if state is None:
         state = complete_state(assembly.boundary)
-    verdicts = Stability(assembly, StabilitySettings(criterion="equilibrium", **settings)).verdicts(
+    verdicts = StabilityOracle(assembly, StabilitySettings(criterion="equilibrium", **settings)).verdicts(
         state, require_certificate=True
     )
     assert not verdicts.undecided.any()
@@ -139,7 +139,7 @@ def test_walls_can_clamp_what_nothing_supports(scenes: Any, cone: str) -> None:
 def test_a_held_part_is_never_asked_to_balance(scenes: Any) -> None:
     """Held blocks stand anywhere, carry others, and only what is not held can fall."""
     tower = scenes.tower(3)
-    stability = Stability(tower, StabilitySettings(criterion="equilibrium"))
+    stability = StabilityOracle(tower, StabilitySettings(criterion="equilibrium"))
     for state, expected in (
         ([0, 2, 0, 2], Verdict.STABLE),  # held in the air
         ([0, 2, 1, 2], Verdict.STABLE),  # a held block carries another
@@ -152,7 +152,7 @@ def test_a_held_part_is_never_asked_to_balance(scenes: Any) -> None:
 
 def test_the_empty_structure_stands() -> None:
     arch = library.build("arch")
-    verdicts = Stability(arch, StabilitySettings(criterion="equilibrium")).verdicts(
+    verdicts = StabilityOracle(arch, StabilitySettings(criterion="equilibrium")).verdicts(
         empty_state(arch.boundary), require_certificate=True
     )
     assert verdicts.verdict[0] == Verdict.STABLE
@@ -162,7 +162,7 @@ def test_the_empty_structure_stands() -> None:
 def test_a_part_that_floats_falls_straight_down(scenes: Any) -> None:
     """Its certificate is the fall itself: down, without turning, and nothing else moves."""
     tower = scenes.tower(3)
-    verdicts = Stability(tower, StabilitySettings(criterion="equilibrium")).verdicts(
+    verdicts = StabilityOracle(tower, StabilitySettings(criterion="equilibrium")).verdicts(
         [1, 0, 1, 2], require_certificate=True
     )
     assert verdicts.verdict[0] == Verdict.UNSTABLE
@@ -191,14 +191,14 @@ def test_a_part_without_any_contact_falls(scenes: Any) -> None:
         StabilitySettings(criterion="equilibrium"),
         StabilitySettings(criterion="equilibrium", solver="exact"),
     ):
-        verdicts = Stability(alone, settings).verdicts([[1, 2], [2, 2], [0, 2]], require_certificate=True)
+        verdicts = StabilityOracle(alone, settings).verdicts([[1, 2], [2, 2], [0, 2]], require_certificate=True)
         assert verdicts.verdict.tolist() == [Verdict.UNSTABLE, Verdict.STABLE, Verdict.STABLE]
 
 
 def test_boundary_parts_alone_stand(scenes: Any) -> None:
     """A structure of boundary parts that touch nothing has no contact point at all."""
     boxes = [scenes.box([0, 0, 0], [1, 1, 1]), scenes.box([3, 0, 0], [4, 1, 1], "other")]
-    verdicts = Stability(scenes.make(boxes, [0, 1])).verdicts([2, 2], require_certificate=True)
+    verdicts = StabilityOracle(scenes.make(boxes, [0, 1])).verdicts([2, 2], require_certificate=True)
     assert verdicts.stable.all()
 
 
@@ -217,7 +217,7 @@ def held_forces(assembly: Assembly, state: np.ndarray, verdicts: Verdicts) -> np
 def test_supports_carry_the_weight(structure: str, cone: str) -> None:
     """Newton's third law: forces between free parts cancel, so the supports carry what is free, and nothing else."""
     assembly = library.build(structure)
-    stability = Stability(assembly, StabilitySettings(criterion="equilibrium", cone=cone))  # type: ignore[arg-type]
+    stability = StabilityOracle(assembly, StabilitySettings(criterion="equilibrium", cone=cone))  # type: ignore[arg-type]
     states = [complete_state(assembly.boundary)]
     states.append(states[0].copy())
     states[1][0] = 2
@@ -235,7 +235,7 @@ def test_monotone_rules(scenes: Any, structure: str, cone: str) -> None:
     assembly = library.build(structure)
     settings = StabilitySettings(criterion="equilibrium", cone=cone)  # type: ignore[arg-type]
     states = scenes.few_changes(assembly, 40, seed=3)
-    verdicts = Stability(assembly, settings).verdicts(states, require_certificate=True)
+    verdicts = StabilityOracle(assembly, settings).verdicts(states, require_certificate=True)
     assert verdicts.stable.any()
     assert verdicts.unstable.any()
     random = np.random.default_rng(0)
@@ -245,7 +245,7 @@ def test_monotone_rules(scenes: Any, structure: str, cone: str) -> None:
         if len(parts):
             state[random.choice(parts)] = 2 if stable else 1
     np.testing.assert_array_equal(
-        Stability(assembly, settings).verdicts(changed, require_certificate=True).verdict, verdicts.verdict
+        StabilityOracle(assembly, settings).verdicts(changed, require_certificate=True).verdict, verdicts.verdict
     )
 
 
@@ -257,11 +257,13 @@ def test_verdicts_do_not_depend_on_units(scenes: Any, length: float, density: fl
     meshes = [dataclasses.replace(mesh, vertices=length * mesh.vertices) for mesh in base.meshes]
     scaled = Assembly.from_meshes(meshes, boundary=base.boundary, density=density)
     states = scenes.few_changes(base, 40, seed=1)
-    expected = Stability(base, StabilitySettings(criterion="equilibrium")).verdicts(states, require_certificate=True)
+    expected = StabilityOracle(base, StabilitySettings(criterion="equilibrium")).verdicts(
+        states, require_certificate=True
+    )
     assert expected.stable.any()
     assert expected.unstable.any()
     np.testing.assert_array_equal(
-        Stability(scaled, StabilitySettings(criterion="equilibrium"))
+        StabilityOracle(scaled, StabilitySettings(criterion="equilibrium"))
         .verdicts(states, require_certificate=True)
         .verdict,
         expected.verdict,
@@ -276,11 +278,11 @@ def test_verdicts_do_not_depend_on_the_compass(scenes: Any, angle: float) -> Non
     turned = Assembly.from_meshes(meshes, boundary=base.boundary)
     states = scenes.few_changes(base, 40, seed=2)
     settings = StabilitySettings(criterion="equilibrium", cone="quadratic")
-    expected = Stability(base, settings).verdicts(states, require_certificate=True)
+    expected = StabilityOracle(base, settings).verdicts(states, require_certificate=True)
     assert expected.stable.any()
     assert expected.unstable.any()
     np.testing.assert_array_equal(
-        Stability(turned, settings).verdicts(states, require_certificate=True).verdict, expected.verdict
+        StabilityOracle(turned, settings).verdicts(states, require_certificate=True).verdict, expected.verdict
     )
 
 
@@ -288,7 +290,7 @@ def test_gravity_scales_forces_and_changes_no_verdict(scenes: Any) -> None:
     assembly = library.build("arch:blocks=7")
     states = scenes.few_changes(assembly, 30, seed=4)
     earth, moon = (
-        Stability(assembly, StabilitySettings(criterion="equilibrium", gravity=g)).verdicts(
+        StabilityOracle(assembly, StabilitySettings(criterion="equilibrium", gravity=g)).verdicts(
             states, require_certificate=True
         )
         for g in (9.81, 1.62)
@@ -301,11 +303,13 @@ def test_the_cones_lie_in_each_other(scenes: Any, structure: str) -> None:
     """The octagon lies inside the quadratic cone, and reaches a quadratic cone of friction `mu cos(22.5)`."""
     assembly = library.build(structure).replace(friction=0.35)
     states = scenes.few_changes(assembly, 40, seed=5)
-    octagon = Stability(assembly, StabilitySettings(criterion="equilibrium")).verdicts(states, require_certificate=True)
-    wide = Stability(assembly, StabilitySettings(criterion="equilibrium", cone="quadratic")).verdicts(
+    octagon = StabilityOracle(assembly, StabilitySettings(criterion="equilibrium")).verdicts(
         states, require_certificate=True
     )
-    narrow = Stability(
+    wide = StabilityOracle(assembly, StabilitySettings(criterion="equilibrium", cone="quadratic")).verdicts(
+        states, require_certificate=True
+    )
+    narrow = StabilityOracle(
         assembly.replace(friction=0.35 * np.cos(np.pi / 8)),
         StabilitySettings(criterion="equilibrium", cone="quadratic"),
     ).verdicts(states, require_certificate=True)

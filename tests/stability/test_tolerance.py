@@ -14,7 +14,7 @@ from falsework.assembly.state import complete_state
 from falsework.search import find_plans, validate_plan
 from falsework.stability import (
     Solver,
-    Stability,
+    StabilityOracle,
     StabilitySettings,
     Verdict,
     Verdicts,
@@ -37,7 +37,7 @@ def checked(assembly: Assembly, criterion: Any, **settings: Any) -> Verdicts:
     """Verdict of the complete structure, whose certificate the checker accepts."""
     chosen = StabilitySettings(criterion=criterion, **settings)
     states = complete_state(assembly.boundary)[None]
-    verdicts = Stability(assembly, chosen).verdicts(states, require_certificate=True)
+    verdicts = StabilityOracle(assembly, chosen).verdicts(states, require_certificate=True)
     assert verify_certificates(assembly, states, verdicts, chosen.claim).all()
     return verdicts
 
@@ -85,7 +85,7 @@ def test_searches_do_not_take_what_is_close_for_stable(simplex: Any) -> None:
     """`judge`, which searches call, sends what has a residual above a tenth of the tolerance to the exact solver."""
     assembly = arch(critical_thickness(simplex) - 2e-5)
     for criterion in CRITERIA:
-        oracle = Stability(assembly, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
+        oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
         verdicts = oracle.verdicts(complete_state(assembly.boundary))
         assert verdicts.unstable[0]
         assert verdicts.on_tolerance[0]
@@ -111,7 +111,7 @@ def test_a_gpu_is_no_exception(on_host: Any, simplex: Any, monkeypatch: pytest.M
 def test_the_checker_takes_a_close_proof_only_from_a_verdict_that_says_so(simplex: Any) -> None:
     assembly = arch(critical_thickness(simplex) - 1e-5)
     states = complete_state(assembly.boundary)[None]
-    verdicts = Stability(assembly, EQUILIBRIUM).verdicts(states, require_certificate=True)
+    verdicts = StabilityOracle(assembly, EQUILIBRIUM).verdicts(states, require_certificate=True)
     assert verify_certificates(assembly, states, verdicts)[0]
     verdicts.on_tolerance[:] = False
     assert not verify_certificates(assembly, states, verdicts)[0]
@@ -119,7 +119,7 @@ def test_the_checker_takes_a_close_proof_only_from_a_verdict_that_says_so(simple
 
 def test_a_plan_with_a_close_state_is_refused_with_the_reason(simplex: Any) -> None:
     good = arch(0.12)
-    plan = find_plans(good, robots=3, oracle=Stability(good, EQUILIBRIUM)).plans[0]
+    plan = find_plans(good, robots=3, oracle=StabilityOracle(good, EQUILIBRIUM)).plans[0]
     thin = arch(critical_thickness(simplex) - 1e-5)
     end = {name: getattr(plan, name)[-2:] for name in ("states", "verdicts", "proofs", "residuals")}
     complete = replace(plan, **end, actions=plan.actions[-1:], forces=None)
@@ -135,7 +135,7 @@ def test_ordinary_verdicts_stay_with_the_fast_solver(scenes: Any) -> None:
         assembly = library.build(name)
         states = scenes.few_changes(assembly, 20, seed=5)
         for criterion in CRITERIA:
-            oracle = Stability(assembly, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
+            oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
             verdicts = oracle.verdicts(states)
             assert not verdicts.on_tolerance.any()
             assert (verdicts.decided_by[verdicts.stable] != Solver.EXACT).mean() >= 0.9
@@ -144,6 +144,6 @@ def test_ordinary_verdicts_stay_with_the_fast_solver(scenes: Any) -> None:
 def test_forces_of_a_verdict_leave_as_much_as_it_says() -> None:
     assembly = library.build("dome")
     states = complete_state(assembly.boundary)[None]
-    verdicts = Stability(assembly, EQUILIBRIUM).verdicts(states, require_certificate=True)
+    verdicts = StabilityOracle(assembly, EQUILIBRIUM).verdicts(states, require_certificate=True)
     assert verdicts.forces is not None
     assert residual_of_forces(assembly, states, verdicts.forces)[0] <= EQUILIBRIUM.resolution

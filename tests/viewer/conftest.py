@@ -18,7 +18,7 @@ from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Tr
 from falsework.robots.plans.robot_record import records_of
 from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
-from falsework.search import Direction, Plan, find_plans, task_of
+from falsework.search import Direction, Plan, find_plans, make_task
 from falsework.viewer.timeline import Timeline
 
 
@@ -26,7 +26,7 @@ from falsework.viewer.timeline import Timeline
 def planned(spec: str, robots: int = 2) -> tuple[Assembly, Plan]:
     """A built-in structure and a plan of it."""
     assembly = load_structure(spec)
-    return assembly, find_plans(assembly, task_of(assembly, robots)).plans[0]
+    return assembly, find_plans(assembly, make_task(assembly, robots)).plans[0]
 
 
 @pytest.fixture(scope="session")
@@ -39,7 +39,7 @@ def arch() -> tuple[Assembly, Plan]:
 def timeline(arch: tuple[Assembly, Plan]) -> Timeline:
     """The plan of the arch."""
     assembly, plan = arch
-    return Timeline.of(plan, assembly)
+    return Timeline.from_plan(plan, assembly)
 
 
 def trajectory(start: np.ndarray, end: np.ndarray, part: int | None = None) -> Trajectory:

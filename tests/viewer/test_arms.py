@@ -15,7 +15,7 @@ from falsework.robots.model.shapes import pose
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search import Action, Direction, Plan
 from falsework.viewer.appearance import appearance_at, bounds_of
-from falsework.viewer.arms import ArmPoses, Arms, bounds_with_arms, look_with_arms, solids_of_arms, wxyz_of
+from falsework.viewer.arms import ArmPoses, Arms, appearance_with_arms, bounds_with_arms, solids_of_arms, wxyz_of
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.timeline import NO_ROBOT, Timeline
 
@@ -92,18 +92,18 @@ def test_the_part_is_seen_once(robot_plan: RobotPlan, cell: Cell, arch: tuple[As
     """In its place, in the gripper, or gone, never two of them."""
     assembly, plan = arch
     arms = Arms(robot_plan, cell, Direction.DISASSEMBLY)
-    timeline = Timeline.of(plan, assembly, Direction.DISASSEMBLY, arms.holders())
+    timeline = Timeline.from_plan(plan, assembly, Direction.DISASSEMBLY, arms.holders())
     last = max((step for step in plan if step.action is Action.INSERT), key=lambda step: step.number)
     place, part = last.number - 1, last.part
     for share, there, carried in ((1.0, True, False), (0.7, False, True), (0.3, False, False), (0.0, False, False)):
         arm_poses = arms.at(place + share)
-        appearance = look_with_arms(appearance_at(timeline, place + share, travelling=False), arm_poses)
+        appearance = appearance_with_arms(appearance_at(timeline, place + share, travelling=False), arm_poses)
         assert bool(appearance.opacity[part] > 0) is there, share
         assert carried_parts(arm_poses) == [part] * carried, share
     backwards, turned = timeline.turned(Direction.ASSEMBLY), arms.turned(Direction.ASSEMBLY)
     for share, there, carried in ((0.0, False, False), (0.3, False, False), (0.7, False, True), (1.0, True, False)):
         arm_poses = turned.at(place + share)
-        appearance = look_with_arms(appearance_at(backwards, place + share, travelling=False), arm_poses)
+        appearance = appearance_with_arms(appearance_at(backwards, place + share, travelling=False), arm_poses)
         assert bool(appearance.opacity[part] > 0) is there, share
         assert carried_parts(arm_poses) == [part] * carried, share
 
@@ -134,7 +134,7 @@ def test_a_new_plan_has_no_arms_until_one_goes_back(
 ) -> None:
     assembly, plan = arch
     arms = Arms(robot_plan, cell, Direction.ASSEMBLY)
-    model = ViewerState(Timeline.of(plan, assembly, Direction.ASSEMBLY, arms.holders()), plan=plan, arms=arms)
+    model = ViewerState(Timeline.from_plan(plan, assembly, Direction.ASSEMBLY, arms.holders()), plan=plan, arms=arms)
     model.turn(Direction.DISASSEMBLY)
     assert model.arms is not None
     assert model.arms.direction is Direction.DISASSEMBLY

@@ -21,7 +21,7 @@ import pytest
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError
-from falsework.search import task_of
+from falsework.search import make_task
 from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.scene import SIZE
@@ -176,7 +176,7 @@ def near(picture: np.ndarray, color: str, reach: int = 90) -> int:
 def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     """Load, slide, click a part, mark one as missing, plan anew, lose the server."""
     assembly, plan = arch
-    model = ViewerState(Timeline.of(plan, assembly), plan=plan)
+    model = ViewerState(Timeline.from_plan(plan, assembly), plan=plan)
     now = opened(model)
     tab = now.tab
     empty = now.picture()
@@ -271,8 +271,10 @@ def test_playing_probabilities_and_the_graph(opened: Callable[..., Open], arch: 
     from falsework.search import Direction, StateGraph
 
     assembly, plan = arch
-    graph = StateGraph.build(task_of(assembly), plan.states, name=assembly.name)
-    model = ViewerState(Timeline.of(plan, assembly, Direction.DISASSEMBLY), plan=plan, policy=policy, graph=graph)
+    graph = StateGraph.from_states(make_task(assembly), plan.states, name=assembly.name)
+    model = ViewerState(
+        Timeline.from_plan(plan, assembly, Direction.DISASSEMBLY), plan=plan, policy=policy, graph=graph
+    )
     now = opened(model)
     now.tab.get_by_text("probability of the action on a part").wait_for()
     coloured = now.picture()
@@ -294,7 +296,7 @@ def test_playing_probabilities_and_the_graph(opened: Callable[..., Open], arch: 
 def test_steps_are_found_and_gone_to(opened: Callable[..., Open], arch: Any) -> None:
     """Search in the list of steps, click a step, and use the arrow keys."""
     assembly, plan = arch
-    now = opened(ViewerState(Timeline.of(plan, assembly), plan=plan))
+    now = opened(ViewerState(Timeline.from_plan(plan, assembly), plan=plan))
     tab = now.tab
     tab.get_by_role("tab", name="Steps").click()
     rows = tab.locator("tr[id^=falsework-step-]")
@@ -323,7 +325,7 @@ def test_files_come_and_go(opened: Callable[..., Open], arch: Any, tmp_path: Pat
     import falsework as fw
 
     assembly, plan = arch
-    now = opened(ViewerState(Timeline.of(plan, assembly), plan=plan))
+    now = opened(ViewerState(Timeline.from_plan(plan, assembly), plan=plan))
     tab = now.tab
 
     def download(button: str, name: str) -> Path:
@@ -368,7 +370,7 @@ def test_files_come_and_go(opened: Callable[..., Open], arch: Any, tmp_path: Pat
 
 def test_one_sees_into_a_structure(opened: Callable[..., Open], arch: Any) -> None:
     assembly, plan = arch
-    now = opened(ViewerState(Timeline.of(plan, assembly), plan=plan))
+    now = opened(ViewerState(Timeline.from_plan(plan, assembly), plan=plan))
     now.slide(len(plan))
     whole = now.picture()
     now.choose("Section", "along z")
@@ -407,7 +409,7 @@ def test_bars_of_the_chart_are_clicked_and_arms_hidden(
 
 def test_a_phone_shows_the_structure_above_the_controls(opened: Callable[..., Open], arch: Any) -> None:
     assembly, plan = arch
-    model = ViewerState(Timeline.of(plan, assembly), plan=plan)
+    model = ViewerState(Timeline.from_plan(plan, assembly), plan=plan)
     model.go_to(len(plan))
     now = opened(model, window={"width": 390, "height": 780})
     now.tab.get_by_role("tab", name="Look").wait_for()

@@ -17,8 +17,8 @@ from falsework.robots.cells.cell_file import load_cell
 from falsework.robots.cells.visuals import PLAIN, link_visuals, seen_from_both_sides, thinned
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.builtin_robots import builtin_robot
+from falsework.viewer.cells.cell_model import COLLIDES, NEAR, build_cell_model, is_cell, marks_of
 from falsework.viewer.cells.cell_picture import picture_cell
-from falsework.viewer.cells.cell_sight import COLLIDES, NEAR, is_cell, marks_of, see_cell
 from falsework.viewer.palette import unit_rgb
 from tests.robots.cells.arm_description import urdf_text
 from tests.robots.cells.cell_texts import ONE_ARM, TWO_JOINTS
@@ -70,7 +70,7 @@ def test_a_wrong_cell_is_shown_with_its_faults(file: Path, old: str, new: str, m
     """As much of it as can be read, and every fault in one line."""
     assert old in ONE_ARM
     file.write_text(ONE_ARM.replace(old, new))
-    sight = see_cell(file)
+    sight = build_cell_model(file)
     assert any(message in fault for fault in sight.faults)
     assert all("\n" not in fault for fault in sight.faults)
     assert (0 if sight.cell is None else sight.cell.robot_count) == robots
@@ -81,13 +81,13 @@ def test_a_wrong_cell_is_shown_with_its_faults(file: Path, old: str, new: str, m
 
 def test_faults_with_the_structure_are_found_too(file: Path) -> None:
     file.write_text(ONE_ARM.replace("position = [0.9, 0.0, 0.0]", "position = [0.0, 0.0, 0.0]"))
-    assert see_cell(file).faults == ()
-    assert any("part" in fault for fault in see_cell(file, "arch").faults)
+    assert build_cell_model(file).faults == ()
+    assert any("part" in fault for fault in build_cell_model(file, "arch").faults)
 
 
 def test_bodies_that_are_too_near_have_their_colour(file: Path) -> None:
     """Both bodies of each pair, and no others; a slider value brings them into colour and out of it."""
-    sight = see_cell(file)
+    sight = build_cell_model(file)
     assert sight.cell is not None
     home = sight.cell.homes[0]
     assert sight.pairs([home]) == []
@@ -102,7 +102,7 @@ def test_bodies_that_are_too_near_have_their_colour(file: Path) -> None:
 
 
 def test_no_tool_leaves_the_reach(file: Path) -> None:
-    sight = see_cell(file)
+    sight = build_cell_model(file)
     assert sight.cell is not None
     (robot,), (reach,) = sight.cell.robots, sight.reaches
     rng = np.random.default_rng(5)

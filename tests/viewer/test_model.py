@@ -283,7 +283,7 @@ def test_a_structure_without_a_plan_gets_one(arch) -> None:
 
 def test_probabilities_are_those_of_the_policy(arch, policy) -> None:
     assembly, plan = arch
-    model = ViewerState(Timeline.of(plan, assembly, Direction.DISASSEMBLY), plan=plan, policy=policy)
+    model = ViewerState(Timeline.from_plan(plan, assembly, Direction.DISASSEMBLY), plan=plan, policy=policy)
     action_probabilities = model.action_probabilities()
     assert np.isfinite(action_probabilities).sum() == (model.state == INSTALLED).sum()
     assert np.nansum(action_probabilities) == pytest.approx(1.0)
@@ -294,9 +294,9 @@ def test_probabilities_are_those_of_the_policy(arch, policy) -> None:
     visited = model.visited(4)
     assert (visited[:, assembly.boundary] == HELD).all()
     assert (visited == plan.states[-1]).all(axis=1).any()
-    from falsework.stability import Stability
+    from falsework.stability import StabilityOracle
 
-    assert Stability(assembly).verdicts(visited).stable.all()
+    assert StabilityOracle(assembly).verdicts(visited).stable.all()
 
 
 def test_chances_of_parts() -> None:

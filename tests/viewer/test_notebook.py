@@ -93,7 +93,7 @@ def cell_lines(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def test_searches_for_the_fewest_robots_show_their_progress(cell_lines: list[str]) -> None:
-    fw.robots_needed("arch:blocks=3")
+    fw.min_robots("arch:blocks=3")
     assert cell_lines
     assert all(line.startswith("searching ") and "verdicts" in line for line in cell_lines)
 

@@ -174,12 +174,12 @@ def graph() -> StateGraph:
     """All states of an arch of four blocks."""
     from falsework.search.exhaustive import ExhaustiveSearch
     from falsework.search.problem.task import Task
-    from falsework.stability import Stability
+    from falsework.stability import StabilityOracle
 
     arch = load_structure("arch:blocks=4,thickness=0.3")
-    task = Task.create(arch.boundary, 2, identity=arch.identity)
-    found = ExhaustiveSearch(task, Stability(arch)).run().graph
-    return StateGraph.build(task, found.states, name=arch.name)
+    task = Task.from_rules(arch.boundary, 2, identity=arch.identity)
+    found = ExhaustiveSearch(task, StabilityOracle(arch)).run().graph
+    return StateGraph.from_states(task, found.states, name=arch.name)
 
 
 def test_a_graph_has_a_column_a_level_and_no_two_states_in_one_place(graph: StateGraph) -> None:

@@ -12,7 +12,7 @@ import pytest
 from falsework.assembly import Assembly
 from falsework.search import Plan
 from falsework.search.problem.task import Direction
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.stability.holds import Press, describe_force
 from falsework.stability.verdict import Criterion
 from falsework.viewer.arrows import PRESSES, arrows_of_step
@@ -46,7 +46,7 @@ def test_the_step_names_the_press_in_assembly_alone(
     arch: tuple[Assembly, Plan], pressed: tuple[Plan, int, int]
 ) -> None:
     assembly, (plan, place, part) = arch[0], pressed
-    timeline = Timeline.of(plan, assembly)
+    timeline = Timeline.from_plan(plan, assembly)
     words = plan.words(place)
     assert words.startswith("release ")
     assert words.endswith(f"; robot presses {assembly.names[part]} with 50 N")
@@ -63,7 +63,7 @@ def test_the_arrow_ends_at_the_centre_and_has_the_way_of_the_force(
     arch: tuple[Assembly, Plan], pressed: tuple[Plan, int, int]
 ) -> None:
     assembly, (plan, place, part) = arch[0], pressed
-    timeline = Timeline.of(plan, assembly)
+    timeline = Timeline.from_plan(plan, assembly)
     ((tail, tip),) = arrows_of_step(timeline, place)[PRESSES].ends
     np.testing.assert_allclose(tip, assembly.mass.center[part], atol=1e-12)
     np.testing.assert_allclose((tip - tail) / np.linalg.norm(tip - tail), np.array(WRENCH[:3]) / 50.0)
@@ -75,7 +75,7 @@ def test_the_arrow_ends_at_the_centre_and_has_the_way_of_the_force(
 
 def test_with_other_forces_it_is_on_their_scale(arch: tuple[Assembly, Plan], pressed: tuple[Plan, int, int]) -> None:
     assembly, (plan, place, _) = arch[0], pressed
-    proof = BuildProofs(plan, Stability(assembly)).at(place)
+    proof = BuildProofs(plan, StabilityOracle(assembly)).at(place)
     assert proof.stable
 
     def longest(kind: str) -> float:
@@ -89,7 +89,7 @@ def test_with_other_forces_it_is_on_their_scale(arch: tuple[Assembly, Plan], pre
 def test_pictures_show_it(arch: tuple[Assembly, Plan], pressed: tuple[Plan, int, int]) -> None:
     """The arrow and the legend where a robot presses, neither elsewhere."""
     pytest.importorskip("PIL", reason="pictures need Pillow; pip install 'falsework[picture]'")
-    timeline, place = Timeline.of(pressed[0], arch[0]), pressed[1]
+    timeline, place = Timeline.from_plan(pressed[0], arch[0]), pressed[1]
     camera = Camera(width=300, height=200)
 
     def legend_there(pixels: np.ndarray) -> bool:
@@ -108,7 +108,7 @@ def test_pictures_show_it(arch: tuple[Assembly, Plan], pressed: tuple[Plan, int,
 def test_a_contact_sheet_prefers_places_with_presses(
     arch: tuple[Assembly, Plan], pressed: tuple[Plan, int, int]
 ) -> None:
-    timeline, place = Timeline.of(pressed[0], arch[0]), pressed[1]
+    timeline, place = Timeline.from_plan(pressed[0], arch[0]), pressed[1]
     frames = next(
         frames
         for frames in range(2, len(timeline) + 1)
@@ -122,7 +122,7 @@ def test_states_of_a_plan_are_judged_as_they_are_reached(
 ) -> None:
     """In any order of questions, and the forces are those of the build."""
     assembly, (plan, place, _) = arch[0], pressed
-    oracle = Stability(assembly)
+    oracle = StabilityOracle(assembly)
     shown = viewable_of(plan, assembly)
     proofs = shown.proofs(range(len(plan) + 1))
     assert all(proof.stable and proof.words.endswith("(as reached in assembly)") for proof in proofs.values())
@@ -151,7 +151,7 @@ def test_a_build_that_ends_too_soon_is_not_called_stable(
     assembly, (plan, place, _) = arch[0], pressed
     absent = next(other for other in range(assembly.part_count) if plan.states[place, other] == 0)
     wrong = replace(plan, presses=tuple((Press(absent, WRENCH),) if some else () for some in plan.presses))
-    build = BuildProofs(wrong, Stability(assembly))
+    build = BuildProofs(wrong, StabilityOracle(assembly))
     fails, later, before = (build.at(at) for at in (place, place + 1, place - 1))
     assert before.stable
     assert not fails.stable
@@ -166,7 +166,9 @@ def test_the_page_says_how_a_state_was_judged(
 ) -> None:
     assembly, (plan, place, part) = arch[0], pressed
     model = ViewerState(
-        Timeline.of(plan, assembly), plan=plan, oracle=Stability(assembly, StabilitySettings(criterion=criterion))
+        Timeline.from_plan(plan, assembly),
+        plan=plan,
+        oracle=StabilityOracle(assembly, StabilitySettings(criterion=criterion)),
     )
     contact = criterion == "contact"
     model.go_to(place)
@@ -184,7 +186,7 @@ def test_the_scene_of_the_page_has_the_arrow(arch: tuple[Assembly, Plan], presse
     from falsework.viewer.page.page import Page
 
     assembly, (plan, place, _) = arch[0], pressed
-    page = Page(ViewerState(Timeline.of(plan, assembly), plan=plan), port=0)
+    page = Page(ViewerState(Timeline.from_plan(plan, assembly), plan=plan), port=0)
     try:
         page.model.go_to(place)
         page.refresh()
@@ -225,7 +227,7 @@ def test_the_page_names_what_robots_bear(arch: tuple[Assembly, Plan]) -> None:
     """At held parts, in both orders."""
     assembly, plan = arch
     assert any(plan.loads)
-    timeline = Timeline.of(plan, assembly)
+    timeline = Timeline.from_plan(plan, assembly)
     for direction in Direction:
         shown = timeline.turned(direction)
         assert [shown.loads_at(place) for place in range(len(plan) + 1)] == list(plan.loads)

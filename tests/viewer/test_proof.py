@@ -10,7 +10,7 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.assembly.state import complete_state
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from falsework.viewer.arrows import Arrows, arrow_mesh, arrows_of_forces
 from falsework.viewer.page.scene import ViserScene
 from falsework.viewer.palette import MOTION, rgb
@@ -26,7 +26,7 @@ def test_forces_on_a_lying_block_balance_its_weight() -> None:
     """A wall of one brick on the ground: pressure up is as long as the weight down, and nothing rubs."""
     stack = load_structure("stack:blocks=1,overhang=0.2")
     state = complete_state(stack.boundary)
-    proof = proof_of_state(Stability(stack), state)
+    proof = proof_of_state(StabilityOracle(stack), state)
     assert proof.stable
     np.testing.assert_allclose(
         total(proof.arrows["contact forces"]) + total(proof.arrows["friction"]), -total(proof.arrows["gravity"]),
@@ -38,7 +38,7 @@ def test_forces_on_a_lying_block_balance_its_weight() -> None:
 def test_an_unstable_arch_moves_and_its_keystone_falls() -> None:
     arch = load_structure("arch:blocks=15,thickness=0.08")
     state = complete_state(arch.boundary)
-    proof = proof_of_state(Stability(arch), state)
+    proof = proof_of_state(StabilityOracle(arch), state)
     assert not proof.stable
     assert proof.decided
     assert "would move" in proof.words
@@ -51,7 +51,7 @@ def test_an_unstable_arch_moves_and_its_keystone_falls() -> None:
 def test_a_state_in_which_all_is_held_has_no_forces() -> None:
     arch = load_structure("arch:blocks=3")
     state = np.full(arch.part_count, 2, dtype=np.uint8)
-    proof = proof_of_state(Stability(arch), state)
+    proof = proof_of_state(StabilityOracle(arch), state)
     assert proof.stable
     assert "every part is held" in proof.words
     assert all(len(some) == 0 for some in proof.arrows.values())
@@ -84,5 +84,5 @@ def test_moved_parts_have_the_colour_of_their_motion() -> None:
 
 def test_a_weight_on_the_line_of_a_contact_force_is_seen_around_it() -> None:
     arch = load_structure("arch:blocks=3")
-    proof = proof_of_state(Stability(arch), complete_state(arch.boundary))
+    proof = proof_of_state(StabilityOracle(arch), complete_state(arch.boundary))
     assert proof.arrows["gravity"].breadth > proof.arrows["contact forces"].breadth

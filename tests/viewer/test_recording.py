@@ -27,7 +27,7 @@ pytest.importorskip("viser", reason="the page needs viser; pip install 'falsewor
 
 def test_a_page_in_a_file_lists_the_steps_and_allows_its_own_scripts_alone(arch: Any) -> None:
     assembly, plan = arch
-    page = record(ViewerState(Timeline.of(plan, assembly), plan=plan))
+    page = record(ViewerState(Timeline.from_plan(plan, assembly), plan=plan))
     for step in plan:
         assert f">{step.words}</td>" in page
     policy = page.index('http-equiv="Content-Security-Policy"')
@@ -39,7 +39,7 @@ def test_a_page_in_a_file_lists_the_steps_and_allows_its_own_scripts_alone(arch:
 
 def test_the_order_of_a_page_in_a_file_is_that_of_assembly(arch: Any) -> None:
     assembly, plan = arch
-    model = ViewerState(Timeline.of(plan, assembly, Direction.DISASSEMBLY), plan=plan)
+    model = ViewerState(Timeline.from_plan(plan, assembly, Direction.DISASSEMBLY), plan=plan)
     model.go_to(3)
     page = record(model)
     words = [step.words for step in plan]

@@ -30,7 +30,7 @@ from falsework.viewer.timeline import Timeline
 
 def opened(plan: RobotPlan, cell: Cell, assembly: Assembly, direction: Direction) -> ViewerState:
     arms = Arms(plan, cell, direction)
-    return ViewerState(Timeline.of(plan.plan, assembly, direction, arms.holders()), plan=plan.plan, arms=arms)
+    return ViewerState(Timeline.from_plan(plan.plan, assembly, direction, arms.holders()), plan=plan.plan, arms=arms)
 
 
 def clock_of(model: ViewerState) -> Clock:

@@ -15,7 +15,7 @@ from falsework.assembly.state import complete_state
 from falsework.assembly.store import save_assembly
 from falsework.cli.main import main
 from falsework.search import Plan, find_plans, save_plan
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.viewer.page.page_text import legend_text, where_text
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import SLIDING, rgb
@@ -45,7 +45,7 @@ def clamp() -> Assembly:
 @pytest.fixture(scope="module")
 def plan(clamp: Assembly) -> Plan:
     """A plan of the paper's criterion, which takes the walls to press as hard as they like."""
-    return find_plans(clamp, oracle=Stability(clamp, EQUILIBRIUM)).plans[0]
+    return find_plans(clamp, oracle=StabilityOracle(clamp, EQUILIBRIUM)).plans[0]
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def plan_file(clamp: Assembly, plan: Plan, tmp_path: Path) -> Path:
 
 
 def test_the_cube_slides_down_and_the_other_one_does_not(clamp: Assembly) -> None:
-    proof = proof_of_state(Stability(clamp), complete_state(clamp.boundary))
+    proof = proof_of_state(StabilityOracle(clamp), complete_state(clamp.boundary))
     assert proof.slides
     assert proof.decided
     assert not proof.stable
@@ -71,7 +71,7 @@ def test_the_cube_slides_down_and_the_other_one_does_not(clamp: Assembly) -> Non
 
 
 def test_under_equilibrium_the_walls_hold_it(clamp: Assembly) -> None:
-    proof = proof_of_state(Stability(clamp, EQUILIBRIUM), complete_state(clamp.boundary))
+    proof = proof_of_state(StabilityOracle(clamp, EQUILIBRIUM), complete_state(clamp.boundary))
     assert proof.stable
     assert not proof.slides
     assert proof.marks == {}
@@ -83,7 +83,7 @@ def test_a_stable_state_shows_forces_under_both_criteria(clamp: Assembly) -> Non
     state = complete_state(clamp.boundary)
     state[CUBE] = 0
     for settings in (StabilitySettings(), EQUILIBRIUM):
-        proof = proof_of_state(Stability(clamp, settings), state)
+        proof = proof_of_state(StabilityOracle(clamp, settings), state)
         assert proof.stable
         pressure, weight = (
             (arrows.ends[:, 1] - arrows.ends[:, 0]).sum(axis=0)
@@ -93,7 +93,7 @@ def test_a_stable_state_shows_forces_under_both_criteria(clamp: Assembly) -> Non
 
 
 def test_many_states_at_once_are_as_each_by_itself(clamp: Assembly, plan: Plan) -> None:
-    oracle = Stability(clamp)
+    oracle = StabilityOracle(clamp)
     together = proofs_of_states(oracle, plan.states)
     alone = [proof_of_state(oracle, state) for state in plan.states]
     assert [proof.words for proof in together] == [proof.words for proof in alone]
@@ -103,7 +103,7 @@ def test_many_states_at_once_are_as_each_by_itself(clamp: Assembly, plan: Plan) 
 
 @pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
 def test_the_page_marks_it_once_it_was_asked_about(criterion: str, clamp: Assembly, plan: Plan) -> None:
-    model = ViewerState(Timeline.of(plan, clamp), plan=plan, criterion=criterion)  # type: ignore[arg-type]
+    model = ViewerState(Timeline.from_plan(plan, clamp), plan=plan, criterion=criterion)  # type: ignore[arg-type]
     model.go_to(len(plan))
     assert model.appearance().color[CUBE].tolist() != list(rgb(SLIDING))
     slides = criterion == "contact"
@@ -159,8 +159,8 @@ def test_line_drawings_name_and_mark_it(plan_file: Path, tmp_path: Path) -> None
 
 def test_films_mark_it(clamp: Assembly, plan: Plan) -> None:
     """The legend has the colour in every picture, and the cube has it where it slides."""
-    timeline = Timeline.of(plan, clamp)
-    proofs = dict(enumerate(proofs_of_states(Stability(clamp), timeline.states)))
+    timeline = Timeline.from_plan(plan, clamp)
+    proofs = dict(enumerate(proofs_of_states(StabilityOracle(clamp), timeline.states)))
     options = {"seconds": 0.5, "rate": 2.0, "camera": Camera(width=240, height=160)}
     plain, marked = list(frames_of(timeline, **options)), list(frames_of(timeline, proofs=proofs, **options))
     for one, other in zip(plain, marked, strict=True):

@@ -12,7 +12,7 @@ from falsework.search import Direction
 from falsework.search.plans.steps import NO_ROBOT, holders
 from falsework.viewer.appearance import FADE, appearance_at, pick
 from falsework.viewer.palette import BOUNDARY, ramp, rgb, robot_color
-from falsework.viewer.timeline import Timeline, interesting, way_out
+from falsework.viewer.timeline import Timeline, exit_direction_of, interesting
 
 
 def test_a_robot_keeps_its_part() -> None:
@@ -32,7 +32,7 @@ def test_a_robot_keeps_its_part() -> None:
 
 def test_both_orders_show_the_same_states(arch) -> None:
     assembly, plan = arch
-    together = Timeline.of(plan, assembly)
+    together = Timeline.from_plan(plan, assembly)
     apart = together.turned(Direction.DISASSEMBLY)
     count = len(plan)
     for timeline in (together, apart):
@@ -47,7 +47,7 @@ def test_both_orders_show_the_same_states(arch) -> None:
 
 def test_a_step_has_one_number_in_both_orders(arch) -> None:
     assembly, plan = arch
-    together = Timeline.of(plan, assembly)
+    together = Timeline.from_plan(plan, assembly)
     apart, count = together.turned(Direction.DISASSEMBLY), len(plan)
     assert together.label(0) == f"step 0 of {count}"
     assert apart.label(count) == f"all {count} steps done"
@@ -73,9 +73,11 @@ def test_who_holds_when_is_what_the_states_say(timeline) -> None:
 
 def test_ways_out_are_those_of_the_clearance_table(timeline) -> None:
     for part in np.flatnonzero(timeline.insertion > 0):
-        assert np.linalg.norm(timeline.ways[part]) == pytest.approx(1.0)
+        assert np.linalg.norm(timeline.exit_directions[part]) == pytest.approx(1.0)
         state = timeline.states[timeline.insertion[part]]
-        np.testing.assert_array_equal(timeline.ways[part], timeline.assembly.clearance.exit_direction(state, part))
+        np.testing.assert_array_equal(
+            timeline.exit_directions[part], timeline.assembly.clearance.exit_direction(state, part)
+        )
 
 
 def test_a_guessed_way_out_leads_away_from_what_is_touched(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,14 +85,14 @@ def test_a_guessed_way_out_leads_away_from_what_is_touched(monkeypatch: pytest.M
     stack = load_structure("stack:blocks=4")
     state = np.where(stack.boundary, 2, 1).astype(np.uint8)
     top = int(np.argmax(stack.mass.center[:, 2]))
-    np.testing.assert_allclose(way_out(stack, state, top), [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(exit_direction_of(stack, state, top), [0, 0, 1], atol=1e-9)
     alone = np.where(stack.boundary, 2, 0).astype(np.uint8)
-    np.testing.assert_allclose(way_out(stack, alone, top), [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(exit_direction_of(stack, alone, top), [0, 0, 1], atol=1e-9)
 
 
 def test_a_plan_of_another_structure_is_refused(arch) -> None:
     with pytest.raises(PlanError, match="parts"):
-        Timeline.of(arch[1], load_structure("arch:blocks=6"))
+        Timeline.from_plan(arch[1], load_structure("arch:blocks=6"))
 
 
 def test_colours_are_those_of_state_and_robots(timeline) -> None:
@@ -107,7 +109,7 @@ def test_colours_are_those_of_state_and_robots(timeline) -> None:
 
 def test_a_part_fades_out_along_its_way(arch) -> None:
     assembly, plan = arch
-    timeline = Timeline.of(plan, assembly, Direction.DISASSEMBLY)
+    timeline = Timeline.from_plan(plan, assembly, Direction.DISASSEMBLY)
     some = np.flatnonzero(timeline.insertion > 0)
     step = int(timeline.insertion[some].min())
     part = int(some[np.argmin(timeline.insertion[some])])
@@ -119,7 +121,7 @@ def test_a_part_fades_out_along_its_way(arch) -> None:
     assert opacity[0] == 1.0
     assert opacity[-1] == 0.0
     assert (np.diff(opacity) < 0).all()
-    along = [appearance.shift[first] @ timeline.ways[first] for appearance in looks[:-1]]
+    along = [appearance.shift[first] @ timeline.exit_directions[first] for appearance in looks[:-1]]
     assert (np.diff(along) > 0).all()
     assert looks[4].ghosts.tolist() == [first] or first in looks[4].ghosts
     assert appearance_at(timeline, step - 1).opacity[part] < 1.0

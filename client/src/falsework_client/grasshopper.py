@@ -19,7 +19,7 @@ _plans: weakref.WeakKeyDictionary[Structure, dict[int, Plan]] = weakref.WeakKeyD
 
 
 @dataclass(frozen=True)
-class Stability:
+class StabilityOracle:
     """Outputs of the component Stability."""
 
     stable: bool
@@ -55,7 +55,7 @@ def judge(
     friction: float | None = None,
     density: float | None = None,
     draw: bool = False,
-) -> Stability:
+) -> StabilityOracle:
     """Return the verdict on the complete structure.
 
     Args:
@@ -73,7 +73,7 @@ def judge(
     verdict = structure.stability()
     lines = [verdict.verdict + ("" if verdict.stable else f": {len(verdict.moving)} blocks move")]
     picture = _saved(structure.picture(proof=True)) if draw else None
-    return Stability(
+    return StabilityOracle(
         verdict.stable, "\n".join([*lines, *structure.warnings]), [items[part] for part in verdict.moving], picture
     )
 

@@ -79,7 +79,9 @@ class Draft:
     """In metres."""
 
     @staticmethod
-    def of(path: Path, scale: float, blocks: Sequence[Block], interfaces: Sequence[Mapping[str, Any]] = ()) -> Draft:
+    def from_blocks(
+        path: Path, scale: float, blocks: Sequence[Block], interfaces: Sequence[Mapping[str, Any]] = ()
+    ) -> Draft:
         """Name the parts and find those of each interface.
 
         Args:
@@ -109,7 +111,7 @@ class Draft:
         return Draft(path, scale, tuple(blocks), tuple(stored))
 
     @staticmethod
-    def of_meshes(path: Path, unit: str | None = None) -> Draft:
+    def from_meshes(path: Path, unit: str | None = None) -> Draft:
         """Read the parts of a folder or file of meshes, unchecked.
 
         Args:
@@ -215,7 +217,7 @@ class Draft:
         )
         strength = {name: max(self._values(name), default=None) for name in ("cohesion", "tension")}
         assembly = assembly.replace(
-            joints=Joints.throughout(assembly.contacts, **strength), loads=self._loads(assembly)
+            joints=Joints.from_uniform(assembly.contacts, **strength), loads=self._loads(assembly)
         )
         if interfaces == "compare":
             compare_interfaces(interface_contacts(meshes, self.interfaces), assembly.contacts).warn(assembly.names)
@@ -236,12 +238,12 @@ class Draft:
             for load in block.attributes.get("loads", ()):
                 place = {"at": (np.asarray(load["at"]) * self.scale).tolist()} if "at" in load else {}
                 entries.append({"part": number, **load, **place})
-        acting = Loads.read(entries, None, assembly.names, assembly.mass.center)
+        acting = Loads.from_entries(entries, None, assembly.names, assembly.mass.center)
         pulled = np.array(next(block.attributes.get("acceleration") or (0, 0, 0) for block in self.blocks), dtype=float)
         if not pulled.any():
             return acting
         wrench = None if acting is None else acting.wrench
-        return Loads.of(assembly.part_count, wrench=wrench, acceleration=pulled / GRAVITY)
+        return Loads.from_arrays(assembly.part_count, wrench=wrench, acceleration=pulled / GRAVITY)
 
     def _values(self, name: str) -> list[float]:
         """Return an attribute of the blocks that have it as a number."""

@@ -43,7 +43,7 @@ def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly
             do not touch.
     """
     contacts = assembly.contacts
-    joints = assembly.joints or Joints.of(contacts)
+    joints = assembly.joints or Joints.from_arrays(contacts)
     corner = contacts.areas / np.diff(contacts.start)
     parts, points, axes, areas, strengths = [], [], [], [], []
     for entry in read_model(list[FastenerEntry], plain(entries), "", AssemblyError, "fasteners"):
@@ -95,23 +95,23 @@ def furnish(
 
     Args:
         assembly: as it was read.
-        loads, earthquake: as for `Loads.read`.
-        materials, joints: as for `Joints.read`.
+        loads, earthquake: as for `Loads.from_entries`.
+        materials, joints: as for `Joints.from_entries`.
         fasteners: as for `fasten`.
 
     Raises:
         AssemblyError: any of them cannot be used.
     """
-    acting, own = Loads.read(loads, earthquake, assembly.names, assembly.mass.center), assembly.loads
+    acting, own = Loads.from_entries(loads, earthquake, assembly.names, assembly.mass.center), assembly.loads
     if acting is not None and own is not None:  # what is given replaces what the file has of the same kind
         wrench = own.wrench if loads is None else acting.wrench
         pulled = own.acceleration if earthquake is None else acting.acceleration
-        acting = Loads.of(assembly.part_count, wrench=wrench, acceleration=pulled)
+        acting = Loads.from_arrays(assembly.part_count, wrench=wrench, acceleration=pulled)
     idle = [] if acting is None else np.flatnonzero(acting.wrench.any(axis=1) & assembly.boundary).tolist()
     if idle:
         names = listed([assembly.names[part] for part in idle])
         warnings.warn(f"loads on parts that are boundary have no effect: {names}", ReadWarning, stacklevel=2)
-    joined = Joints.read(joints, materials, assembly.names, assembly.contacts)
+    joined = Joints.from_entries(joints, materials, assembly.names, assembly.contacts)
     if acting is not None or joined is not None:
         assembly = assembly.replace(loads=acting, joints=joined)
     return fasten(assembly, fasteners or [])

@@ -49,7 +49,7 @@ class Joints:
     """Index into `setting` of each contact point, -1 for none, shape (points,); empty where nothing sets."""
 
     @staticmethod
-    def of(
+    def from_arrays(
         contacts: Contacts,
         *,
         friction: ArrayLike = np.nan,
@@ -106,7 +106,9 @@ class Joints:
         )
 
     @staticmethod
-    def throughout(contacts: Contacts, *, cohesion: float | None = None, tension: float | None = None) -> Joints | None:
+    def from_uniform(
+        contacts: Contacts, *, cohesion: float | None = None, tension: float | None = None
+    ) -> Joints | None:
         """Give all contacts with an area the same strength; None where there is none to give.
 
         Args:
@@ -121,10 +123,12 @@ class Joints:
             return None
         flat = contacts.dimension == 2
         given = np.nan if cohesion is None else cohesion
-        return Joints.of(contacts, cohesion=np.where(flat, given, np.nan), tension=np.where(flat, tension or 0.0, 0.0))
+        return Joints.from_arrays(
+            contacts, cohesion=np.where(flat, given, np.nan), tension=np.where(flat, tension or 0.0, 0.0)
+        )
 
     @staticmethod
-    def read(entries: Any, materials: Any, names: Sequence[str], contacts: Contacts) -> Joints | None:
+    def from_entries(entries: Any, materials: Any, names: Sequence[str], contacts: Contacts) -> Joints | None:
         """Read joints as `assembly.json` gives them; where several apply, the last one counts.
 
         Args:
@@ -169,7 +173,7 @@ class Joints:
             if strong or entry.sets is not None:
                 sets[rows] = -1 if entry.sets is None else len(ways)
                 ways += [] if entry.sets is None else [entry.sets]
-        return Joints.of(contacts, **values, ductile=ductile, setting=ways, sets=sets)
+        return Joints.from_arrays(contacts, **values, ductile=ductile, setting=ways, sets=sets)
 
     @staticmethod
     def _frozen(
@@ -242,7 +246,7 @@ class Joints:
             longer(self.sets, -1),
         )
 
-    def found_anew(self, before: Contacts, after: Contacts) -> Joints:
+    def recomputed(self, before: Contacts, after: Contacts) -> Joints:
         """Return joints of the same strength per area for contacts of the same parts in other places.
 
         A contact takes the strength of the largest one between its parts. Parts that did not touch are not joined.
@@ -257,7 +261,7 @@ class Joints:
         joined = source >= 0
         flat = joined & (after.dimension == 2) & (share[source] > 0)
         first, area = before.start[:-1][source], np.where(flat, share[source], 1.0)
-        return Joints.of(
+        return Joints.from_arrays(
             after,
             friction=np.where(joined, self.friction[first], np.nan),
             cohesion=np.where(flat, self.cohesion[first] / area, np.nan),

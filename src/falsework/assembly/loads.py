@@ -30,7 +30,7 @@ class Loads:
     """Acceleration of every part in addition to gravity, in shares of gravity, shape (3,), read-only."""
 
     @staticmethod
-    def of(parts: int, *, wrench: ArrayLike | None = None, acceleration: ArrayLike = (0.0, 0.0, 0.0)) -> Loads:
+    def from_arrays(parts: int, *, wrench: ArrayLike | None = None, acceleration: ArrayLike = (0.0, 0.0, 0.0)) -> Loads:
         """Check arrays and make loads of them.
 
         Args:
@@ -52,7 +52,7 @@ class Loads:
         return Loads(*arrays)
 
     @staticmethod
-    def read(entries: Any, earthquake: Any, names: Sequence[str], center: Array) -> Loads | None:
+    def from_entries(entries: Any, earthquake: Any, names: Sequence[str], center: Array) -> Loads | None:
         """Read loads as `assembly.json` and the command line give them.
 
         Args:
@@ -87,7 +87,7 @@ class Loads:
             acceleration[: len(values)] = values
         if not (wrench.any() or acceleration.any()):
             return None
-        return Loads.of(len(names), wrench=wrench, acceleration=acceleration)
+        return Loads.from_arrays(len(names), wrench=wrench, acceleration=acceleration)
 
     def describe(self) -> dict[str, Any]:
         """Return the entries of `assembly.json` that `read` makes these loads of.

@@ -19,8 +19,8 @@ from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.touching import check_touching, contact_warnings
 from falsework.errors import AssemblyError
+from falsework.geometry.clearance.part_sets import SetClearance
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
-from falsework.geometry.clearance.together import SetClearance
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
@@ -221,7 +221,7 @@ class Assembly(Displayed):
         Args:
             gravity: m/s2 along -z.
         """
-        loads = self.loads or Loads.of(self.part_count)
+        loads = self.loads or Loads.from_arrays(self.part_count)
         return loads.applied(self.mass.mass, gravity)
 
     @cached_property
@@ -311,7 +311,7 @@ class Assembly(Displayed):
         loads, joints = self.loads, self.joints
         if loads is not None:
             wrench = np.concatenate([loads.wrench, np.zeros((1, 6))])
-            loads = Loads.of(len(wrench), wrench=wrench, acceleration=loads.acceleration)
+            loads = Loads.from_arrays(len(wrench), wrench=wrench, acceleration=loads.acceleration)
         if joints is not None:
             joints = joints.among(self.contacts, grounded.contacts, self.part_count)
         return grounded.replace(loads=loads, joints=joints)

@@ -54,8 +54,9 @@ def load_assembly(
 
     `assembly.json` in the folder, or beside the file, gives `name`, `unit`, `density` (one number or one a
     part, kg/m3), `friction`, `boundary` (ids or names of parts), `names`, `contact` (fields of
-    `ContactSettings`), `loads` and `earthquake` (see `Loads.read`), `materials` and `joints` (see `Joints.read`), and
-    `fasteners` (see `fasten`); all of them may be missing. Arguments take precedence over the file.
+    `ContactSettings`), `loads` and `earthquake` (see `Loads.from_entries`), `materials` and `joints` (see
+    `Joints.from_entries`), and `fasteners` (see `fasten`); all of them may be missing. Arguments take
+    precedence over the file.
 
     Args:
         path: folder or mesh file.
@@ -101,10 +102,10 @@ def described_draft(source: Path, described: Mapping[str, Any], unit: str | None
         unit: in place of the unit of the description.
 
     Raises:
-        InputError: as for `Draft.of_meshes`.
+        InputError: as for `Draft.from_meshes`.
         AssemblyError: the description is of another number of parts.
     """
-    draft = Draft.of_meshes(source, described.get("unit") if unit is None else unit)
+    draft = Draft.from_meshes(source, described.get("unit") if unit is None else unit)
     count = described.get("parts", len(draft.blocks))
     if count != len(draft.blocks):
         raise AssemblyError(

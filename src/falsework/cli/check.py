@@ -132,7 +132,7 @@ class CheckPlan(JudgingCommand):
             reserve=self.reserve,
             holds=HoldSettings(force=self.hold_force, moment=self.hold_moment),
         )
-        demands = None if self.margin is None else Demands.parse(self.margin)
+        demands = None if self.margin is None else Demands.from_text(self.margin)
         plan = load_plan(self.plan)
         assembly, overrides = structure_to_check(plan, self.plan, self.structure, **self.reading.given())
         with output.bar("checking") as show:
@@ -238,7 +238,7 @@ class CheckPlan(JudgingCommand):
 
     def _replay(self, plan: Plan, assembly: Assembly, settings: StabilitySettings, output: Output) -> bool:
         """Replay under the settings, then under varied ones; return whether the plan succeeds."""
-        from falsework.search.plans.plan_report import place_in_words
+        from falsework.search.plans.plan_report import describe_place
         from falsework.stability.contact.replay import Replayer
         from falsework.stability.contact.varied_replay import replay_varied
 
@@ -250,7 +250,7 @@ class CheckPlan(JudgingCommand):
             if replay.falls_at == row:
                 break
         if not replay.good:
-            output.note(f"falsework: {self.plan}: the replay fails {place_in_words(plan, replay.falls_at or 0)}")
+            output.note(f"falsework: {self.plan}: the replay fails {describe_place(plan, replay.falls_at or 0)}")
             return False
         denied = "" if plan.replay is None else plan.replay.denied_by(replay)
         if denied:
@@ -290,14 +290,14 @@ class CheckPlan(JudgingCommand):
 
     def _build(self, plan: Plan, assembly: Assembly, output: Output) -> bool:
         """Build the plan by discrete elements; return whether no state collapses."""
-        from falsework.search.plans.plan_report import place_in_words
+        from falsework.search.plans.plan_report import describe_place
         from falsework.stability.judges import BuildJudge
 
         judge = BuildJudge(assembly, plan.claim.holds)
         judgement = judge.judge(plan.states, plan.presses_before)
         output.record({"judgement": judgement.to_dict()})
         if judgement.falls_at is not None:
-            where = place_in_words(plan, judgement.falls_at)
+            where = describe_place(plan, judgement.falls_at)
             name = assembly.names[judgement.part]
             output.note(f"falsework: {self.plan}: {name} falls when discrete elements build the plan, {where}")
             return False
@@ -306,7 +306,7 @@ class CheckPlan(JudgingCommand):
 
     def _judge_with_lmgc90(self, plan: Plan, assembly: Assembly, output: Output) -> bool:
         """Check states by LMGC90 up to the first unstable one; states that it cannot compute are only reported."""
-        from falsework.search.plans.plan_report import place_in_words
+        from falsework.search.plans.plan_report import describe_place
         from falsework.stability.judges.lmgc90 import judge_by_lmgc90
 
         stands = refused = 0
@@ -319,7 +319,7 @@ class CheckPlan(JudgingCommand):
             stands += answer.answer == "stands"
             refused += answer.answer == "not judged"
             if answer.answer == "falls":
-                output.note(f"falsework: {self.plan}: a part falls under LMGC90 {place_in_words(plan, row)}")
+                output.note(f"falsework: {self.plan}: a part falls under LMGC90 {describe_place(plan, row)}")
                 return False
         output.say(f"LMGC90: {stands} states are stable, {refused} could not be computed")
         return True

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from falsework.assembly.state import States
     from falsework.cli.output import Output
-    from falsework.search.margins.demands import DemandingStability
+    from falsework.search.margins.demands import MarginOracle
     from falsework.search.plans.plan import Plan
     from falsework.search.problem.result import SearchResult
     from falsework.search.problem.task import Task
@@ -18,7 +18,7 @@ _HALVINGS = 8
 """Steps of a search for the largest load or placement error that one of them keeps."""
 
 
-def refuse_weak_end(oracle: DemandingStability, task: Task, output: Output) -> bool:
+def refuse_weak_end(oracle: MarginOracle, task: Task, output: Output) -> bool:
     """Report a start or target state that does not keep the required margins, since then there is no plan."""
     for name, state in (("start", task.start), ("target", task.target)):
         broken = oracle.broken(state)
@@ -31,21 +31,21 @@ def refuse_weak_end(oracle: DemandingStability, task: Task, output: Output) -> b
     return False
 
 
-def explain_shortfall(oracle: DemandingStability, result: SearchResult) -> tuple[dict[str, Any], str]:
+def explain_shortfall(oracle: MarginOracle, result: SearchResult) -> tuple[dict[str, Any], str]:
     """Return by how much the states where a search stopped miss the required margins, as a record and in words."""
     import numpy as np
 
-    from falsework.stability.oracle import Stability
+    from falsework.stability.oracle import StabilityOracle
 
     states = result.rejected[: 4 * LOOKED_AT]
     if len(states):
-        plain = Stability(oracle.assembly, oracle.settings).verdicts(states)
+        plain = StabilityOracle(oracle.assembly, oracle.settings).verdicts(states)
         states = states[np.flatnonzero(plain.stable)][:LOOKED_AT]
     lacks = shortfall(oracle, states)
     return lacks, _words(lacks)
 
 
-def shortfall(oracle: DemandingStability, states: States) -> dict[str, dict[str, float]]:
+def shortfall(oracle: MarginOracle, states: States) -> dict[str, dict[str, float]]:
     """Return the required margins that no state keeps, with the best margin among the states; SI units.
 
     Args:
@@ -73,7 +73,7 @@ def shortfall(oracle: DemandingStability, states: States) -> dict[str, dict[str,
     return lacks
 
 
-def _largest_kept(oracle: DemandingStability, states: States, kind: str, wanted: float) -> float:
+def _largest_kept(oracle: MarginOracle, states: States, kind: str, wanted: float) -> float:
     """Return a value that a state keeps, by bisection on a logarithmic scale; 0 if none keeps a thousandth of it."""
     kept, lost = 0.0, wanted
     for _ in range(_HALVINGS):
@@ -87,11 +87,11 @@ def _largest_kept(oracle: DemandingStability, states: States, kind: str, wanted:
     return kept
 
 
-def _keeps(oracle: DemandingStability, states: States, kind: str, value: float) -> bool:
+def _keeps(oracle: MarginOracle, states: States, kind: str, value: float) -> bool:
     """Return whether one of the states keeps a margin of this kind."""
-    from falsework.search.margins.demands import DemandingStability, Demands
+    from falsework.search.margins.demands import Demands, MarginOracle
 
-    return bool(DemandingStability(oracle.assembly, oracle.settings, Demands(**{kind: value})).keeps(states).any())
+    return bool(MarginOracle(oracle.assembly, oracle.settings, Demands(**{kind: value})).keeps(states).any())
 
 
 def _words(lacks: dict[str, dict[str, float]]) -> str:

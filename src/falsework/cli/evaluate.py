@@ -72,7 +72,7 @@ class Evaluate(Command):
         from falsework.learn.networks.autocast import Network
         from falsework.learn.training.evaluate import GoalBlindPolicy, evaluate
         from falsework.search.device.oracle import tensor_oracle
-        from falsework.stability import Stability, StabilitySettings
+        from falsework.stability import StabilityOracle, StabilitySettings
         from falsework.utils.distributed import init_distributed
 
         if self.states is not None and self.states < 1:
@@ -85,7 +85,7 @@ class Evaluate(Command):
             assembly, policy = self._subject(trained)
             if not settings.policy.custom:
                 policy.of_task(settings.robots, equilibrium=criterion == "equilibrium")
-            oracle = Stability(assembly, StabilitySettings(criterion=criterion))
+            oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion))
             environment = Environment(
                 assembly, settings.robots, oracle=oracle, device=device, clearance=settings.removable_only_if_clear
             )
@@ -176,12 +176,12 @@ class Evaluate(Command):
 
     def _data(self, trained: Run, assembly: Assembly, oracle: TensorOracle, device: torch.device) -> Dataset:
         """Return the states of the run if they fit structure and criterion, else states of the same searches."""
-        from falsework.learn.data.dataset import build_dataset, load_dataset, task_for
+        from falsework.learn.data.dataset import build_dataset, load_dataset, training_task
         from falsework.learn.training.checkpoint import DATA
 
         settings: Any = trained.settings
         same = self.structure is None and self.robots is None and self.criterion in (None, settings.criterion)
         if same and (self.folder / DATA).is_file():
             return load_dataset(self.folder / DATA, assembly)
-        task = task_for(assembly, settings.robots, settings.removable_only_if_clear)
+        task = training_task(assembly, settings.robots, settings.removable_only_if_clear)
         return build_dataset(assembly, task, oracle=oracle, device=str(device))

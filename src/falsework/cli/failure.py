@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
     from falsework.search.problem.result import SearchResult
-    from falsework.stability import Stability
+    from falsework.stability import StabilityOracle
 
 LOOKED_AT = 16
 """Largest number of unstable states whose motions are examined."""
@@ -86,7 +86,7 @@ class Failure:
         }
 
 
-def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Failure:
+def explain(assembly: Assembly, oracle: StabilityOracle, result: SearchResult) -> Failure:
     """Report why a search found nothing.
 
     Args:
@@ -109,7 +109,7 @@ def explain(assembly: Assembly, oracle: Stability, result: SearchResult) -> Fail
     return Failure(proven, result.reached, result.steps, backwards, moving, reason, result.sliding, cut, there)
 
 
-def common_motions(assembly: Assembly, oracle: Stability, states: States) -> list[PartMotion]:
+def common_motions(assembly: Assembly, oracle: StabilityOracle, states: States) -> list[PartMotion]:
     """Return the motions of parts in unstable states, one per part, the most frequent first."""
     if not len(states):
         return []

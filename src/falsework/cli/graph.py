@@ -60,7 +60,7 @@ class MakeGraph(JudgingCommand):
         from falsework.search.backend import beam_search
         from falsework.search.problem.deadline import Deadline
         from falsework.search.problem.state_graph import StateGraph, save_state_graph
-        from falsework.stability import PressingStability, Stability, StabilitySettings
+        from falsework.stability import PressOracle, StabilityOracle, StabilitySettings
 
         writable(self.out, ".npz")
         clock = Deadline(self.deadline)
@@ -74,8 +74,8 @@ class MakeGraph(JudgingCommand):
         if self.presses and widths is not None:
             raise InputError("data sets are judged from rest; leave out --presses or --sets")
         assembly = self.structure.load()
-        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
-        judge, device = (PressingStability(oracle), "cpu") if self.presses else (oracle, self.device)
+        oracle = StabilityOracle(assembly, StabilitySettings(criterion=self.criterion))
+        judge, device = (PressOracle(oracle), "cpu") if self.presses else (oracle, self.device)
         task = self.task.task(assembly)
         if refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
@@ -90,7 +90,7 @@ class MakeGraph(JudgingCommand):
                 result = search.run(progress=report, stop=lambda: clock.passed)
         for note in result.notes:
             output.note(note)
-        graph = StateGraph.build(task, search.states(), name=assembly.name)
+        graph = StateGraph.from_states(task, search.states(), name=assembly.name)
         save_state_graph(graph, self.out)
         output.file(self.out)
         output.record(

@@ -84,7 +84,7 @@ class FindMargins(Command):
         from falsework.search.plans.plan import Plan
         from falsework.search.plans.plan_check import check_identity
         from falsework.search.plans.plan_source import structure_to_check
-        from falsework.stability import Stability, StabilitySettings
+        from falsework.stability import StabilityOracle, StabilitySettings
         from falsework.stability.margins.margins import QUICK
         from falsework.utils.quantity import parse_quantity
 
@@ -104,7 +104,7 @@ class FindMargins(Command):
         if self.out is not None:
             self._refuse_out(plan, settings)
         extra = [kind for kind in ("polygon", "settlement") if getattr(self, kind)]
-        oracle, found, interrupted = Stability(assembly, settings), [], False
+        oracle, found, interrupted = StabilityOracle(assembly, settings), [], False
         with output.bar("margins") as show:
             try:
                 for row in range(len(states)):
@@ -203,7 +203,7 @@ class FindMargins(Command):
         self, assembly: Assembly, states: States, errors: list[float], settings: Any, output: Output
     ) -> list[list[float]]:
         """Return the share of stable draws, a list per state with one entry for each placement error."""
-        from falsework.stability import Stability
+        from falsework.stability import StabilityOracle
         from falsework.stability.margins.placement import placement_curve
 
         if not errors:
@@ -213,7 +213,7 @@ class FindMargins(Command):
                 assembly,
                 states,
                 errors,
-                lambda moved, batch: Stability(moved, settings).verdicts(batch).stable,
+                lambda moved, batch: StabilityOracle(moved, settings).verdicts(batch).stable,
                 draws=self.draws,
                 seed=self.seed,
                 progress=lambda done, total: show(done, total, f"draw {done} of {total}"),

@@ -85,7 +85,7 @@ class MakePicture(JudgingCommand):
 
     def run(self, output: Output) -> Exit:
         """Open, draw, write."""
-        from falsework.viewer.cells.cell_sight import is_cell
+        from falsework.viewer.cells.cell_model import is_cell
         from falsework.viewer.pictures.contact_sheet import check_suffix
         from falsework.viewer.pictures.video import KINDS
         from falsework.viewer.show import check_sizes

@@ -13,14 +13,14 @@ from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import (
     HoldOptions,
-    SupportOptions,
+    RegraspOptions,
     first_steps,
     lacks_judge,
     lacks_reserve,
     load_record,
     need_text,
-    promise_lines,
     refuse_unstable,
+    reserve_lines,
     search_directions,
     writable,
 )
@@ -54,7 +54,7 @@ class MakePlan(Command):
         "seed",
         "cone",
         "solver",
-        "maximise",
+        "maximise_margin",
         "robust",
         "judge",
         "proofs",
@@ -66,7 +66,7 @@ class MakePlan(Command):
         "falsework plan arch --robots auto --deadline 120 --out plan.json",
         "falsework plan my-folder --missing 3,4 --alternatives 5 --out plan.json",
         "falsework plan arch --margin friction=1.25,tilt=1deg --out safe.json",
-        "falsework plan arch --maximise friction --out strong.json",
+        "falsework plan arch --maximise-margin friction --out strong.json",
         "falsework plan arch:blocks=7 --ground --robots 1 --props 3 --out propped.json",
         "falsework plan shelf --robots 2 --parts-at-once 2 --out shelf.json",
     )
@@ -74,7 +74,7 @@ class MakePlan(Command):
     structure: StructureOptions
     out: Annotated[Path, arg(metavar="FILE")] = Path("plan.json")
     """File to write; alternatives get -2, -3, ... added to its name."""
-    task: SupportOptions
+    task: RegraspOptions
     holds: HoldOptions
     robots: Annotated[str, arg(metavar="NUMBER")] = "2"
     """Number of robots: parts that can be held at a time; `auto` for the fewest with which a plan is found."""
@@ -100,7 +100,7 @@ class MakePlan(Command):
     margin: Annotated[str | None, arg(metavar="MARGINS", help_behavior_hint=UNSET)] = None
     """Margins that every state must keep: friction=1.25 (factor of safety), tilt=2deg, horizontal=0.05g, push=20N (on
     any free face), load=1kN (on any installed part), placement=1mm; several are separated by commas."""
-    maximise: Annotated[Literal["friction", "tilt", "push"] | None, arg(help_behavior_hint=UNSET)] = None
+    maximise_margin: Annotated[Literal["friction", "tilt", "push"] | None, arg(help_behavior_hint=UNSET)] = None
     """Search for the plan whose weakest step has the largest margin of this kind, and report an upper bound."""
     robust: bool = False
     """Accept only a plan whose replay also succeeds with other stiffness ratios, release increments and damping, and
@@ -121,23 +121,32 @@ class MakePlan(Command):
         """Search, prove and save."""
         from falsework.cli.demands import explain_shortfall, refuse_weak_end
         from falsework.cli.failure import explain
-        from falsework.search.find import find_plans, task_of
-        from falsework.search.margins.demands import DemandingStability, Demands
+        from falsework.search.find import find_plans, make_task
+        from falsework.search.margins.demands import Demands, MarginOracle
         from falsework.search.maximise import maximise_margin
         from falsework.search.problem.deadline import Deadline, check_deadline
-        from falsework.stability import Stability
+        from falsework.stability import StabilityOracle
 
-        if self.maximise and (self.alternatives > 1 or self.resume):
-            raise InputError("--maximise looks for one plan, from the beginning; leave out --alternatives and --resume")
-        if self.guide is not None and (self.task.wider or self.maximise or self.robots == "auto"):
-            raise InputError("--guide takes neither --support, --props, --maximise nor --robots auto; leave it out")
-        if self.task.wider and (self.alternatives > 1 or self.resume or self.margin or self.maximise):
-            raise InputError("--support and --props take neither --alternatives, --resume, --margin nor --maximise")
+        if self.maximise_margin and (self.alternatives > 1 or self.resume):
+            raise InputError(
+                "--maximise-margin looks for one plan, from the beginning; leave out --alternatives and --resume"
+            )
+        if self.guide is not None and (self.task.wider or self.maximise_margin or self.robots == "auto"):
+            raise InputError(
+                "--guide takes neither --allow-regrasp, --props, --maximise-margin nor --robots auto; leave it out"
+            )
+        if self.task.wider and (self.alternatives > 1 or self.resume or self.margin or self.maximise_margin):
+            raise InputError(
+                "--allow-regrasp and --props take neither --alternatives, --resume, --margin nor --maximise-margin"
+            )
         if self.robust and self.criterion != "contact":
             raise InputError("--robust asks for replays, which the criterion equilibrium does not have; leave it out")
-        if self.judge and (self.criterion != "contact" or self.task.wider or self.alternatives > 1 or self.maximise):
+        if self.judge and (
+            self.criterion != "contact" or self.task.wider or self.alternatives > 1 or self.maximise_margin
+        ):
             raise InputError(
-                "--judge takes neither --criterion equilibrium, --support, --props, --alternatives nor --maximise"
+                "--judge takes neither --criterion equilibrium, --allow-regrasp, --props, --alternatives nor "
+                "--maximise-margin"
             )
         auto = self.robots == "auto"
         self.task.check_several(
@@ -147,38 +156,40 @@ class MakePlan(Command):
                 "--resume": self.resume,
             }
         )
-        demands = Demands() if self.margin is None else Demands.parse(self.margin)
+        demands = Demands() if self.margin is None else Demands.from_text(self.margin)
 
         writable(self.out)
         check_deadline(self.deadline)
         if auto:
-            if demands or self.maximise or self.judge:
-                raise InputError("--robots auto takes no --margin, --maximise or --judge; give the number of robots")
+            if demands or self.maximise_margin or self.judge:
+                raise InputError(
+                    "--robots auto takes no --margin, --maximise-margin or --judge; give the number of robots"
+                )
             return self._with_fewest_robots(output)
         saves = not self.task.wider and self.task.parts_at_once == 1
         settings, checkpoint = self._settings(), self._checkpoint() if saves else None
         assembly = self.task.with_places(self.structure.load())
         if assembly.boundary.all():
             raise InputError(f"every part of {assembly.name} is boundary, so there is nothing to plan; fix fewer parts")
-        task = task_of(assembly, self._robot_count(), **self.task.rules(assembly))
+        task = make_task(assembly, self._robot_count(), **self.task.rules(assembly))
         stability = self.holds.settings(self.criterion, self.cone, self.solver)
         plain = replace(stability, reserve=1.0)
-        oracle = DemandingStability(assembly, stability, demands) if demands else Stability(assembly, stability)
-        if refuse_unstable(assembly, Stability(assembly, plain), task, output):
+        oracle = MarginOracle(assembly, stability, demands) if demands else StabilityOracle(assembly, stability)
+        if refuse_unstable(assembly, StabilityOracle(assembly, plain), task, output):
             return Exit.NO
         if demands:  # a search that was saved under other margins is another search
             task = replace(task, identity=f"{task.identity} {demands}")
-        demanding = oracle if isinstance(oracle, DemandingStability) else None
+        demanding = oracle if isinstance(oracle, MarginOracle) else None
         guide = self._guide(assembly, task.judged_by(oracle))
         if demanding is not None and refuse_weak_end(demanding, task, output):
             return Exit.NO
         with output.search_progress() as report:
-            if self.maximise is not None:
+            if self.maximise_margin is not None:
                 clock = Deadline(self.deadline)
                 planning = maximise_margin(
                     assembly,
                     task,
-                    self.maximise,
+                    self.maximise_margin,
                     stability,
                     demands=demands,
                     settings=settings,
@@ -203,8 +214,8 @@ class MakePlan(Command):
         result = planning.result
         cut = "the deadline ended the search" if planning.deadline_passed else "interrupted"
         saved = f"it is saved in {checkpoint}, the same command with --resume continues it"
-        if self.maximise is not None or checkpoint is None or not checkpoint.is_file():
-            stronger = self.maximise is not None and planning.found
+        if self.maximise_margin is not None or checkpoint is None or not checkpoint.is_file():
+            stronger = self.maximise_margin is not None and planning.found
             saved = f"{'a stronger plan may exist; ' * stronger}the same command begins anew"
         if planning.found:
             self._report(self._save(planning.plans), planning, output)
@@ -231,7 +242,7 @@ class MakePlan(Command):
 
     def _with_fewest_robots(self, output: Output) -> Exit:
         """Search for the fewest robots, and save the plan found with them."""
-        from falsework.cli.fewest_robots import ask, report
+        from falsework.cli.min_robots import ask, report
 
         if self.alternatives > 1 or self.resume:
             raise InputError("--robots auto takes neither --alternatives nor --resume; give the number of robots")
@@ -284,7 +295,7 @@ class MakePlan(Command):
 
     def _show_fallen(self, plan: Plan, output: Output) -> None:
         """Save the plan whose replay gets farthest, and report where it fails."""
-        from falsework.search.plans.plan_report import place_in_words
+        from falsework.search.plans.plan_report import describe_place
 
         (path, saved), *_ = self._save([plan])
         assert saved.replay is not None
@@ -299,7 +310,7 @@ class MakePlan(Command):
             return
         output.file(path)
         output.record({"best": _replay_record(saved)})
-        output.note(f"falsework: the best plan is in {path}: its replay fails {place_in_words(saved, step)}")
+        output.note(f"falsework: the best plan is in {path}: its replay fails {describe_place(saved, step)}")
 
     def _report(self, plans: list[tuple[Path, Plan]], planning: Planning, output: Output) -> None:
         from msgspec import to_builtins
@@ -335,7 +346,7 @@ class MakePlan(Command):
             f"{path}: {counted(len(first), 'step')} with {counted(first.robots, 'robot')}, every state proven stable "
             f"(criterion {first.claim.criterion}, {seconds:.1f} s, {counted(asked, 'verdict')})"
         )
-        for line in promise_lines(first, robust=self.robust):
+        for line in reserve_lines(first, robust=self.robust):
             output.say(line)
         output.say(f"first steps: {first_steps(first, Direction.ASSEMBLY)}")
         for step in first:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from falsework.search.plans.plan import PartDeadline, Plan
     from falsework.search.problem.task import Direction, Task
     from falsework.search.task_rules import TaskRules
-    from falsework.stability import Stability, StabilitySettings
+    from falsework.stability import StabilityOracle, StabilitySettings
     from falsework.stability.contact.hold_loads import Loads
     from falsework.stability.judges.judgement import Judgement
     from falsework.stability.problem import Cone
@@ -66,10 +66,10 @@ class RuleOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SupportOptions(RuleOptions):
+class RegraspOptions(RuleOptions):
     """Rules that a plan must obey, with repeated holds and props."""
 
-    support: bool = False
+    allow_regrasp: bool = False
     """Let robots release a part without removing it when it no longer needs them, and hold parts again."""
     props: int = 0
     """Number of props, passive posts from the floor to the lower side of a part, that may be in place at a time."""
@@ -90,19 +90,19 @@ class SupportOptions(RuleOptions):
             InputError: parts or states that the structure does not have, or rules that exclude each other.
         """
         if self.wider and self.missing is not None:
-            raise InputError("--support and --props take no missing parts; leave out --missing")
+            raise InputError("--allow-regrasp and --props take no missing parts; leave out --missing")
         from falsework.assembly.props import keep_props
 
         # States are given without places for props, which are absent at both ends.
         plain = keep_props(assembly, ()) if assembly.props else assembly
         rules = super().rules(plain)
         ways: TaskRules = {"parts_at_once": self.parts_at_once, "moves": self.moves, "turns": self.turns}
-        return {**rules, "support": self.wider, "props": self.props, **ways}
+        return {**rules, "allow_regrasp": self.wider, "props": self.props, **ways}
 
     @property
     def wider(self) -> bool:
         """Whether plans may hold parts more than once or use props."""
-        return self.support or self.props > 0
+        return self.allow_regrasp or self.props > 0
 
     def check_several(self, other: dict[str, bool]) -> None:
         """Refuse options that plans with several parts at once do not have.
@@ -113,7 +113,11 @@ class SupportOptions(RuleOptions):
         Raises:
             InputError: an option that they do not have; the message names it.
         """
-        given = {"--support": self.support, "--props": self.props > 0, "--missing": self.missing is not None} | other
+        given = {
+            "--allow-regrasp": self.allow_regrasp,
+            "--props": self.props > 0,
+            "--missing": self.missing is not None,
+        } | other
         wrong = next((name for name, there in given.items() if there), None)
         if self.parts_at_once > 1 and wrong is not None:
             raise InputError(f"--parts-at-once takes no {wrong} yet; leave one of the two out")
@@ -176,7 +180,7 @@ class HoldOptions:
         return StabilitySettings(criterion=criterion, cone=cone, solver=solver, reserve=reserve, holds=holds)
 
 
-def promise_lines(plan: Plan, *, robust: bool = False) -> list[str]:
+def reserve_lines(plan: Plan, *, robust: bool = False) -> list[str]:
     """Return what a plan promises of its replay, and what it asks of robots, in words.
 
     Args:
@@ -205,7 +209,7 @@ def judge_text(judgement: Judgement) -> str:
 
 def lacks_judge(plan: Plan, *, asked: bool) -> str:
     """Return the remark on a plan that the judge does not accept; empty if it does, or was not asked."""
-    from falsework.search.plans.plan_report import place_in_words
+    from falsework.search.plans.plan_report import describe_place
 
     judgement = None if plan.replay is None else plan.replay.judgement
     if not asked or (judgement is not None and judgement.stands):
@@ -214,7 +218,7 @@ def lacks_judge(plan: Plan, *, asked: bool) -> str:
         return (
             f"the time was up when discrete elements had built {judgement.built if judgement else 0} states of the plan"
         )
-    where, part = place_in_words(plan, judgement.falls_at), plan.part_names[judgement.part]
+    where, part = describe_place(plan, judgement.falls_at), plan.part_names[judgement.part]
     return f"no plan was found that discrete elements build; in this one {part} falls {where}"
 
 
@@ -255,9 +259,9 @@ class TaskOptions(RuleOptions):
         Raises:
             InputError: parts or states that the structure does not have; the message says what to do.
         """
-        from falsework.search.find import task_of
+        from falsework.search.find import make_task
 
-        return task_of(assembly, self.robots, **self.rules(assembly))
+        return make_task(assembly, self.robots, **self.rules(assembly))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -356,7 +360,7 @@ def writable(path: Path, suffix: str = "") -> None:
 
 
 def refuse_unstable(
-    assembly: Assembly, oracle: Stability, task: Task, output: Output, *, building: bool = False
+    assembly: Assembly, oracle: StabilityOracle, task: Task, output: Output, *, building: bool = False
 ) -> bool:
     """Report a start or target state that is not stable, since then there is no plan.
 

@@ -14,7 +14,7 @@ from tyro.conf import arg
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import HoldOptions, first_steps, lacks_reserve, need_text, promise_lines, writable
+from falsework.cli.planning import HoldOptions, first_steps, lacks_reserve, need_text, reserve_lines, writable
 from falsework.errors import InputError
 from falsework.utils.quantity import counted
 
@@ -270,7 +270,7 @@ class MakeReplan(Command):
             f"{counted(plan.robots, 'robot')}{fewer}, every state proven stable (criterion {plan.claim.criterion}, "
             f"decided by {answer.decided_by.value}, {answer.seconds:.2f} s, {counted(answer.verdicts, 'verdict')})"
         )
-        for line in promise_lines(plan):
+        for line in reserve_lines(plan):
             output.say(line)
         since = f"from step {answer.built + 1} on" if answer.built else "from here on"
         output.say(f"{since}: {first_steps(plan, answer.direction, answer.built)}")
@@ -292,10 +292,10 @@ class MakeReplan(Command):
         from falsework.cli.failure import explain
         from falsework.cli.velocity_text import describe, motions
         from falsework.search.problem.result import Outcome
-        from falsework.stability import Stability
+        from falsework.stability import StabilityOracle
         from falsework.stability.motion import motion_of
 
-        oracle, moving = Stability(assembly, replace(stability, reserve=1.0)), []
+        oracle, moving = StabilityOracle(assembly, replace(stability, reserve=1.0)), []
         word = "no plan exists" if answer.outcome is Outcome.PROVED_IMPOSSIBLE else "no plan was found"
         text = f"{word}: {answer.reason}"
         if answer.search is None:  # one of the two ends may be unstable, which ends the work before any search

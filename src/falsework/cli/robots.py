@@ -43,7 +43,7 @@ class CheckRobots(Command):
     with such options of the plan.
     """
 
-    rare: ClassVar[tuple[str, ...]] = ("resolution", "delays", "longest_delay")
+    rare: ClassVar[tuple[str, ...]] = ("resolution", "delays", "max_delay")
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework robots check robot_plan.json",
@@ -68,7 +68,7 @@ class CheckRobots(Command):
     delays: Annotated[int | None, arg(metavar="RUNS", help_behavior_hint=UNSET)] = None
     """Simulate the schedule this often with random delays too: deadlocks, order of the states, makespans, and whether
     every run keeps to the checked positions."""
-    longest_delay: Annotated[float, arg(metavar="SHARE")] = 1.0
+    max_delay: Annotated[float, arg(metavar="SHARE")] = 1.0
     """Largest share by which a motion takes longer in these runs; each has its own."""
     motions_only: bool = False
     """Skip the stability of the states."""
@@ -86,8 +86,8 @@ class CheckRobots(Command):
         from falsework.search.plans.plan_check import validate_plan
         from falsework.search.plans.plan_source import structure_to_check
 
-        if self.delays is None and self.longest_delay != 1.0:
-            raise InputError("--longest-delay is for delayed runs; give their number too, such as --delays 1000")
+        if self.delays is None and self.max_delay != 1.0:
+            raise InputError("--max-delay is for delayed runs; give their number too, such as --delays 1000")
         plan = load_robot_plan(self.plan)
         assembly, overrides = structure_to_check(plan.plan, self.plan, self.structure, **self.reading.given())
         place = self.cell or plan.cell_place(self.plan)
@@ -103,7 +103,7 @@ class CheckRobots(Command):
         # Only a plan whose motions are within limits, and so of bounded duration, is worth simulating.
         runs = None
         if self.delays is not None and report.good:
-            runs = simulate(plan, runs=self.delays, most=self.longest_delay)
+            runs = simulate(plan, runs=self.delays, most=self.max_delay)
         stable = None if self.motions_only else validate_plan(plan.plan, assembly)
         loads = [] if report.loads is None else list(report.loads)
         if report.loads is None and stable is not None and stable.good:
@@ -121,7 +121,7 @@ class CheckRobots(Command):
                 **check_record(report),
                 "holds": holds,
                 "overloads": [problem_record(problem) for problem in heavy],
-                "delayed_runs": None if runs is None else runs_record(runs, self.longest_delay),
+                "delayed_runs": None if runs is None else runs_record(runs, self.max_delay),
             }
         )
         if self.steps:
@@ -133,7 +133,7 @@ class CheckRobots(Command):
         if stable is not None and not stable.good:
             output.note(f"falsework: {self.plan}: {stable.reason}")
         if runs is not None and not runs.good:
-            output.note(f"falsework: {self.plan}: {runs_text(runs, self.longest_delay)}")
+            output.note(f"falsework: {self.plan}: {runs_text(runs, self.max_delay)}")
         if not good:
             return Exit.NO
         output.say(scope_text(plan, assembly, cell, place))
@@ -141,7 +141,7 @@ class CheckRobots(Command):
         for text in check_texts(str(self.plan), report, None if stable is None else stable.states):
             output.say(text)
         if runs is not None:
-            output.say(runs_text(runs, self.longest_delay))
+            output.say(runs_text(runs, self.max_delay))
         for record in holds:
             output.say(holds_text(record))
         for claim in open_claims:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from tyro.conf import Positional, arg
 
 from falsework.cli.arguments import parse_parts, parse_state
-from falsework.cli.begun_robot_plan import BegunPlan
 from falsework.cli.command import UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
+from falsework.cli.interrupted_robot_plan import InterruptedPlan
 from falsework.cli.planning import HoldOptions, lacks_reserve, press_text, refuse_unstable, writable
 from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BegunStructureOptions(StructureOptions):
+class InterruptedStructureOptions(StructureOptions):
     """Options that select the structure, which a plan that was interrupted names itself."""
 
     spec: Annotated[Positional[str], arg(metavar="STRUCTURE", help_behavior_hint="(default: that of --from)")] = ""
@@ -62,13 +62,13 @@ class PlanRobots(Command):
         "falsework robots plan my-folder --cell cell.toml --out robot_plan.json",
         "falsework robots plan my-folder --cell cell.toml --policy my-run --seed 3 --deadline 60",
         "falsework robots plan my-folder --cell cell.toml --order disassembly --state 2210 --joints now.json "
-        "--holding left=3 --support",
+        "--holding left=3 --allow-regrasp",
         "falsework robots plan my-folder --cell cell.toml --state 2110 --joints now.json "
         "--holding left=2,right=3 --grips robot_plan.json --out rest.json",
         "falsework robots plan --from robot_plan.json --at 7.2s --missing 5 --out rest.json",
     )
 
-    structure: BegunStructureOptions
+    structure: InterruptedStructureOptions
     cell: Annotated[str | None, arg(metavar="CELL", help_behavior_hint="(default: that of --from)")] = None
     """Cell file, or the name of a built-in cell such as dome-37."""
     begun: Annotated[Path | None, arg(name="from", metavar="ROBOT_PLAN", help_behavior_hint=UNSET)] = None
@@ -101,7 +101,7 @@ class PlanRobots(Command):
     """State to end in, as the one to start from."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts not delivered yet, such as 3,keystone; assembly does without them as long as possible."""
-    support: bool = False
+    allow_regrasp: bool = False
     """Let arms release parts that stand without them and hold them again with another grasp, hand other parts to
     another arm, and put parts down on the way to grip them in another way, where there is no other way."""
     sequential: bool = False
@@ -121,7 +121,7 @@ class PlanRobots(Command):
         from falsework.robots.planning.hybrid_planner import plan_robots
         from falsework.robots.planning.hybrid_result import HybridSettings
         from falsework.search.problem.task import Direction
-        from falsework.stability import Stability
+        from falsework.stability import StabilityOracle
 
         writable(self.out)
         begun = self._begun()
@@ -143,7 +143,7 @@ class PlanRobots(Command):
             grips = parse_grips(self.grips, held, task.target if building else task.start, cell, assembly)
         stability = self.holds.settings(self.criterion or ("contact" if begun is None else begun.criterion))
         if refuse_unstable(
-            assembly, Stability(assembly, replace(stability, reserve=1.0)), task, output, building=building
+            assembly, StabilityOracle(assembly, replace(stability, reserve=1.0)), task, output, building=building
         ):
             return Exit.NO
         guide = self._guide(assembly, task)
@@ -157,7 +157,7 @@ class PlanRobots(Command):
         done = self._report(result, found, begun, output)
         if done is not Exit.DONE or found is None:
             return done
-        if text := press_text(found.plan, CellScale.of(assembly, cell).force):
+        if text := press_text(found.plan, CellScale.from_cell(assembly, cell).force):
             output.say(text)
         lost, heavy = lacks_reserve(found.plan, stability.reserve), overloads_of(found, assembly, cell)
         if heavy:
@@ -166,7 +166,7 @@ class PlanRobots(Command):
             output.note(f"falsework: {text}")
         return output.outcome("weaker") if lost or heavy else Exit.DONE
 
-    def _begun(self) -> BegunPlan | None:
+    def _begun(self) -> InterruptedPlan | None:
         """Return the plan that was interrupted, if there is one."""
         if self.begun is None:
             return None
@@ -175,7 +175,7 @@ class PlanRobots(Command):
         if given:
             raise InputError(f"--from says what stands and where the arms are; leave out {' and '.join(given)}")
         structure, options = self.structure.spec or None, self.structure.given()
-        return BegunPlan.read(self.begun, self.at, self.order, structure, self.cell, **options)
+        return InterruptedPlan.from_options(self.begun, self.at, self.order, structure, self.cell, **options)
 
     @property
     def _beginning(self) -> str:
@@ -198,7 +198,7 @@ class PlanRobots(Command):
         building = self.order == "assembly"
         end = None if self.target is None else parse_state(self.target, "--target", assembly)
         start, target = (end, now) if building else (now, end)  # plans are found as disassembly
-        return Task.create(
+        return Task.from_rules(
             assembly.boundary,
             cell.robot_count,
             start=start,
@@ -206,7 +206,7 @@ class PlanRobots(Command):
             missing=() if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
             clearance=assembly.clearance,
             identity=assembly.identity,
-            support=self.support,
+            allow_regrasp=self.allow_regrasp,
         )
 
     def _guide(self, assembly: Assembly, task: Task) -> Guide | None:
@@ -217,7 +217,9 @@ class PlanRobots(Command):
 
         return PolicyGuide(load_run(self.policy, assembly=assembly).policy, task=task)
 
-    def _report(self, result: HybridResult, found: RobotPlan | None, begun: BegunPlan | None, output: Output) -> Exit:
+    def _report(
+        self, result: HybridResult, found: RobotPlan | None, begun: InterruptedPlan | None, output: Output
+    ) -> Exit:
         if found is not None:
             saved = self._save(found, begun)
             output.file(self.out)
@@ -243,7 +245,7 @@ class PlanRobots(Command):
             output.note(f"falsework: {result.explanation.text}")
         return Exit.NO
 
-    def _save(self, plan: RobotPlan, begun: BegunPlan | None) -> RobotPlan:
+    def _save(self, plan: RobotPlan, begun: InterruptedPlan | None) -> RobotPlan:
         from falsework.robots.plans.robot_plan_file import save_robot_plan
         from falsework.search.plans.plan_source import moved_source
 

@@ -48,12 +48,12 @@ class CheckStability(JudgingCommand):
 
         from falsework.cli.arguments import parse_states
         from falsework.cli.velocity_text import describe, motions, part_name
-        from falsework.stability import Proof, Stability, Verdict
+        from falsework.stability import Proof, StabilityOracle, Verdict
         from falsework.stability.motion import motion_of
 
         assembly = self.structure.load()
         states = parse_states(self.states or "complete", "--states", assembly)
-        verdicts = Stability(assembly, self._settings()).verdicts(states, require_certificate=True)
+        verdicts = StabilityOracle(assembly, self._settings()).verdicts(states, require_certificate=True)
         for index in range(len(states)):
             verdict, proof = Verdict(verdicts.verdict[index]), Proof(verdicts.proof[index])
             residual = float(verdicts.residual[index])

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.search.problem.deadline import Deadline
     from falsework.search.problem.task import Task
-    from falsework.stability import Stability
+    from falsework.stability import StabilityOracle
 
 
 def save_sets(
     assembly: Assembly,
     task: Task,
-    oracle: Stability,
+    oracle: StabilityOracle,
     widths: tuple[int, ...],
     seed: int,
     device: str,

@@ -90,9 +90,9 @@ class Train(JudgingCommand):
         from falsework.utils.optional_packages import check_torch
 
         check_torch()
-        from falsework.learn.data.dataset import task_for
+        from falsework.learn.data.dataset import training_task
         from falsework.learn.training.train import train
-        from falsework.stability import Stability, StabilitySettings
+        from falsework.stability import StabilityOracle, StabilitySettings
 
         for name, given in (("--minutes", self.minutes), ("--steps", self.steps)):
             if given is not None and not given > 0:
@@ -111,8 +111,8 @@ class Train(JudgingCommand):
             steps=self.steps or 0,
             seed=self.seed,
         )
-        task = task_for(assembly, self.robots, self.removable_only_if_clear)
-        oracle = Stability(assembly, StabilitySettings(criterion=self.criterion))
+        task = training_task(assembly, self.robots, self.removable_only_if_clear)
+        oracle = StabilityOracle(assembly, StabilitySettings(criterion=self.criterion))
         if not self.resume and refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
         first = os.environ.get("RANK", "0") == "0"  # only one of several processes shows progress

@@ -59,8 +59,8 @@ class View(JudgingCommand):
 
     def run(self, output: Output) -> Exit:
         """Open, serve until interrupted."""
+        from falsework.viewer.cells.cell_model import is_cell
         from falsework.viewer.cells.cell_page import view_cell
-        from falsework.viewer.cells.cell_sight import is_cell
         from falsework.viewer.page.page import check_host, serve
         from falsework.viewer.show import check_view, view
 

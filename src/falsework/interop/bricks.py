@@ -162,7 +162,7 @@ def assemble_bricks(
         meshes, boundary=boundary, density=densities, friction=STUD_FRICTION, name=name, contacts=contacts
     )
     point = np.diff(contacts.start) * tension / contacts.areas
-    return assembly.replace(joints=Joints.of(contacts, tension=point, ductile=True))
+    return assembly.replace(joints=Joints.from_arrays(contacts, tension=point, ductile=True))
 
 
 def _box(name: str, low: Array, high: Array) -> TriangleMesh:
@@ -259,7 +259,7 @@ def read_bricks(path: Path | str, *, unit: str | None = None) -> Draft:
         raise InputError(f"{path} has bricks, which have their own unit; leave it out")
     assembly = assemble_bricks(_read(Path(path)))
     parts = zip(assembly.meshes, assembly.boundary.tolist(), strict=True)
-    return Draft.of(
+    return Draft.from_blocks(
         Path(path), 1.0, [Block(mesh.name, mesh.vertices, mesh.faces.tolist(), fixed) for mesh, fixed in parts]
     )
 

@@ -18,7 +18,7 @@ from falsework.assembly.loads import GRAVITY, Loads
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import DependencyError, InputError
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion, Proof, Verdict
 
@@ -67,9 +67,9 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
     g = _gravity(problem) if gravity is None else gravity
     if assembly.loads is not None and g > 0:  # body forces are m/s2, and shares of 9.81 m/s2 in the assembly
         wrench, share = assembly.loads.wrench, assembly.loads.acceleration * GRAVITY / g
-        assembly = assembly.replace(loads=Loads.of(assembly.part_count, wrench=wrench, acceleration=share))
+        assembly = assembly.replace(loads=Loads.from_arrays(assembly.part_count, wrench=wrench, acceleration=share))
     state = complete_state(assembly.boundary)
-    verdicts = Stability(assembly, StabilitySettings(criterion=criterion, gravity=g)).verdicts(
+    verdicts = StabilityOracle(assembly, StabilitySettings(criterion=criterion, gravity=g)).verdicts(
         state, require_certificate=True
     )
     verdict = Verdict(verdicts.verdict[0])
@@ -130,10 +130,10 @@ def assembly_of(problem: Any) -> Assembly:
     friction = FRICTION if law is None else getattr(law, "mu", None)
     if friction is None:
         raise InputError("contacts without friction cannot be solved; set a Mohr-Coulomb contact model with mu")
-    draft = Draft.of(Path(str(model.name or "model")), 1.0, blocks, interfaces)
+    draft = Draft.from_blocks(Path(str(model.name or "model")), 1.0, blocks, interfaces)
     assembly = draft.assemble(density=densities, friction=friction, interfaces="stored" if interfaces else "found")
     strength = {"cohesion": getattr(law, "c", None), "tension": getattr(law, "t_c", None)}
-    return assembly.replace(joints=Joints.throughout(assembly.contacts, **strength))
+    return assembly.replace(joints=Joints.from_uniform(assembly.contacts, **strength))
 
 
 def _loads_of(problem: Any) -> tuple[dict[Any, list[dict[str, Any]]], list[float]]:

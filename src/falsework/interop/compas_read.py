@@ -96,7 +96,7 @@ def read_compas(path: Path | str, *, unit: str | None = None) -> Draft:
     path, scale = Path(path), unit_length(unit or "m")
     reader = _Reader(path)
     blocks = reader.blocks()
-    return Draft.of(path, scale, blocks, reader.interfaces)
+    return Draft.from_blocks(path, scale, blocks, reader.interfaces)
 
 
 class _Reader:
@@ -105,7 +105,7 @@ class _Reader:
     def __init__(self, path: Path) -> None:
         self._path = path
         self.interfaces: list[dict[str, Any]] = []
-        """Interfaces of the blocks that were read, as `Draft.of` takes them."""
+        """Interfaces of the blocks that were read, as `Draft.from_blocks` takes them."""
         self._left_out: Counter[str] = Counter()
         self._curved: list[str] = []
 

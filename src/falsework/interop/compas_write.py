@@ -25,7 +25,7 @@ _MESH, _BLOCK = "compas.datastructures/Mesh", "compas_assembly.datastructures/Bl
 _XYZ = {"x": 0.0, "y": 0.0, "z": 0.0}
 
 
-def compas_of(assembly: Assembly, kind: CompasKind = "meshes") -> Any:
+def to_compas(assembly: Assembly, kind: CompasKind = "meshes") -> Any:
     """Return a structure as JSON values that `compas.json_load` reads.
 
     Args:
@@ -46,17 +46,17 @@ def compas_of(assembly: Assembly, kind: CompasKind = "meshes") -> Any:
 
 
 def write_compas(path: Path | str, assembly: Assembly, kind: CompasKind = "meshes") -> None:
-    """Write what `compas_of` makes, whole or not at all.
+    """Write what `to_compas` makes, whole or not at all.
 
     Args:
         path: file to write.
         assembly: the structure; its joints and loads are left out.
-        kind: as for `compas_of`.
+        kind: as for `to_compas`.
 
     Raises:
         InputError: an unknown kind, or the file cannot be written.
     """
-    text = json.dumps(compas_of(assembly, kind), ensure_ascii=False, allow_nan=False)
+    text = json.dumps(to_compas(assembly, kind), ensure_ascii=False, allow_nan=False)
     write_whole(path, lambda file: file.write(text.encode("utf-8", "backslashreplace") + b"\n"))
 
 

@@ -39,7 +39,7 @@ _GLB = (b"glTF", 2)
 _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 
 
-def gltf_of(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb", step_seconds: float = 1.0) -> bytes:
+def to_gltf(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb", step_seconds: float = 1.0) -> bytes:
     """Return a self-contained glTF file.
 
     Without a plan every part is a node with its mesh. With a plan there is an animation besides: each part is a node
@@ -71,7 +71,7 @@ def gltf_of(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb",
 def write_gltf(
     path: Path | str, assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb", step_seconds: float = 1.0
 ) -> None:
-    """Write what `gltf_of` makes, whole or not at all.
+    """Write what `to_gltf` makes, whole or not at all.
 
     Args:
         path: file to write.
@@ -84,7 +84,7 @@ def write_gltf(
         PlanError: the plan is for another structure.
         InputError: an unknown kind, a step of no length, or the file cannot be written.
     """
-    content = gltf_of(assembly, plan, kind=kind, step_seconds=step_seconds)
+    content = to_gltf(assembly, plan, kind=kind, step_seconds=step_seconds)
     write_whole(path, lambda file: file.write(content))
 
 

@@ -183,9 +183,9 @@ def _axes(canvas: Canvas, camera: Camera, x: float, y: float, length: float) -> 
 
 def _arrows(sheet: AssemblyInstructions, step: AssemblyInstruction) -> Arrows:
     """Return the arrows along which the parts of a step come in, each outside of its part."""
-    assert step.ways is not None
+    assert step.directions is not None
     length, ends = _ARROW * diagonal(sheet.assembly), []
-    for part, way in zip(step.parts, step.ways, strict=True):
+    for part, way in zip(step.parts, step.directions, strict=True):
         center = sheet.assembly.mass.center[part]
         half = float(((center - sheet.assembly.meshes[part].vertices) @ way).max())
         ends.append([center - (half + 1.2 * length) * way, center - (half + 0.2 * length) * way])
@@ -270,7 +270,7 @@ def _row(
     write_line(canvas, x, top - 33, sheet.named(step), BOLD, 13, width=width)
     line = top - 46
     several, carried = len(step.parts) > 1, len(step.supports) < len(step.parts)
-    if step.ways is not None:
+    if step.directions is not None:
         about = (
             f"{_mass(sheet, *step.parts)} kg, {'come in together' if several else 'comes in'} {sheet.comes_in(step)}"
         )

@@ -73,7 +73,7 @@ class AssemblyInstruction:
     """Part and support of everything that must be held when the step is done."""
     presses: tuple[Press, ...]
     """Presses of supports while the part is released."""
-    ways: NDArray[np.float64] | None
+    directions: NDArray[np.float64] | None
     """Unit vectors along which the parts come in, shape (parts, 3); None for a release."""
     placed: int
     """Parts that are there when the step is done, boundary not counted."""
@@ -125,8 +125,8 @@ class AssemblyInstructions:
         """Describe from where the parts of a step come in; empty for a release."""
         moves = self.timeline.way_of(step.parts[0]) if step.place else ()
         if moves:
-            return ", then ".join(way_in_words(-np.array(move.direction)) for move in reversed(moves))
-        words = dict.fromkeys(way_in_words(way) for way in step.ways) if step.ways is not None else {}
+            return ", then ".join(describe_motion(-np.array(move.direction)) for move in reversed(moves))
+        words = dict.fromkeys(describe_motion(way) for way in step.directions) if step.directions is not None else {}
         return "; ".join(words)
 
     def pressing(self, step: AssemblyInstruction) -> list[tuple[str, str]]:
@@ -134,7 +134,7 @@ class AssemblyInstructions:
         supports = dict(step.hold)
         described = []
         for press in step.presses:
-            way = way_in_words(np.array(press.wrench[:3]) / max(press.force, 1e-300))
+            way = describe_motion(np.array(press.wrench[:3]) / max(press.force, 1e-300))
             what = f"{self.name(press.part)} with {describe_force(press.force)}"
             described.append((what, f"{way} by support {supports[press.part] + 1}"))
         return described
@@ -150,9 +150,9 @@ def assembly_instructions(plan: Plan, assembly: Assembly) -> AssemblyInstruction
     Raises:
         PlanError: the plan is for another structure, or it holds parts again or has props.
     """
-    if plan.support:
+    if plan.allow_regrasp:
         raise PlanError("a sheet says when to place and when to release, not what is held again or propped; export it")
-    timeline, missing, steps = Timeline.of(plan, assembly), set(plan.missing), []
+    timeline, missing, steps = Timeline.from_plan(plan, assembly), set(plan.missing), []
     for step in plan.steps:
         place, number = step.action is Action.INSERT, step.number
         assert step.robots  # a sheet has no props
@@ -164,7 +164,7 @@ def assembly_instructions(plan: Plan, assembly: Assembly) -> AssemblyInstruction
                 supports=step.robots,
                 hold=_holding(timeline, number),
                 presses=step.presses,
-                ways=-timeline.ways[list(step.parts)] if place else None,
+                directions=-timeline.exit_directions[list(step.parts)] if place else None,
                 placed=int(((step.state != REMOVED) & ~assembly.boundary).sum()),
                 needed=place and not missing.isdisjoint(step.parts),
                 margins="" if plan.margins is None else plan.margins.words(number),
@@ -173,7 +173,7 @@ def assembly_instructions(plan: Plan, assembly: Assembly) -> AssemblyInstruction
     return AssemblyInstructions(timeline, tuple(steps), int(timeline.holders.max(initial=NO_ROBOT)) + 1)
 
 
-def way_in_words(way: NDArray[np.float64]) -> str:
+def describe_motion(way: NDArray[np.float64]) -> str:
     """Describe the insertion direction, such as `from above`; `way` is the exit direction, shape (3,)."""
     sides = [f"{'-' if way[axis] > 0 else '+'}{'xy'[axis]}" for axis in (0, 1) if abs(way[axis]) > _LEANS]
     if abs(way[2]) > _LEANS:
@@ -203,7 +203,7 @@ def write_sheet(path: Path | str, content: bytes) -> None:
 def _rows(sheet: AssemblyInstructions) -> Iterator[dict[str, Any]]:
     assembly = sheet.assembly
     for step in sheet.steps:
-        way = ["", "", ""] if step.ways is None else [f"{value:.4f}" for value in step.ways[0]]
+        way = ["", "", ""] if step.directions is None else [f"{value:.4f}" for value in step.directions[0]]
         hold = "; ".join(f"{sheet.name(part)} (support {support + 1})" for part, support in step.hold)
         mass = assembly.mass.mass[list(step.parts)]
         center = mass @ assembly.mass.center[list(step.parts)] / mass.sum()

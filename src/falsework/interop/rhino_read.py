@@ -132,7 +132,7 @@ def _read(path: Path, unit: str | None) -> Draft:
     for why, where in left_out.items():
         warn_of(path, f"{why} were left out: {', '.join(f'{count} on {layer}' for layer, count in where.items())}")
     warn_of_curves(path, curved)
-    return Draft.of(path, scale, [block for _, block in found])
+    return Draft.from_blocks(path, scale, [block for _, block in found])
 
 
 class _Layers:

@@ -112,7 +112,7 @@ def _read(path: Path) -> Draft:
     if hidden:
         warn_of(path, f"it hides objects ({hidden} lists), which were read as well; leave them out of the export")
     warn_of_curves(path, [blocks[number].name or str(number) for number in curved])
-    return Draft.of(path, _MILLIMETRE, blocks)
+    return Draft.from_blocks(path, _MILLIMETRE, blocks)
 
 
 class _Products:

@@ -15,7 +15,7 @@ from falsework.geometry.ways.moves import Way
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.plans.steps import NO_ROBOT, moved_parts
 from falsework.viewer.appearance import diagonal
-from falsework.viewer.timeline import ways_out
+from falsework.viewer.timeline import exit_directions
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -102,12 +102,12 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
             holder[moved[0]].append((begin, int(robots[step + 1, moved[0]])))
             continue
         leaves = bool(present[step, moved[0]])
-        if plan.ways_out and plan.ways_out[step]:
+        if plan.exit_directions and plan.exit_directions[step]:
             shown[moved[0]].append((begin, True))
             holder[moved[0]].append((begin, int(robots[step + 1, moved[0]])))
-            path[moved[0]] += _way_in(plan.ways_out[step], begin, end)
+            path[moved[0]] += _way_in(plan.exit_directions[step], begin, end)
             continue
-        ways = ways_out(assembly, plan.states[step if leaves else step + 1], moved)
+        ways = exit_directions(assembly, plan.states[step if leaves else step + 1], moved)
         for part, way in zip(moved, reach * ways, strict=True):
             away = _triple(way)
             if leaves:

@@ -34,7 +34,7 @@ _CONVEX = 1e-3
 """Share of the convex hull's volume that may be missing in a part that counts as convex."""
 
 
-def usd_of(assembly: Assembly, plan: Plan | None = None, *, step_seconds: float = 1.0) -> str:
+def to_usd(assembly: Assembly, plan: Plan | None = None, *, step_seconds: float = 1.0) -> str:
     """Return a structure as a USD stage in text form, in metres, kilograms and z up.
 
     Every part is an `Xform` at its centre of mass with mass, inertia and a collision mesh; boundary parts are fixed
@@ -66,7 +66,7 @@ def usd_of(assembly: Assembly, plan: Plan | None = None, *, step_seconds: float 
 
 
 def write_usd(path: Path | str, assembly: Assembly, plan: Plan | None = None, *, step_seconds: float = 1.0) -> None:
-    """Write what `usd_of` makes, whole or not at all.
+    """Write what `to_usd` makes, whole or not at all.
 
     Args:
         path: file to write.
@@ -78,7 +78,7 @@ def write_usd(path: Path | str, assembly: Assembly, plan: Plan | None = None, *,
         PlanError: the plan is for another structure.
         InputError: a step of no length, or the file cannot be written.
     """
-    content = usd_of(assembly, plan, step_seconds=step_seconds).encode("utf-8", "backslashreplace")
+    content = to_usd(assembly, plan, step_seconds=step_seconds).encode("utf-8", "backslashreplace")
     write_whole(path, lambda file: file.write(content))
 
 

@@ -20,7 +20,7 @@ from falsework.learn.data.dataset import DataSettings as DataSettings
 from falsework.learn.data.dataset import build_dataset as build_dataset
 from falsework.learn.data.dataset import load_dataset as load_dataset
 from falsework.learn.data.dataset import save_dataset as save_dataset
-from falsework.learn.data.dataset import task_for as task_for
+from falsework.learn.data.dataset import training_task as training_task
 from falsework.learn.env.environment import Environment as Environment
 from falsework.learn.env.environment import EnvironmentCounters as EnvironmentCounters
 from falsework.learn.env.environment import Rollouts as Rollouts

@@ -54,7 +54,7 @@ def follow_greedily(sessions: Sequence[ReplanSession], context: ReplanContext) -
     proven = _proven_steps(owners, rollouts)
     for session, rollout, steps in zip(owners, rollouts, proven, strict=True):
         if rollout.reached and steps == len(rollout.states) - 1:
-            session.found([Route.through(rollout.states)], Stage.GREEDY)
+            session.found([Route.from_states(rollout.states)], Stage.GREEDY)
         if steps >= len(session.prefix):
             session.prefix = rollout.states[: steps + 1]
 
@@ -92,7 +92,7 @@ def follow_samples(sessions: Sequence[ReplanSession], context: ReplanContext) ->
     for prefix, rollout in zip(prefixes, rollouts, strict=True):
         if rollout.reached:
             states = np.concatenate([prefix[:-1], rollout.states])
-            sessions[rollout.task].found([Route.through(states)], Stage.SAMPLED)
+            sessions[rollout.task].found([Route.from_states(states)], Stage.SAMPLED)
 
 
 def _late(session: ReplanSession) -> bool:
@@ -134,13 +134,13 @@ def _postponed_variants(session: ReplanSession) -> list[Task]:
 
 def _branches(session: ReplanSession, count: int) -> list[States]:
     """Return proven paths from which samples continue."""
-    ways = [session.prefix[:1]] * ((count + 1) // 2)
+    prefixes = [session.prefix[:1]] * ((count + 1) // 2)
     length, back = len(session.prefix), _BACK
-    while len(ways) < count:
+    while len(prefixes) < count:
         keep = length - back
-        ways.append(session.prefix[: max(keep, 1)])
+        prefixes.append(session.prefix[: max(keep, 1)])
         back = back * 2 if keep > 1 else _BACK
-    return ways
+    return prefixes
 
 
 def _proven_steps(owners: Sequence[ReplanSession], rollouts: Sequence[Rollout]) -> list[int]:
@@ -165,7 +165,7 @@ def _proven_steps(owners: Sequence[ReplanSession], rollouts: Sequence[Rollout]) 
 
 def _judged_steps(rollout: Rollout, task: Task) -> list[int]:
     """Return steps of a rollout after which a verdict is needed."""
-    actions = Route.through(rollout.states).actions
+    actions = Route.from_states(rollout.states).actions
     return (np.flatnonzero(task.needs_verdict(actions, Direction.DISASSEMBLY)) + 1).tolist()
 
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, complete_state
-from falsework.search.find import plan_of
+from falsework.search.find import prove_route
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
 from falsework.search.problem.timed_replayer import DeadlineReplayer, Replayed
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts
 
 _PRACTICE = 8
@@ -25,7 +25,7 @@ _PRACTICE = 8
 class Prover:
     """Converter of routes into plans whose every state is proven."""
 
-    def __init__(self, assembly: Assembly, oracle: Stability) -> None:
+    def __init__(self, assembly: Assembly, oracle: StabilityOracle) -> None:
         """Prove with `oracle`, which must be one of `assembly`."""
         self.assembly = assembly
         self.oracle = oracle
@@ -69,11 +69,11 @@ class Prover:
         Raises:
             PlanError: a state that cannot be proved stable.
         """
-        replayed = None if replayer is None else replayer.as_time_allows(route.states[::-1][built:])
+        replayed = None if replayer is None else replayer.replay_in_time(route.states[::-1][built:])
         whole = replayed is None or replayed.stands is True
         if forces or (whole and self.seconds_for(len(route.states)) <= seconds):
             known, begun = None if replayed is None or not whole else _summary(replayed), time.perf_counter()
-            plan = plan_of(route, self.assembly, task, self.oracle, forces=forces, replay=known)
+            plan = prove_route(route, self.assembly, task, self.oracle, forces=forces, replay=known)
             taken = (time.perf_counter() - begun) / len(route.states)
             self._per_state = max(taken, 0.8 * self._per_state + 0.2 * taken)
             return plan
@@ -83,16 +83,16 @@ class Prover:
         """Return a plan that rests on its replay as far as that came, and else on verdicts from rest."""
         claim, states = self.oracle.settings.claim, route.states[::-1]
         if replayed is None:
-            return Plan.of(route, self.assembly, task, self.oracle.verdicts(states), claim)
+            return Plan.from_route(route, self.assembly, task, self.oracle.verdicts(states), claim)
         claim = replace(claim, holds=claim.holds.resolved(self.assembly, claim.gravity))
-        done, verdicts = len(replayed.residuals), Verdicts.blank(len(states))
+        done, verdicts = len(replayed.residuals), Verdicts.all_undecided(len(states))
         if done < len(states):
             verdicts.put(np.arange(done, len(states)), self.oracle.verdicts(states[done:]))
         verdicts.verdict[:done], verdicts.proof[:done] = Verdict.STABLE, Proof.HISTORY
         verdicts.residual[:done], verdicts.decided_by[:done] = replayed.residuals, Solver.CPU
         known = None if replayed.stands is None else _summary(replayed)
         presses = (*replayed.presses, *[()] * (len(states) - done))[1:]
-        return replace(Plan.of(route, self.assembly, task, verdicts, claim), presses=presses, replay=known)
+        return replace(Plan.from_route(route, self.assembly, task, verdicts, claim), presses=presses, replay=known)
 
 
 def _summary(replayed: Replayed) -> PlanReplay:

@@ -35,7 +35,7 @@ from falsework.search.plans.plan_file import is_plan_file, load_plan
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide, SupportGuide
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 
 _END = object()
@@ -53,7 +53,7 @@ class Replanner:
         self,
         assembly: AnyStructure,
         policy: Any = None,
-        oracle: Stability | None = None,
+        oracle: StabilityOracle | None = None,
         *,
         settings: ReplanSettings = ReplanSettings(),
     ) -> None:
@@ -70,7 +70,7 @@ class Replanner:
             InputError: a policy or an oracle of another structure.
         """
         assembly = as_assembly(assembly)
-        oracle = oracle or Stability(assembly)
+        oracle = oracle or StabilityOracle(assembly)
         if oracle.assembly.identity != assembly.identity:
             raise InputError(f"the oracle is of {oracle.assembly.name}, not of {assembly.name}; make one of the latter")
         guide = None if policy is None else PolicyGuide(policy)
@@ -197,7 +197,7 @@ def replan(
     step: int | None = None,
     structure: AnyStructure | None = None,
     policy: Any = None,
-    oracle: Stability | None = None,
+    oracle: StabilityOracle | None = None,
     stability: StabilitySettings | None = None,
     settings: ReplanSettings = ReplanSettings(),
     **options: Any,
@@ -234,19 +234,19 @@ def replan(
     stability = stability or (PLANS if plan is None else settings_of(plan))
     request.task(assembly)  # bad input is refused before anything is loaded
 
-    def ask(oracle: Stability, deadline: float | None) -> ReplanResult:
+    def ask(oracle: StabilityOracle, deadline: float | None) -> ReplanResult:
         replanner = Replanner(assembly, policy, oracle, settings=settings)
         return replanner.replan_many([replace(request, deadline=deadline)])[0]
 
     deadline = request.deadline
     if oracle is not None or stability.reserve == 1.0:
-        return ask(oracle or Stability(assembly, stability), deadline)
-    answer = ask(Stability(assembly, stability), None if deadline is None else FIRST_SHARE * deadline)
+        return ask(oracle or StabilityOracle(assembly, stability), deadline)
+    answer = ask(StabilityOracle(assembly, stability), None if deadline is None else FIRST_SHARE * deadline)
     left = None if deadline is None else deadline - answer.seconds
     stands = answer.found and all(replayed.stands is not False for replayed in answer.replays)
     if stands or (left is not None and left <= 0):
         return answer
-    again = ask(Stability(assembly, replace(stability, reserve=1.0)), left)
+    again = ask(StabilityOracle(assembly, replace(stability, reserve=1.0)), left)
     best = again if again.found or not answer.found else answer
     return replace(best, seconds=answer.seconds + again.seconds)
 

@@ -11,7 +11,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.state import HELD, REMOVED, States, complete_state, held_count
 from falsework.errors import InputError, StateError
-from falsework.replanning.built import BuiltSteps
+from falsework.replanning.executed_steps import ExecutedSteps
 from falsework.replanning.named_state import StateLike, named_state
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import check_identity
@@ -72,7 +72,7 @@ class Request:
             return built.state
         return _state("complete" if self.state is None else self.state, assembly, "state")
 
-    def done(self, assembly: Assembly) -> BuiltSteps | None:
+    def done(self, assembly: Assembly) -> ExecutedSteps | None:
         """Return the steps that are done; None if no plan is being carried out.
 
         Raises:
@@ -87,9 +87,9 @@ class Request:
         if self.step is None:
             raise InputError(f"the plan has {len(self.plan)} steps; name the last one that is done, 0 for none")
         check_identity(self.plan, assembly)
-        return BuiltSteps(self.plan, self.step)
+        return ExecutedSteps(self.plan, self.step)
 
-    def way(self, assembly: Assembly) -> Direction:
+    def resolved_direction(self, assembly: Assembly) -> Direction:
         """Return whether parts are added or removed.
 
         Raises:
@@ -129,9 +129,9 @@ class Request:
         target = None if self.target is None else _state(self.target, assembly, "target")
         missing = part_ids(self.missing, assembly.names, "missing")
         fixed = part_ids(self.fixed, assembly.names, "fixed")
-        way = self.way(assembly)
-        start, end = (state, target) if way is Direction.DISASSEMBLY else (target, state)
-        if way is Direction.ASSEMBLY:
+        order = self.resolved_direction(assembly)
+        start, end = (state, target) if order is Direction.DISASSEMBLY else (target, state)
+        if order is Direction.ASSEMBLY:
             for part in missing:
                 if 0 <= part < len(state) and state[part] != REMOVED and not assembly.boundary[part]:
                     step = None if built is None else built.placed_at(part)
@@ -144,7 +144,7 @@ class Request:
                 for part in fixed:
                     if 0 <= part < len(state):
                         start[part] = state[part]
-        task = Task.create(
+        task = Task.from_rules(
             assembly.boundary,
             self.robots,
             start=start,
@@ -155,7 +155,7 @@ class Request:
             contacts=assembly.contacts.parts,
             identity=assembly.identity,
         )
-        _check_first_step(task, way, assembly)
+        _check_first_step(task, order, assembly)
         return task
 
 
@@ -163,10 +163,10 @@ def _state(given: StateLike, assembly: Assembly, name: str) -> States:
     return named_state(given, assembly, f"the {name}")
 
 
-def _check_first_step(task: Task, way: Direction, assembly: Assembly) -> None:
+def _check_first_step(task: Task, order: Direction, assembly: Assembly) -> None:
     """Refuse a state in which the rules allow nothing, before anything is searched."""
-    state = task.origin(way)
-    if task.steps == 0 or task.moves(state[None], way).any():
+    state = task.origin(order)
+    if task.steps == 0 or task.moves(state[None], order).any():
         return
     held = np.flatnonzero((state == HELD) & ~task.boundary)
     busy = int(held_count(state[None], task.boundary)[0])

@@ -41,7 +41,7 @@ class _Search(Protocol):
         ...
 
 
-class _Census:
+class _ReachabilityStage:
     """Exhaustive search behind the interface of the other searches."""
 
     def __init__(self, session: ReplanSession) -> None:
@@ -54,7 +54,7 @@ class _Census:
         while result.found and not session.stands(result.routes[0], Stage.EXHAUSTIVE):
             # Each turn excludes a state, so that the loop ends; but a route of one step has none to exclude.
             left = states[~session.oracle.rules_out(states)]
-            graph = StateGraph.build(session.task, left)
+            graph = StateGraph.from_states(session.task, left)
             route = graph.sample_route(np.random.default_rng(session.request.seed)) if len(left) < len(states) else None
             states = left
             if route is None:
@@ -92,18 +92,18 @@ def search_on(session: ReplanSession, guide: Guide) -> Iterator[None]:
     if session.routes and not session.done:
         yield from _better_plans(session, guide)
     if not session.decided and not session.clock.passed:
-        yield from _finish([_Turns(_Census(session), Stage.EXHAUSTIVE, _TURN_LEVELS)], session)
+        yield from _finish([_TimeSlices(_ReachabilityStage(session), Stage.EXHAUSTIVE, _TURN_LEVELS)], session)
 
 
 def _first_plan(session: ReplanSession, guide: Guide) -> Iterator[None]:
     settings = PlannerSettings(session.context.settings.width, seed=session.request.seed)
     # Later missing parts are looked for once there is a plan.
     task = replace(session.task, missing=(), postponed=())
-    rivals = [_Turns(Planner(task, session.oracle, settings, guide=guide), Stage.SEARCH, _PLAIN_LEVELS)]
+    rivals = [_TimeSlices(Planner(task, session.oracle, settings, guide=guide), Stage.SEARCH, _PLAIN_LEVELS)]
     policy = session.context.guide
     if policy is not None and _affordable(session, policy):
         timed = _TimedGuide(policy.for_task(session.task), session.clock)
-        rivals.insert(0, _Turns(_Widening(session, timed), Stage.GUIDED, 1))
+        rivals.insert(0, _TimeSlices(_WideningBeam(session, timed), Stage.GUIDED, 1))
     yield from _finish(rivals, session)
 
 
@@ -124,7 +124,7 @@ def _better_plans(session: ReplanSession, guide: Guide) -> Iterator[None]:
     clock, reserve = session.clock, session.clock.reserve
     if clock.limited and request.alternatives > 1:
         clock.reserve += _CHOOSING * (clock.left - reserve)
-    yield from _finish([_Turns(planner, Stage.SEARCH, _TURN_LEVELS)], session)
+    yield from _finish([_TimeSlices(planner, Stage.SEARCH, _TURN_LEVELS)], session)
     clock.reserve = reserve
     if request.alternatives == 1:
         session.take(planner.routes)
@@ -133,7 +133,7 @@ def _better_plans(session: ReplanSession, guide: Guide) -> Iterator[None]:
     session.take(session.choose(planner.task.postpone(planner.postponed), states, planner.routes))
 
 
-def _finish(rivals: list[_Turns], session: ReplanSession) -> Iterator[None]:
+def _finish(rivals: list[_TimeSlices], session: ReplanSession) -> Iterator[None]:
     """Let searches take turns until one finds a plan or proves that there is none, all are at an end, or time is up."""
     while rivals:
         for rival in list(rivals):
@@ -154,7 +154,7 @@ def _finish(rivals: list[_Turns], session: ReplanSession) -> Iterator[None]:
         yield
 
 
-class _Turns:
+class _TimeSlices:
     """Search that runs some levels per turn."""
 
     def __init__(self, search: _Search, decider: Stage, levels: int) -> None:
@@ -191,7 +191,7 @@ class _Turns:
         return self._told
 
 
-class _Widening:
+class _WideningBeam:
     """Beams that the policy guides, each wider than the one before."""
 
     def __init__(self, session: ReplanSession, guide: Guide) -> None:

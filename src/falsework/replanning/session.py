@@ -90,9 +90,9 @@ class ReplanSession:
         self.request = request
         self.context = context
         self.task = request.task(context.assembly).judged_by(context.prover.oracle)
-        self.way = request.way(context.assembly)
+        self.direction = request.resolved_direction(context.assembly)
         done = request.done(context.assembly)
-        self.built = done if self.way is Direction.ASSEMBLY else None
+        self.built = done if self.direction is Direction.ASSEMBLY else None
         """Steps that are done, with which the plans begin; plans that take the structure apart begin anew."""
         replayer, history = context.prover.oracle.replayer, None if self.built is None else self.built.history
         self.replayer = None  # under the settings alone: changed ones would take as long again
@@ -153,7 +153,7 @@ class ReplanSession:
             return True
         before, self.busy = self.busy, True  # no answer while the route is not among those that are known
         try:
-            stands = self.replayer.as_time_allows(route.states[::-1]).stands is not False
+            stands = self.replayer.replay_in_time(route.states[::-1]).stands is not False
             if not stands:
                 self._fell_by[route.states[::-1].tobytes()] = by
             return stands
@@ -172,7 +172,7 @@ class ReplanSession:
         while True:
             given = [route for route in given if self.stands(route)]
             states = states[~self.oracle.rules_out(states)]
-            graph = StateGraph.build(task, np.concatenate([states, *(route.states for route in given)]))
+            graph = StateGraph.from_states(task, np.concatenate([states, *(route.states for route in given)]))
             chosen = choose_alternatives(
                 graph,
                 self.request.alternatives,
@@ -199,7 +199,7 @@ class ReplanSession:
         if result.found:
             self.found(list(result.routes), by)
         elif cut is not None and by is Stage.SEARCH and not self.routes:
-            self.found([Route.through(cut[::-1].copy())], by)
+            self.found([Route.from_states(cut[::-1].copy())], by)
         elif result.outcome is Outcome.PROVED_IMPOSSIBLE and not self.routes:
             # A search that omitted nothing was exhaustive, whatever its settings.
             self.outcome, self.decided_by = result.outcome, Stage.EXHAUSTIVE
@@ -209,7 +209,7 @@ class ReplanSession:
         if not verdicts.stable.all():
             row = int(np.argmin(verdicts.stable))
             proved = bool(verdicts.unstable[row])
-            name = "state" if (row == 0) == (self.way is Direction.DISASSEMBLY) else "target"
+            name = "state" if (row == 0) == (self.direction is Direction.DISASSEMBLY) else "target"
             self._unstable = (self.task.start, self.task.target)[row][None]
             words = "is not stable" if proved else Verdict(verdicts.verdict[row]).words
             self._why = f"the {name} {words}"
@@ -217,7 +217,7 @@ class ReplanSession:
                 self.outcome, self.decided_by = Outcome.PROVED_IMPOSSIBLE, Stage.RULES
             self.infeasible = True
             return
-        falls_at = None if self.replayer is None else self.replayer.built_falls_at()
+        falls_at = None if self.replayer is None else self.replayer.executed_fails_at()
         if falls_at is not None:
             self._why = f"the steps that are done do not come to rest in a replay, after step {falls_at}"
             self.infeasible = True
@@ -231,7 +231,7 @@ class ReplanSession:
         fallen = None if self.replayer is None else self.replayer.fallen
         if not self.routes and fallen is not None and self.clock.passed:
             # Every state of it is stable, and there was no time for another one; the answer says that its replay fails.
-            self.routes = [Route.through(fallen[::-1].copy())]
+            self.routes = [Route.from_states(fallen[::-1].copy())]
             self.outcome, self.decided_by = Outcome.FOUND, self._fell_by.get(fallen.tobytes(), Stage.SEARCH)
         plans, chosen = (), self._choose()
         late = self.clock.passed
@@ -249,12 +249,12 @@ class ReplanSession:
                     self.outcome, self.decided_by = Outcome.NOT_FOUND, Stage.NONE
         moving = () if plans else self._moving()
         replayer = self.replayer
-        replays = [] if replayer is None else [replayer.as_time_allows(plan.states[self._done :]) for plan in plans]
+        replays = [] if replayer is None else [replayer.replay_in_time(plan.states[self._done :]) for plan in plans]
         return ReplanResult(
             plans=plans,
             outcome=self.outcome,
             decided_by=self.decided_by,
-            direction=self.way,
+            direction=self.direction,
             built=self._done,
             steps=self.task.steps,
             reached=self.task.steps if plans else self._reached(),
@@ -285,14 +285,14 @@ class ReplanSession:
         """Choose the requested number of the plans found."""
         wanted, routes = self.request.alternatives, self.routes
         if wanted == 1 or len(routes) <= wanted or self._chosen or self.task.missing:
-            return Alternatives.of(routes[:wanted])
+            return Alternatives.from_routes(routes[:wanted])
         states = np.concatenate([route.states for route in routes])
-        return Alternatives.of(self.choose(self.task, states, routes[:1]))
+        return Alternatives.from_routes(self.choose(self.task, states, routes[:1]))
 
     def _reached(self) -> int:
         result = self.result
-        greedy = len(self.prefix) - 1 if self.way is Direction.DISASSEMBLY else 0
-        return max(greedy, result.reached if result is not None and result.direction is self.way else 0)
+        greedy = len(self.prefix) - 1 if self.direction is Direction.DISASSEMBLY else 0
+        return max(greedy, result.reached if result is not None and result.direction is self.direction else 0)
 
     def _reason(self) -> str:
         if self._why:
@@ -303,7 +303,7 @@ class ReplanSession:
             return (
                 "no plan was found whose replay in the order of assembly succeeds: in the best of "
                 f"{self._done + self.task.steps} steps the structure collapses after step "
-                f"{self._done + self.replayer.fell_after}"
+                f"{self._done + self.replayer.failed_after}"
             )
         if self.clock.passed:
             return "the deadline passed; more time may find a plan"

@@ -14,17 +14,17 @@ from falsework.search.beam.settings import BeamSettings
 from falsework.search.device.beam import DeviceBeam
 from falsework.search.device.oracle import tensor_oracle
 from falsework.search.problem.task import Task
-from falsework.stability.contact.pressed_states import PressingStability
+from falsework.stability.contact.press_oracle import PressOracle
 from falsework.utils.distributed import init_distributed
 from falsework.utils.tensors import import_torch
 
 if TYPE_CHECKING:
-    from falsework.stability.oracle import Stability
+    from falsework.stability.oracle import StabilityOracle
 
 
 @contextmanager
 def beam_search(
-    task: Task, oracle: Stability | PressingStability, settings: BeamSettings = BeamSettings(), device: str = "auto"
+    task: Task, oracle: StabilityOracle | PressOracle, settings: BeamSettings = BeamSettings(), device: str = "auto"
 ) -> Iterator[tuple[BeamSearch | DeviceBeam, bool]]:
     """Yield a beam search on the given device, shared with the other processes if `torchrun` started several.
 
@@ -45,7 +45,7 @@ def beam_search(
     if not together and (device == "cpu" or (device == "auto" and not _gpu_is_usable())):
         yield BeamSearch(task, oracle, settings), True
         return
-    if isinstance(oracle, PressingStability):
+    if isinstance(oracle, PressOracle):
         raise InputError("this oracle decides on the CPU alone; search with device cpu, in one process")
     with init_distributed(device) as (shards, where):
         yield (

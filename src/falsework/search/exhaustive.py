@@ -82,13 +82,15 @@ class ExhaustiveSearch:
         """
         failed = unstable_end(self.task, self._oracle)
         if failed is not None:
-            return ExhaustiveResult(failed, True, StateGraph.build(self.task, self._beam.states(), name=self.name))
+            return ExhaustiveResult(
+                failed, True, StateGraph.from_states(self.task, self._beam.states(), name=self.name)
+            )
         result = self._beam.run(progress=progress, stop=lambda: self.gave_up or (stop is not None and stop()))
         limit, interrupted = result.limit, result.interrupted
         if self.gave_up:
             limit, interrupted = f"gave up after {self.state_limit} states; raise the limit or use a beam search", False
         complete = self._beam.done and not self.gave_up
-        graph = StateGraph.build(self.task, self._beam.states(), name=self.name)
+        graph = StateGraph.from_states(self.task, self._beam.states(), name=self.name)
         outcome = result.outcome
         if outcome is Outcome.PROVED_IMPOSSIBLE and not complete:
             outcome = Outcome.NOT_FOUND

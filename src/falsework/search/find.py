@@ -18,29 +18,29 @@ from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.props import keep_props, without_props
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
-from falsework.geometry.ways.ways_out import WaysOut
-from falsework.search.margins.demands import DemandingStability
+from falsework.geometry.ways.exit_directions import ExitTable
+from falsework.search.margins.demands import MarginOracle
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
-from falsework.search.plans.build import plan_of_build
+from falsework.search.plans.build_proofs import prove_build
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_replay import Acceptance, PlanReplay
-from falsework.search.plans.prove import prove
 from falsework.search.plans.route_tests import barred_state
+from falsework.search.plans.state_proofs import prove
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.hold_bound import HoldBound
 from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.regrasp_route import RegraspRoute
 from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
-from falsework.search.problem.support_route import SupportRoute
 from falsework.search.problem.task import Clearance, Task
 from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
 from falsework.search.task_rules import TaskRules
-from falsework.search.together.rule import LockedTogether
-from falsework.stability.oracle import Stability
+from falsework.search.together.rule import InterlockedSets
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import Displayed, or_notebook
 
@@ -93,7 +93,7 @@ def find_plans(
     task: Task | None = None,
     *,
     robots: int | None = None,
-    oracle: Stability | None = None,
+    oracle: StabilityOracle | None = None,
     stability: StabilitySettings = PLANS,
     settings: PlannerSettings = PlannerSettings(),
     guide: Guide | None = None,
@@ -142,10 +142,10 @@ def find_plans(
     assembly = as_assembly(assembly)
     progress = or_notebook(progress, "searching")
     if oracle is None:
-        task = task or task_of(assembly, 2 if robots is None else robots, **rules)
+        task = task or make_task(assembly, 2 if robots is None else robots, **rules)
         more = {"settings": settings, "guide": guide, "progress": progress, "stop": stop, "forces": forces}
         weaker = replace(stability, reserve=1.0)
-        first, begun = Stability(assembly, stability), time.perf_counter()
+        first, begun = StabilityOracle(assembly, stability), time.perf_counter()
         again = stability.reserve > 1.0 and first.replayer is not None
         share = deadline if deadline is None or not again else FIRST_SHARE * deadline
         found = find_plans(assembly, task, oracle=first, deadline=share, checkpoint=checkpoint, **more)
@@ -153,10 +153,10 @@ def find_plans(
         late = left is not None and left <= 0
         if found.accepted or not again or late or (found.result.interrupted and not found.deadline_passed):
             return found
-        other = find_plans(assembly, task, oracle=Stability(assembly, weaker), deadline=left, **more)
+        other = find_plans(assembly, task, oracle=StabilityOracle(assembly, weaker), deadline=left, **more)
         return found if found.found and not other.accepted else other
     clock = Deadline(deadline)
-    task = task or task_of(assembly, 2 if robots is None else robots, **rules)
+    task = task or make_task(assembly, 2 if robots is None else robots, **rules)
     guide = guide or SupportGuide(assembly)
     planner = _resume(checkpoint, task, timed(oracle, clock), settings, guide)
     result = _run(
@@ -173,22 +173,24 @@ def find_plans(
     if not result.found:
         fallen = None
         if planner.tests.fallen is not None and not result.interrupted:
-            fallen = plan_of(planner.tests.fallen[0], assembly, task, oracle, forces=forces)
-        return Planning(result, (), Alternatives.of([]), fallen, result.interrupted and clock.passed)
+            fallen = prove_route(planner.tests.fallen[0], assembly, task, oracle, forces=forces)
+        return Planning(result, (), Alternatives.from_routes([]), fallen, result.interrupted and clock.passed)
     late = result.interrupted and clock.passed
     choice = Deadline(max(clock.left, _CHOICE_SECONDS))
     chosen = _choose(planner, result, settings, assembly, oracle, lambda: choice.passed)
     plans = tuple(
-        plan_of(route, assembly, task, oracle, forces=forces, replay=planner.tests.replays.get(route.states.tobytes()))
+        prove_route(
+            route, assembly, task, oracle, forces=forces, replay=planner.tests.replays.get(route.states.tobytes())
+        )
         for route in chosen.routes
     )
-    standing = [k for k, plan in enumerate(plans) if plan.replay is None or plan.replay.stands]
-    if len(standing) < len(plans):
-        plans, chosen = tuple(plans[k] for k in standing), chosen.keep(standing)
+    passed = [k for k, plan in enumerate(plans) if plan.replay is None or plan.replay.stands]
+    if len(passed) < len(plans):
+        plans, chosen = tuple(plans[k] for k in passed), chosen.keep(passed)
     return Planning(result, plans, chosen, deadline_passed=late)
 
 
-def task_of(
+def make_task(
     assembly: AnyStructure,
     robots: int = 2,
     *,
@@ -197,7 +199,7 @@ def task_of(
     fixed: Sequence[int | str] = (),
     missing: Sequence[int | str] = (),
     removable_only_if_clear: bool = False,
-    support: bool = False,
+    allow_regrasp: bool = False,
     props: int = 0,
     parts_at_once: int = 1,
     moves: int = 1,
@@ -211,20 +213,20 @@ def task_of(
         InputError: parts, states or places of props that the structure does not have, or numbers that cannot be.
     """
     assembly = as_assembly(assembly)
-    if props < 0 or (props and not (support and assembly.props)):
+    if props < 0 or (props and not (allow_regrasp and assembly.props)):
         raise InputError(
-            f"props is {props}, which cannot be placed; give a number from 0 on, with support and a structure with "
-            "places for props, as with_props(assembly, prop_places(assembly)) makes it"
+            f"props is {props}, which cannot be placed; give a number from 0 on, with allow_regrasp and a structure "
+            "with places for props, as with_props(assembly, prop_places(assembly)) makes it"
         )
     start, target = (without_props(state, assembly) for state in (start, target))
     if (moves != 1 or turns) and parts_at_once != 1:
         raise InputError(
             f"parts_at_once is {parts_at_once}, but sets of parts leave in one straight line; leave moves and turns out"
         )
-    together = None if parts_at_once == 1 else LockedTogether(assembly, parts_at_once)
+    together = None if parts_at_once == 1 else InterlockedSets(assembly, parts_at_once)
     clear = removable_only_if_clear or together is not None or moves != 1 or turns
     untouched = part_ids(fixed, assembly.names, "fixed")
-    return Task.create(
+    return Task.from_rules(
         assembly.boundary,
         robots,
         start=start,
@@ -234,7 +236,7 @@ def task_of(
         clearance=_clearance(assembly, moves, untouched, turns=turns) if clear else None,
         contacts=assembly.contacts.parts,
         identity=assembly.identity,
-        support=support,
+        allow_regrasp=allow_regrasp,
         props=[prop.part for prop in assembly.props],
         prop_limit=props,
         together=together,
@@ -248,14 +250,14 @@ def _clearance(assembly: Assembly, moves: int, fixed: Sequence[int], *, turns: b
     still = assembly.immovable.copy()
     still[list(fixed)] = True
     meshes, contacts = assembly.meshes, assembly.contacts
-    return WaysOut(meshes, contacts, assembly.clearance, assembly.part_motions, still, moves, turns)
+    return ExitTable(meshes, contacts, assembly.clearance, assembly.part_motions, still, moves, turns)
 
 
-def plan_of(
+def prove_route(
     route: Route,
     assembly: Assembly,
     task: Task,
-    oracle: Stability,
+    oracle: StabilityOracle,
     *,
     forces: bool = True,
     replay: PlanReplay | None = None,
@@ -282,15 +284,15 @@ def plan_of(
         if len(used) < len(assembly.props):
             states = np.ascontiguousarray(route.states[:, np.concatenate([np.arange(bare), bare + used])])
             assembly = keep_props(assembly, used.tolist())
-            route, oracle, replay = SupportRoute.through(states), Stability(assembly, oracle.settings), None
+            route, oracle, replay = RegraspRoute.from_states(states), StabilityOracle(assembly, oracle.settings), None
     if oracle.replayer is None:
         verdicts, arrays = prove(route.states, oracle, forces=forces)
-        plan = Plan.of(route, assembly, task, verdicts[::-1], oracle.settings.claim)
+        plan = Plan.from_route(route, assembly, task, verdicts[::-1], oracle.settings.claim)
         plan = replace(plan, forces=arrays and arrays[::-1])
     else:
-        plan = plan_of_build(route, assembly, task, oracle.replayer, replay, forces=forces)
-    if isinstance(oracle, DemandingStability):
-        plan = replace(plan, margins=PlanMargins.of(oracle, plan.states, oracle.demands))
+        plan = prove_build(route, assembly, task, oracle.replayer, replay, forces=forces)
+    if isinstance(oracle, MarginOracle):
+        plan = replace(plan, margins=PlanMargins.from_oracle(oracle, plan.states, oracle.demands))
     return plan
 
 
@@ -299,7 +301,7 @@ def _choose(
     result: SearchResult,
     settings: PlannerSettings,
     assembly: Assembly,
-    oracle: Stability,
+    oracle: StabilityOracle,
     stop: Stop,
 ) -> Alternatives:
     """Choose the requested number of plans, as different as possible, from all that a planner has found.
@@ -307,12 +309,12 @@ def _choose(
     Other plans than those of the planner are proved first, and replaced where a state tips or has no proof.
     """
     if settings.alternatives == 1:
-        return Alternatives.of(list(result.routes))
+        return Alternatives.from_routes(list(result.routes))
     task = planner.task.postpone(planner.postponed)
     states = np.concatenate([planner.states, *(route.states for route in planner.routes)])
     known = {route.states.tobytes() for route in planner.routes}
     while True:
-        graph = StateGraph.build(task, states, name=assembly.name)
+        graph = StateGraph.from_states(task, states, name=assembly.name)
         found = choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed, stop=stop)
         others = [route.states for route in found.routes if route.states.tobytes() not in known]
         weak = {state.tobytes() for route in others for state in _weak_states(route, oracle)}
@@ -324,7 +326,7 @@ def _choose(
         states = states[[state.tobytes() not in weak for state in states]]
 
 
-def _weak_states(route: States, oracle: Stability) -> States:
+def _weak_states(route: States, oracle: StabilityOracle) -> States:
     """Return the states of a route, shape (steps + 1, parts), that cannot be proved or at which its replay fails."""
     if oracle.replayer is None:
         return route[~prove(route, oracle, forces=False)[0].stable]
@@ -370,8 +372,8 @@ def _run(
 def _resume(
     checkpoint: Path | str | None, task: Task, oracle: Oracle, settings: PlannerSettings, guide: Guide
 ) -> Planner:
-    if checkpoint is not None and (task.support or task.together is not None):
-        what = "repeated holds" if task.support else "several parts in one step"
+    if checkpoint is not None and (task.allow_regrasp or task.together is not None):
+        what = "repeated holds" if task.allow_regrasp else "several parts in one step"
         raise InputError(f"a search with {what} cannot be saved; leave out the checkpoint")
     if checkpoint is not None and Path(checkpoint).exists():
         return Planner.load(checkpoint, task, oracle, settings, guide=guide)

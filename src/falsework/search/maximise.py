@@ -10,8 +10,8 @@ from msgspec import structs
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
-from falsework.search.find import Planning, find_plans, plan_of
-from falsework.search.margins.demands import DemandingStability, Demands
+from falsework.search.find import Planning, find_plans, prove_route
+from falsework.search.margins.demands import Demands, MarginOracle
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
 from falsework.search.plans.alternatives import Alternatives
@@ -71,7 +71,7 @@ def maximise_margin(
         The best plan, with its margins of this kind and the bound in `Plan.margins`; the result of the first search if
         there is none. The result is interrupted if a search for a stronger plan was.
     """
-    oracle = DemandingStability(assembly, stability, demands)
+    oracle = MarginOracle(assembly, stability, demands)
     first = find_plans(assembly, task, oracle=oracle, settings=settings, progress=progress, stop=stop, forces=forces)
     if not first.found:
         return first
@@ -89,7 +89,7 @@ def maximise_margin(
         if cut:
             break
         level = _next(reached, missed, bound)
-        trial = DemandingStability(assembly, stability, structs.replace(demands, **{kind: level}))
+        trial = MarginOracle(assembly, stability, structs.replace(demands, **{kind: level}))
         planner = Planner(task, trial, settings, guide=SupportGuide(assembly))
         budget = _Budget(max(_EFFORT * effort, _LEAST_EFFORT), progress, stop)
         found = planner.run(progress=budget.note, stop=budget.is_spent)
@@ -121,7 +121,7 @@ def maximise_margin(
     else:
         # A state that rests only beside others of its plan has no margin of its own; then the first plan may be better.
         plan = first.plans[0]
-        margins = PlanMargins.of(oracle, plan.states, demands, also=kind)
+        margins = PlanMargins.from_oracle(oracle, plan.states, demands, also=kind)
         if best is None or _weakest(assembly, margins, kind) > strongest:
             best = replace(first, plans=(replace(plan, margins=margins),))
     assert best is not None
@@ -137,7 +137,7 @@ class _Stronger:
     """Plan found under a demand, not yet proved."""
 
     level: float
-    oracle: DemandingStability
+    oracle: MarginOracle
     planner: Planner
     result: SearchResult
 
@@ -145,8 +145,8 @@ class _Stronger:
         """Prove the states of the plan, and measure their margins."""
         route = self.result.routes[0]
         replay = self.planner.tests.replays.get(route.states.tobytes())
-        plan = plan_of(route, assembly, task, self.oracle, forces=forces, replay=replay)
-        return Planning(self.result, (plan,), Alternatives.of([route]))
+        plan = prove_route(route, assembly, task, self.oracle, forces=forces, replay=replay)
+        return Planning(self.result, (plan,), Alternatives.from_routes([route]))
 
 
 @dataclass
@@ -182,7 +182,7 @@ def _next(reached: float, missed: float, bound: float) -> float:
     return float(np.sqrt(max(reached, missed / 64) * missed))
 
 
-def _least(oracle: DemandingStability, kind: Maximised, states: States) -> float:
+def _least(oracle: MarginOracle, kind: Maximised, states: States) -> float:
     """Return the least strength of states; the margin is measured of those alone that do not keep the least so far."""
     least = np.inf
     while len(states):
@@ -191,7 +191,7 @@ def _least(oracle: DemandingStability, kind: Maximised, states: States) -> float
             least = min(least, _strength(oracle.assembly, kind, bound.value))
         states = states[1:]
         if len(states) and np.isfinite(least) and least > (kind == "friction"):
-            asked = DemandingStability(oracle.assembly, oracle.settings, Demands(**{kind: least}))
+            asked = MarginOracle(oracle.assembly, oracle.settings, Demands(**{kind: least}))
             states = states[~asked.keeps(states)]
     return least
 

@@ -28,9 +28,9 @@ from falsework.search.problem.result import (
     unstable_end,
 )
 from falsework.search.problem.task import Direction, Task
+from falsework.search.regrasp.exhaustive import ExhaustiveRegraspSearch
 from falsework.search.settings import PlannerSettings
 from falsework.search.strategies import EDGES, Portfolio, Strategy, moves_together, regrasps, start
-from falsework.search.support.everywhere import SupportEverywhere
 from falsework.search.together_beam import TogetherBeam
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
@@ -83,7 +83,7 @@ class Planner:
         self.tests = RouteTests(oracle, settings, task.part_count)
         """Of complete routes, with their replays and the one that falls last."""
         self._edge_guide = self._preferring("edges_first", guide)
-        self._guide = self._preferring("beside_held", guide) or guide
+        self._guide = self._preferring("held_neighbours", guide) or guide
         self._stage = "plan"
         self._left = list(self._portfolio.names)
         """Strategies of the present search that have not given up."""
@@ -228,7 +228,7 @@ class Planner:
         self._seconds = float(header["seconds"])
         self.states = arrays["states"]
         rows = arrays["routes"].reshape(-1, self.task.steps + 1, self.task.part_count)
-        self.routes = [Route.through(states) for states in rows]
+        self.routes = [Route.from_states(states) for states in rows]
         task = self.task.postpone(self._trial)
         for name, packed in header["beams"].items():
             inner = {key.removeprefix(f"{name}_"): array for key, array in arrays.items() if key.startswith(f"{name}_")}
@@ -306,7 +306,7 @@ class Planner:
         if self.regrasps or self.together:
             # Beams in which parts are held once, or move alone, prove nothing; even without a proof, nothing is left.
             widest = self._beams[self._left[self._turn]]
-            decided = isinstance(widest, (SupportEverywhere, TogetherBeam)) and widest.examined_all
+            decided = isinstance(widest, (ExhaustiveRegraspSearch, TogetherBeam)) and widest.examined_all
             if not decided:
                 result = replace(result, outcome=Outcome.NOT_FOUND)
         over = self._give_up() or decided
@@ -327,7 +327,7 @@ class Planner:
 
     @property
     def _portfolio(self) -> Portfolio:
-        return Portfolio.of(self.settings, self._stage, self.task, edges=self._edge_guide is not None)
+        return Portfolio.from_settings(self.settings, self._stage, self.task, edges=self._edge_guide is not None)
 
     def _finish(self) -> None:
         self._drop_beams()

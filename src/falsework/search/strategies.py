@@ -16,9 +16,9 @@ from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Progress, SearchCounters, SearchResult, Stop
 from falsework.search.problem.task import STAGE, Direction, Task
+from falsework.search.regrasp.beam import RegraspBeam
+from falsework.search.regrasp.exhaustive import ExhaustiveRegraspSearch
 from falsework.search.settings import PlannerSettings
-from falsework.search.support.beam import SupportBeam
-from falsework.search.support.everywhere import SupportEverywhere
 from falsework.search.together_beam import TogetherBeam
 
 EDGES = "edges"
@@ -88,7 +88,7 @@ class Portfolio:
         return np.inf if self.share is None else self.share * (2.0 ** (round + 1) - 1.0)
 
     @classmethod
-    def of(cls, settings: PlannerSettings, stage: str, task: Task, *, edges: bool = False) -> Portfolio:
+    def from_settings(cls, settings: PlannerSettings, stage: str, task: Task, *, edges: bool = False) -> Portfolio:
         """Return the strategies of a search.
 
         Args:
@@ -128,7 +128,7 @@ def regrasps(task: Task, settings: PlannerSettings) -> bool:
         InputError: they do, and the settings ask for a judge or for alternatives.
     """
     nothing_held = not held_count(np.stack([task.start, task.target]), task.boundary).any()
-    if not task.support or (task.robots == 1 and not task.prop_limit and nothing_held):
+    if not task.allow_regrasp or (task.robots == 1 and not task.prop_limit and nothing_held):
         return False
     if settings.judge or settings.alternatives > 1:
         what = "judge yet; leave it out" if settings.judge else "alternatives yet; ask for one plan"
@@ -160,13 +160,13 @@ def start(
     """Return a strategy at its beginning; `guide_of` returns the guide of each."""
     direction, guide = direction_of(name), guide_of(name)
     if name == EVERYWHERE:
-        return SupportEverywhere(task, oracle)
+        return ExhaustiveRegraspSearch(task, oracle)
     if name.startswith(REGRASP):
         assert guide is not None
-        return SupportBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
+        return RegraspBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
     if name.startswith(TOGETHER):
         return TogetherBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
     settings = BackjumpingSettings(direction, portfolio.narrowest, seed)
     if name == EDGES and task.holds_keep_stable:
         settings = replace(settings, lookahead=_ROWS_AHEAD)
-    return BackjumpingBeam(replace(task, support=False, together=None), oracle, settings, guide=guide)
+    return BackjumpingBeam(replace(task, allow_regrasp=False, together=None), oracle, settings, guide=guide)

@@ -26,8 +26,8 @@ from falsework.search.problem.result import (
     unstable_end,
 )
 from falsework.search.problem.task import Direction, Task
-from falsework.search.support.everywhere import STATE_LIMIT
-from falsework.search.support.histories import WayHistories
+from falsework.search.regrasp.exhaustive import STATE_LIMIT
+from falsework.search.regrasp.histories import PathHistories
 from falsework.search.together.moves import TogetherMoves
 
 _AT_ONCE = 16
@@ -86,7 +86,7 @@ class TogetherBeam:
         self.parent: dict[bytes, bytes] = {}
         """States kept, each with the one that it was reached from."""
         replayer = getattr(self._oracle, "replayer", None) if self.direction is Direction.ASSEMBLY else None
-        self._histories = None if replayer is None else WayHistories(replayer, self.parent)
+        self._histories = None if replayer is None else PathHistories(replayer, self.parent)
         self._waiting: list[dict[bytes, _Candidate]] = [{} for _ in range(self.task.steps + 1)]
         self._waiting[0][origin] = _Candidate(b"", 0.0, True)
         self._stable[origin] = True
@@ -170,7 +170,7 @@ class TogetherBeam:
             limit = f"gave up after {STATE_LIMIT} states with up to {self.moves.largest} parts at once"
         elif not interrupted:
             outcome, limit = beam_failure(
-                STATE_LIMIT, not self._left_out, judge.undecided, judge.sliding, self.moves.doubt
+                STATE_LIMIT, not self._left_out, judge.undecided, judge.sliding, self.moves.caveat
             )
         deepest, rejected = (
             np.array([state_of_key(key) for key in keys[:REPORTED_STATES]], dtype=np.uint8).reshape(-1, parts)
@@ -278,4 +278,4 @@ class TogetherBeam:
             chain.append(state_of_key(key))
             key = self.parent[key]
         states = np.array(chain if self.direction is Direction.ASSEMBLY else chain[::-1])
-        return Route.through(states)
+        return Route.from_states(states)

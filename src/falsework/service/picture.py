@@ -12,7 +12,7 @@ from falsework.assembly.state import States
 from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_file import plan_from_dict
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ _UNSEEN = frozenset({"forces", "displacements"})
 """Entries of a plan that the service does not use; packed in a short text they may take any amount of memory."""
 
 
-def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
+def draw_png(oracle: StabilityOracle, order: PictureOrder) -> bytes:
     """Draw one state, or the contact sheet of a plan.
 
     Args:
@@ -73,7 +73,7 @@ def draw_png(oracle: Stability, order: PictureOrder) -> bytes:
     if plan is None:
         timeline = Timeline.from_state(oracle.assembly, order.state)
     else:
-        timeline = Timeline.of(plan, oracle.assembly)
+        timeline = Timeline.from_plan(plan, oracle.assembly)
     place = 0 if order.plan is None else order.step
     usual = CELL if place is None else WHOLE
     width = order.width or usual.width

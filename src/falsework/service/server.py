@@ -126,9 +126,9 @@ async def _announce(server: uvicorn.Server, listener: socket.socket, started: Ca
 def _protocol(settings: ServiceSettings) -> type[H11Protocol]:
     """Return an HTTP/1.1 protocol with limits on the time for a request and its answer, and on idle connections."""
     longest = LONGEST_DEADLINE + settings.body_seconds + STUCK_SECONDS
-    waiting: dict[PatientNoLonger, None] = {}  # connections without a whole header, longest without first
+    waiting: dict[IdleTimeoutProtocol, None] = {}  # connections without a whole header, longest without first
 
-    class PatientNoLonger(H11Protocol):
+    class IdleTimeoutProtocol(H11Protocol):
         """Connection with time limits, which makes room for others while no request is being answered on it."""
 
         _hang_up: asyncio.TimerHandle | None = None
@@ -181,4 +181,4 @@ def _protocol(settings: ServiceSettings) -> type[H11Protocol]:
             logging.getLogger("falsework.service").info("hung up on a client that took too long")
             self.transport.abort()
 
-    return PatientNoLonger
+    return IdleTimeoutProtocol

@@ -26,7 +26,7 @@ from falsework.search.plans.plan_file import plan_to_dict
 from falsework.search.problem.result import Outcome
 from falsework.service.picture import PictureOrder, draw_png, read_plan
 from falsework.stability.motion import motion_of
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import CpuSettings, StabilitySettings
 from falsework.stability.verdict import Criterion, Proof, Verdict, Verdicts
 
@@ -136,7 +136,7 @@ class _Judge:
 
     def __init__(self, config: WorkerConfig) -> None:
         self._assembly, self._settings = config.assembly, one_thread(config.criterion)
-        self._oracle = Stability(config.assembly, self._settings)
+        self._oracle = StabilityOracle(config.assembly, self._settings)
         states = np.where(config.assembly.boundary, 2, 1).astype(np.uint8)[None]
         self._oracle.verdicts(states)
         self._oracle.verdicts(states, require_certificate=True)
@@ -144,7 +144,7 @@ class _Judge:
     def answer(self, items: Sequence[Item], pipe: Connection) -> None:
         """Check all states of all requests in one batch, except those to be explained."""
         if self._oracle.counters.cpu + self._oracle.counters.exact > REMEMBERED:
-            self._oracle = Stability(self._assembly, self._settings)
+            self._oracle = StabilityOracle(self._assembly, self._settings)
         plain = [item for item in items if not item.payload[1]]
         if plain:
             verdicts = self._oracle.verdicts(np.concatenate([item.payload[0] for item in plain]))
@@ -192,7 +192,7 @@ class _Planner:
 
         replanner = self._replanners.pop(settings, None)
         if replanner is None or replanner.oracle.counters.cpu + replanner.oracle.counters.exact > REMEMBERED:
-            replanner = Replanner(self._assembly, self._policy, Stability(self._assembly, settings))
+            replanner = Replanner(self._assembly, self._policy, StabilityOracle(self._assembly, settings))
         self._replanners[settings] = replanner
         while len(self._replanners) > _KEPT:
             self._replanners.popitem(last=False)
@@ -252,7 +252,7 @@ class _Painter:
 
     def __init__(self, config: WorkerConfig) -> None:
         os.nice(_BACKGROUND)
-        self._oracle = Stability(config.assembly, one_thread(config.criterion))
+        self._oracle = StabilityOracle(config.assembly, one_thread(config.criterion))
 
     def answer(self, items: Sequence[Item], pipe: Connection) -> None:
         """Draw one picture after the other."""

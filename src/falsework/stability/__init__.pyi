@@ -3,14 +3,14 @@ from falsework.stability.certificate import StabilityCriterion as StabilityCrite
 from falsework.stability.certificate import verify_certificates as verify_certificates
 from falsework.stability.contact.history import Replay as Replay
 from falsework.stability.contact.history import ReplaySettings as ReplaySettings
-from falsework.stability.contact.pressed_states import PressingStability as PressingStability
+from falsework.stability.contact.press_oracle import PressOracle as PressOracle
 from falsework.stability.contact.replay import Replayer as Replayer
 from falsework.stability.counters import Counters as Counters
 from falsework.stability.margins.state_margins import Bound as Bound
 from falsework.stability.margins.state_margins import HeldLoad as HeldLoad
 from falsework.stability.margins.state_margins import StateMargins as StateMargins
 from falsework.stability.motion import motion_of as motion_of
-from falsework.stability.oracle import Stability as Stability
+from falsework.stability.oracle import StabilityOracle as StabilityOracle
 from falsework.stability.problem import Problem as Problem
 from falsework.stability.problem import build_problem as build_problem
 from falsework.stability.reference.clarabel import ExactSolver as ExactSolver

@@ -46,8 +46,8 @@ def verify_certificates(
         assembly: the structure.
         states: shape (batch, parts).
         verdicts: with forces and velocity, under `contact` with displacement.
-        claim: criterion, cone, gravity, tolerance and force bound; if not given, those that `Stability` has by default
-            under `contact`, for verdicts with displacements, or under `equilibrium`, for others.
+        claim: criterion, cone, gravity, tolerance and force bound; if not given, those that `StabilityOracle` has by
+            default under `contact`, for verdicts with displacements, or under `equilibrium`, for others.
 
     Returns:
         Shape (batch,); an undecided verdict is never accepted. Of a sliding state, only the proof that forces in
@@ -202,7 +202,7 @@ def residuals_in_order(
         for owner in owners:
             changed[owner[at]] = True
         acts = geometry.acts(state[None], at)
-        good, bad = _admit(force[None, at], acts, strength.of(at), claim.cone, weight)
+        good, bad = _admit(force[None, at], acts, strength.take(at), claim.cone, weight)
         inside[at], refused[at] = good[0], bad[0]
         parts = np.flatnonzero(changed)
         share[parts] = _share_of_gravity(assembly, geometry.wrenches_on(parts, inside), parts, claim)

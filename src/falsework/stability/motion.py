@@ -21,7 +21,7 @@ def motion_of(assembly: Assembly, verdicts: Verdicts, row: int) -> NDArray[np.fl
 
     Args:
         assembly: the structure.
-        verdicts: with certificates, as `Stability.verdicts` returns them where asked to.
+        verdicts: with certificates, as `StabilityOracle.verdicts` returns them where asked to.
         row: index of the state.
 
     Returns:

@@ -34,14 +34,14 @@ if TYPE_CHECKING:
 
 _BATCH = 32 * 1024 * 1024
 """Memory for contact forces or displacements of one batch, bytes."""
-LEFT_OPEN = 1000
+UNDECIDED_FROM = 1000
 """Parts from which a search does not ask the exact solver, which takes ten seconds and more for one state: a bound on
 its work, not a choice of method."""
 _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
 
 
-class Stability:
+class StabilityOracle:
     """Stability oracle of one structure, with proofs.
 
     One object serves one structure under one set of settings. It caches verdicts, so reuse it instead of making a
@@ -135,13 +135,13 @@ class Stability:
             InputError: a margin that is not defined under the criterion, or a deadline of zero or less.
             StateError: states of the wrong length or with other values.
         """
-        return self._margins.of(states, QUICK if kinds is None else kinds, deadline=deadline)
+        return self._margins.margins(states, QUICK if kinds is None else kinds, deadline=deadline)
 
     @cached_property
     def prober(self) -> Prober:
         """Solver of single states under modified friction and additional loads, which count from the true friction."""
         if self.settings.reserve != 1.0:
-            return Stability(self.assembly, replace(self.settings, reserve=1.0)).prober
+            return StabilityOracle(self.assembly, replace(self.settings, reserve=1.0)).prober
         return Prober(self.assembly, self.problem, self.settings, self._criterion.cpu)
 
     @cached_property
@@ -159,7 +159,7 @@ class Stability:
         verdict, residual, _ = self._cache.look_up(states)
         rest = np.flatnonzero(verdict == 0)
         if len(rest):
-            falls = self._criterion.falls_near(states[rest], parents[rest])
+            falls = self._criterion.is_locally_unstable(states[rest], parents[rest])
             self.counters.cpu += int(falls.sum())
             verdict[rest[falls]] = Verdict.UNSTABLE
             self._cache.store(states[rest[falls]], verdict[rest[falls]], residual[rest[falls]])
@@ -171,7 +171,11 @@ class Stability:
         What is found of one state serves others of the batch that it is near to.
         """
         unique, back = unique_states(states)
-        verdicts, left, origins = self._criterion.blank(len(unique)), np.arange(len(unique)), np.empty_like(unique)
+        verdicts, left, origins = (
+            self._criterion.all_undecided(len(unique)),
+            np.arange(len(unique)),
+            np.empty_like(unique),
+        )
         if near is not None:
             origins[back] = near
         starts_near = near is not None and self._criterion.cpu is not None
@@ -198,9 +202,9 @@ class Stability:
         self, states: States, near: States, rows: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], Verdicts | None]:
         """Return those of some rows of which, or of whose near states, something is remembered, and their verdicts."""
-        own = {row: guess for row in rows if (guess := self._guesses.of(states[row])) is not None}
+        own = {row: guess for row in rows if (guess := self._guesses.get(states[row])) is not None}
         others = [row for row in rows if row not in own]
-        new = {row: guess for row in others if (guess := self._guesses.of(near[row])) is not None}
+        new = {row: guess for row in others if (guess := self._guesses.get(near[row])) is not None}
         known = own | new
         chosen = np.array(list(known), dtype=np.intp)
         if self._criterion.cpu is None or not known:
@@ -209,7 +213,7 @@ class Stability:
         guess = np.array(list(known.values()), dtype=np.float64)
         found = self._criterion.cpu.check(states[chosen], parents=origins, guess=guess)
         found.verdict[~(found.stable & self._accept(states[chosen], found))] = Verdict.UNDECIDED
-        self._criterion.look_closer(states[chosen], found)
+        self._criterion.refine_undecided(states[chosen], found)
         self.counters.warm += len(chosen)
         self._remember(states[list(new)], found[len(own) :])
         return chosen, found
@@ -234,12 +238,12 @@ class Stability:
             verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
         lost = verdicts.undecided[rough]
         verdicts.put(rough[lost], kept[lost])
-        self._criterion.look_closer(states, verdicts)
+        self._criterion.refine_undecided(states, verdicts)
         return verdicts
 
     def _recall(self, states: States, near: States | None) -> Verdicts:
         """Return verdicts without certificates, from the cache if possible."""
-        verdicts = Verdicts.blank(len(states))
+        verdicts = Verdicts.all_undecided(len(states))
         verdict, residual, by_monotonicity = self._cache.look_up(states)
         verdicts.verdict[:], verdicts.residual[:] = verdict, residual
         verdicts.decided_by[:] = np.where(verdict != 0, Solver.RULE, Solver.NONE)
@@ -264,9 +268,9 @@ class Stability:
         solver = self._choose(len(states))
         if solver is None:
             return self.exact.check(states).without_certificates()
-        verdicts = Verdicts.blank(len(states))
+        verdicts = Verdicts.all_undecided(len(states))
         # Look up the near states first: storing what is found may evict them.
-        known = [None] * len(states) if near is None else [self._guesses.of(origin) for origin in near]
+        known = [None] * len(states) if near is None else [self._guesses.get(origin) for origin in near]
         size = max(_BATCH // max(self._criterion.no_guess(1).nbytes, 1), 16)
         for first in range(0, len(states), size):
             rows = np.arange(first, min(first + size, len(states)))
@@ -285,7 +289,7 @@ class Stability:
         if len(rest) and solver is self._gpu and self._criterion.cpu is not None:
             verdicts.put(rest, self._criterion.cpu.check(states[rest], certificates=False))
             rest = rest[verdicts.undecided[rest]]
-        if len(rest) and (near is None or self.problem.parts < LEFT_OPEN):
+        if len(rest) and (near is None or self.problem.parts < UNDECIDED_FROM):
             exact = self._decide_exactly(states[rest], verdicts[rest])
             self._remember(states[rest], exact)
             verdicts.put(rest, exact)

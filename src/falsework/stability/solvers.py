@@ -44,7 +44,7 @@ class CriterionSolver(Protocol):
         """Replayer of state sequences, of an ensemble where there is a reserve; None without history."""
         ...
 
-    def blank(self, batch: int) -> Verdicts:
+    def all_undecided(self, batch: int) -> Verdicts:
         """Return undecided verdicts with room for certificates."""
         ...
 
@@ -60,11 +60,11 @@ class CriterionSolver(Protocol):
         """Return an empty memory for guesses."""
         ...
 
-    def falls_near(self, states: States, near: States) -> Mask:
+    def is_locally_unstable(self, states: States, near: States) -> Mask:
         """Return which states have a proven mechanism near where they differ from stable ones, shape (batch,)."""
         ...
 
-    def look_closer(self, states: States, verdicts: Verdicts) -> None:
+    def refine_undecided(self, states: States, verdicts: Verdicts) -> None:
         """Revise verdicts that have a proof, where more is asked of stable states."""
         ...
 
@@ -90,9 +90,9 @@ class EquilibriumSolver:
         known = settings.solver in ("auto", "cpu") and not problem.strength.idle.any()
         self.cpu = CpuSolver(problem, settings) if known else None
 
-    def blank(self, batch: int) -> Verdicts:
+    def all_undecided(self, batch: int) -> Verdicts:
         """See `CriterionSolver`."""
-        return Verdicts.blank(batch, points=self._problem.points, parts=self._problem.parts)
+        return Verdicts.all_undecided(batch, points=self._problem.points, parts=self._problem.parts)
 
     def no_guess(self, batch: int) -> NDArray[np.float64]:
         """See `CriterionSolver`."""
@@ -106,11 +106,11 @@ class EquilibriumSolver:
         """See `CriterionSolver`."""
         return remembered_forces(self._problem.points, self._problem.parts)
 
-    def falls_near(self, states: States, near: States) -> Mask:
+    def is_locally_unstable(self, states: States, near: States) -> Mask:
         """See `CriterionSolver`; only replays ask this, and there are none."""
         return np.zeros(len(states), dtype=bool)
 
-    def look_closer(self, states: States, verdicts: Verdicts) -> None:
+    def refine_undecided(self, states: States, verdicts: Verdicts) -> None:
         """See `CriterionSolver`; balance is all that is asked."""
 
     def is_left_to_exact(self, verdicts: Verdicts) -> Mask:
@@ -137,9 +137,9 @@ class RestSolver:
         kind = EnsembleReplayer if self._settings.reserve > 1.0 else Replayer
         return kind(self._assembly, self._settings, solver=self.cpu)
 
-    def blank(self, batch: int) -> Verdicts:
+    def all_undecided(self, batch: int) -> Verdicts:
         """See `CriterionSolver`."""
-        return Verdicts.blank(batch, points=self._problem.points, parts=self._problem.parts, displaced=True)
+        return Verdicts.all_undecided(batch, points=self._problem.points, parts=self._problem.parts, displaced=True)
 
     def no_guess(self, batch: int) -> NDArray[np.float64]:
         """See `CriterionSolver`."""
@@ -153,11 +153,11 @@ class RestSolver:
         """See `CriterionSolver`."""
         return WholeMemory(8 * 6 * self._problem.parts)
 
-    def falls_near(self, states: States, near: States) -> Mask:
+    def is_locally_unstable(self, states: States, near: States) -> Mask:
         """See `CriterionSolver`."""
         return self.cpu.falls(states, near)
 
-    def look_closer(self, states: States, verdicts: Verdicts) -> None:
+    def refine_undecided(self, states: States, verdicts: Verdicts) -> None:
         """See `CriterionSolver`; a rest position that a small motion leaves is no stable state."""
         self._second_order.revise(states, verdicts)
 

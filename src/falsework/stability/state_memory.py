@@ -139,7 +139,7 @@ class Guesses:
         """
         self._memory, self._boundary, self._holds_keep_stable = memory, boundary, holds_keep_stable
 
-    def of(self, state: States) -> NDArray[np.floating] | None:
+    def get(self, state: States) -> NDArray[np.floating] | None:
         """Return the guess stored for a state; where holds keep states stable, also for it with parts not yet held."""
         found = self._memory.get(state.tobytes())
         if found is not None or not self._holds_keep_stable:
@@ -155,7 +155,7 @@ class Guesses:
         """Let states that were cached as stable share the guess of their parents."""
         for state, origin in zip(states, origins, strict=True):
             key = state.tobytes()
-            if key not in self._memory and (known := self.of(origin)) is not None:
+            if key not in self._memory and (known := self.get(origin)) is not None:
                 self._memory[key] = known
 
     def remember(self, states: States, found: NDArray[np.float64]) -> None:

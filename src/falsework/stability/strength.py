@@ -44,7 +44,7 @@ class Strength(NamedTuple):
     """Whether no force but zero is admissible, since the surfaces are inclined by more than friction allows, shape
     (points,)."""
 
-    def of(self, points: NDArray[np.bool_] | NDArray[np.integer]) -> Strength:
+    def take(self, points: NDArray[np.bool_] | NDArray[np.integer]) -> Strength:
         """Return the strength of selected points."""
         friction, pull, stick, tears, idle = self
         return Strength(friction[points], pull[points], stick[points], tears[points], idle[points])

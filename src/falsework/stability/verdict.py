@@ -113,12 +113,12 @@ class Verdicts(Displayed):
     (batch, parts, 6); only under the criterion `contact`. Stable, or tips: rest position; sliding: position at which
     parts were seen to move away, which shows the moving parts and their directions; otherwise meaningless."""
     assembly: Assembly | None = None
-    """Structure of the states, where `Stability.check` was asked; notebooks draw it."""
+    """Structure of the states, where `StabilityOracle.check` was asked; notebooks draw it."""
     states: States | None = None
-    """The states, shape (batch, parts), where `Stability.check` was asked."""
+    """The states, shape (batch, parts), where `StabilityOracle.check` was asked."""
 
     @classmethod
-    def blank(
+    def all_undecided(
         cls, batch: int, *, points: int | None = None, parts: int | None = None, displaced: bool = False
     ) -> Verdicts:
         """Return undecided verdicts to be filled in.

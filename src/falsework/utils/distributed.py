@@ -28,7 +28,7 @@ class ProcessGroup:
     size: int = 1
 
     @classmethod
-    def of_group(cls) -> ProcessGroup:
+    def from_torch(cls) -> ProcessGroup:
         """Return the default process group of `torch.distributed`, or this process alone where that is not set up."""
         import_torch()
         import torch.distributed as dist
@@ -100,7 +100,7 @@ def init_distributed(device: str = "auto") -> Iterator[tuple[ProcessGroup, torch
     import torch.distributed as dist
 
     if "RANK" not in os.environ or "WORLD_SIZE" not in os.environ or dist.is_initialized():
-        yield ProcessGroup.of_group(), choose_device(device)
+        yield ProcessGroup.from_torch(), choose_device(device)
         return
     # Its functions have the group that exists at import as a default argument. Imported now, there is none; imported
     # later, which an optimizer does, they would keep the group and its threads beyond the block, and a thread that
@@ -119,6 +119,6 @@ def init_distributed(device: str = "auto") -> Iterator[tuple[ProcessGroup, torch
     else:
         dist.init_process_group("gloo")
     try:
-        yield ProcessGroup.of_group(), chosen
+        yield ProcessGroup.from_torch(), chosen
     finally:
         dist.destroy_process_group()

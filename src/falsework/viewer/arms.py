@@ -90,7 +90,7 @@ class Arms:
         scale = cell.placement.scale
         self._to_structure = _similar(cell.placement.pose, scale)
         self.scale = scale
-        self.clock = Clock.of(self._plan)
+        self.clock = Clock.from_plan(self._plan)
         """Times of the schedule, in the order shown; None if one motion comes after the other."""
         self.links = [link for number, robot in enumerate(cell.robots) for link in links_of(number, robot, 1 / scale)]
 
@@ -217,7 +217,7 @@ class Arms:
         return made
 
 
-def look_with_arms(look: Appearance, arm_poses: ArmPoses) -> Appearance:
+def appearance_with_arms(look: Appearance, arm_poses: ArmPoses) -> Appearance:
     """Return the parts without the one that is carried, and with those that have come or gone within the step."""
     opacity = look.opacity.copy()
     opacity[[carried.part for carried in arm_poses.carried]] = 0.0

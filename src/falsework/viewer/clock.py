@@ -32,7 +32,7 @@ class Clock:
     """Order in which the motions are executed."""
 
     @classmethod
-    def of(cls, plan: RobotPlan) -> Clock | None:
+    def from_plan(cls, plan: RobotPlan) -> Clock | None:
         """Return the clock of a plan; None without a schedule."""
         if plan.schedule is None:
             return None

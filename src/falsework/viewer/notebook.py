@@ -72,7 +72,7 @@ def _(thing: Plan) -> str:
         listed = _folded(counted(len(thing), "step"), _table(("step", "robot", "action"), rows))
         return _page([_remark(error)], facts) + listed
     drawn = _picture(lambda: picture(thing, None, assembly, frames=6, columns=3, width=260))
-    return _page([drawn], facts) + _folded(counted(len(thing), "step"), step_list(Timeline.of(thing, assembly)))
+    return _page([drawn], facts) + _folded(counted(len(thing), "step"), step_list(Timeline.from_plan(thing, assembly)))
 
 
 @html_of.register
@@ -107,7 +107,7 @@ def _(thing: RobotPlan) -> str:
         from falsework.viewer.pictures.gantt import GanttChart
         from falsework.viewer.pictures.picture import Picture, figure_of
 
-        figure = GanttChart.of(thing, width=8.0).figure
+        figure = GanttChart.from_plan(thing, width=8.0).figure
         return Picture("chart", content=figure_of(figure, "svg"), kind="svg")
 
     arms = _picture(lambda: picture(thing, step=len(thing.plan) // 2, width=_WIDE))

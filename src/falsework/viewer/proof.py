@@ -19,7 +19,7 @@ from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.holds import Press
 from falsework.stability.motion import motion_of
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
 from falsework.viewer.arrows import Arrows, arrows_of_forces, arrows_of_motion, moved_parts
@@ -71,7 +71,7 @@ class StateProof:
         return dict.fromkeys(self.moved, SLIDING) if self.slides else {}
 
 
-def proof_of_state(oracle: Stability, state: States) -> StateProof:
+def proof_of_state(oracle: StabilityOracle, state: States) -> StateProof:
     """Request the verdict on a state, under `contact` from rest, and convert its proof into arrows.
 
     Args:
@@ -84,7 +84,7 @@ def proof_of_state(oracle: Stability, state: States) -> StateProof:
     return proofs_of_states(oracle, state[None])[0]
 
 
-def proofs_of_states(oracle: Stability, states: States) -> list[StateProof]:
+def proofs_of_states(oracle: StabilityOracle, states: States) -> list[StateProof]:
     """Prove several states as `proof_of_state`.
 
     Args:
@@ -110,7 +110,7 @@ class BuildProofs:
     state at rest tips was asked when the plan was accepted, and is not asked again.
     """
 
-    def __init__(self, plan: Plan, oracle: Stability) -> None:
+    def __init__(self, plan: Plan, oracle: StabilityOracle) -> None:
         """Begin before the first step.
 
         Args:

@@ -6,7 +6,7 @@ from collections import OrderedDict
 from typing import TYPE_CHECKING
 
 from falsework.assembly.state import States
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.viewer.proof import BuildProofs, StateProof, proof_of_state
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class ProofCache:
         """Return a proof that is known; the arguments are those of `prove`."""
         return self._proofs.get(self._key(plan, row, state))
 
-    def prove(self, oracle: Stability, plan: Plan | None, row: int, state: States) -> StateProof:
+    def prove(self, oracle: StabilityOracle, plan: Plan | None, row: int, state: States) -> StateProof:
         """Return the proof of a state.
 
         Args:

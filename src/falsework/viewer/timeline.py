@@ -57,11 +57,11 @@ class Timeline:
     """On the states, one each; empty where none are known."""
     loads: Loads = ()
     """What robots bear in each state; empty where it is not known."""
-    ways_out: tuple[Way, ...] = ()
-    """As `Plan.ways_out`."""
+    exit_directions: tuple[Way, ...] = ()
+    """As `Plan.exit_directions`."""
 
     @classmethod
-    def of(
+    def from_plan(
         cls,
         plan: Plan,
         assembly: Assembly,
@@ -82,7 +82,7 @@ class Timeline:
         check_identity(plan, assembly)
         who = plan.holders if who is None else who
         presses, loads = plan.presses, plan.loads
-        more = presses, plan.verdicts, loads, plan.ways_out
+        more = presses, plan.verdicts, loads, plan.exit_directions
         return cls(assembly, plan.states, plan.actions, who, direction, plan.robots, *more)
 
     @classmethod
@@ -111,7 +111,7 @@ class Timeline:
             robots=plan.robots,
             presses=presses if any(presses) else (),
             verdicts=(*known[:place], *plan.verdicts),
-            ways_out=(),  # plans with such ways are not planned again
+            exit_directions=(),  # plans with such ways are not planned again
         )
 
     def turned(self, direction: Direction) -> Timeline:
@@ -179,7 +179,7 @@ class Timeline:
         return np.where(there.any(axis=0), there.argmax(axis=0), -1)
 
     @cached_property
-    def ways(self) -> Array:
+    def exit_directions(self) -> Array:
         """Unit vector along which each part leaves at last, zero for those that stay. Shape (parts, 3)."""
         ways = np.zeros((self.assembly.part_count, 3))
         for part in np.flatnonzero(self.insertion > 0).tolist():
@@ -188,13 +188,13 @@ class Timeline:
                 ways[part] = self.way_of(part)[-1].direction
                 continue
             moved, _ = moved_parts(self.states[step - 1], self.states[step])
-            ways[part] = ways_out(self.assembly, self.states[step], moved)[moved.index(part)]
+            ways[part] = exit_directions(self.assembly, self.states[step], moved)[moved.index(part)]
         return ways
 
     def way_of(self, part: int) -> Way:
         """Return the moves in which a part leaves; none where it leaves in a straight line, or stays."""
         step = int(self.insertion[part])
-        return self.ways_out[step - 1] if self.ways_out and step > 0 else ()
+        return self.exit_directions[step - 1] if self.exit_directions and step > 0 else ()
 
     def displacement(self, part: int, share: float, far: float) -> Array:
         """Return where a part is after a share of its way out, which ends so many metres along its last move.
@@ -205,7 +205,7 @@ class Timeline:
         if self.way_of(part):
             return on_the_way(self.way_of(part), self.assembly.meshes[part].vertices, share, far)
         matrix = np.eye(4)
-        matrix[:3, 3] = far * share * self.ways[part]
+        matrix[:3, 3] = far * share * self.exit_directions[part]
         return matrix
 
     def held_when(self, part: int) -> list[tuple[int, int, int]]:
@@ -222,17 +222,17 @@ class Timeline:
         return spans
 
 
-def ways_out(assembly: Assembly, state: States, parts: Sequence[int]) -> Array:
+def exit_directions(assembly: Assembly, state: States, parts: Sequence[int]) -> Array:
     """Return the unit vectors along which parts that move in one step can leave a state, shape (parts, 3)."""
     if len(parts) > 1:
         order = sorted(parts)
         motion = assembly.clearance_of_sets.exit_motion(tuple(order), state)
         if motion is not None:
             return motion[[order.index(part) for part in parts]]
-    return np.array([way_out(assembly, state, part) for part in parts])
+    return np.array([exit_direction_of(assembly, state, part) for part in parts])
 
 
-def way_out(assembly: Assembly, state: States, part: int) -> Array:
+def exit_direction_of(assembly: Assembly, state: States, part: int) -> Array:
     """Return the unit vector along which a part can leave a state; shape (3,).
 
     From the clearance table, or if that is not computed (many parts) or has no direction: away from the parts that it

@@ -22,7 +22,7 @@ from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.plans.steps import holders
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 from falsework.viewer.arms import Arms
@@ -66,7 +66,7 @@ class Viewable:
         Under `contact`, states of a plan are judged as they are reached in assembly.
         """
         chosen = list(places)
-        oracle = Stability(self.assembly, StabilitySettings(criterion=criterion))
+        oracle = StabilityOracle(self.assembly, StabilitySettings(criterion=criterion))
         rows = [self.timeline.row(place) for place in chosen]
         if self.plan is not None and criterion == "contact":
             build = BuildProofs(self.plan, oracle)
@@ -178,7 +178,7 @@ def _plan(
     options: dict[str, Any],
 ) -> Viewable:
     assembly = structure_of_plan(plan, file, structure, **options)
-    return Viewable("plan", assembly, Timeline.of(plan, assembly, direction), plan)
+    return Viewable("plan", assembly, Timeline.from_plan(plan, assembly, direction), plan)
 
 
 def _robot_plan(
@@ -200,7 +200,7 @@ def _robot_plan(
     cell = as_cell(cell)
     robot_plan.check_identity(assembly, cell)
     arms = Arms(robot_plan, cell, direction)
-    timeline = Timeline.of(robot_plan.plan, assembly, direction, arms.holders())
+    timeline = Timeline.from_plan(robot_plan.plan, assembly, direction, arms.holders())
     return Viewable("robot plan", assembly, timeline, robot_plan.plan, arms=arms)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
-from falsework.stability import Stability, StabilitySettings, Verdict
+from falsework.stability import StabilityOracle, StabilitySettings, Verdict
 
 
 @pytest.fixture(scope="session")
@@ -22,7 +22,7 @@ def stands() -> Callable[..., bool]:
     ) -> bool:
         if state is None:
             state = complete_state(assembly.boundary)
-        verdict = Stability(assembly, settings).verdicts(np.asarray(state), require_certificate=True).verdict[0]
+        verdict = StabilityOracle(assembly, settings).verdicts(np.asarray(state), require_certificate=True).verdict[0]
         assert verdict != Verdict.UNDECIDED
         return bool(verdict == Verdict.STABLE)
 

@@ -12,7 +12,7 @@ from falsework.assembly.library import build, house, shelf
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
 from falsework.search import ExhaustiveSearch, Outcome, Task
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 
 def parts_of(assembly: Assembly, kind: str) -> list[int]:
@@ -62,8 +62,8 @@ def test_slots_open_upwards() -> None:
 @pytest.mark.parametrize("spec", ["house:storeys=1", "house"])
 def test_a_house_comes_apart_along_clear_ways(spec: str) -> None:
     assembly = build(spec)
-    task = Task.create(assembly.boundary, 2, clearance=assembly.clearance, identity=assembly.identity)
-    census = ExhaustiveSearch(task, Stability(assembly)).run()
+    task = Task.from_rules(assembly.boundary, 2, clearance=assembly.clearance, identity=assembly.identity)
+    census = ExhaustiveSearch(task, StabilityOracle(assembly)).run()
     assert census.complete
     assert census.result.outcome is Outcome.FOUND
     assert 0 < census.solvable_states < census.states  # clear ways leave fewer orders, and dead ends
@@ -83,9 +83,9 @@ def test_volume_of_a_shelf() -> None:
 def test_the_last_parts_of_a_shelf_lock_each_other(shelves: int) -> None:
     """One part at a time there is no plan with clear ways, by exhaustion, and there is one if ways do not matter."""
     assembly = shelf(shelves)
-    oracle = Stability(assembly)
+    oracle = StabilityOracle(assembly)
     for robots in (1, 2, 4):
-        task = Task.create(assembly.boundary, robots, clearance=assembly.clearance, identity=assembly.identity)
+        task = Task.from_rules(assembly.boundary, robots, clearance=assembly.clearance, identity=assembly.identity)
         census = ExhaustiveSearch(task, oracle).run()
         assert census.complete
         assert census.result.outcome is Outcome.PROVED_IMPOSSIBLE
@@ -94,7 +94,7 @@ def test_the_last_parts_of_a_shelf_lock_each_other(shelves: int) -> None:
         locked = census.graph.states[present.argmin()]
         left = set(np.flatnonzero(locked).tolist()) - set(np.flatnonzero(assembly.boundary).tolist())
         assert left == {*parts_of(assembly, "upright"), *parts_of(assembly, "top")}
-    free = Task.create(assembly.boundary, 2, identity=assembly.identity)
+    free = Task.from_rules(assembly.boundary, 2, identity=assembly.identity)
     assert ExhaustiveSearch(free, oracle).run().result.outcome is Outcome.FOUND
 
 

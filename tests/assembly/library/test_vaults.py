@@ -14,7 +14,7 @@ from falsework.assembly import library
 from falsework.assembly.library.funicular import find_form
 from falsework.assembly.library.vaults import Grid, nearest_grid
 from falsework.assembly.model import Assembly
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from falsework.stability.settings import EQUILIBRIUM
 
 SUPPORT = 0.7 / 4.0
@@ -170,7 +170,7 @@ def rings_of_chains(grid: Grid) -> list[list[list[int]]]:
 def test_two_robots_can_build_it(parts: int) -> None:
     """One robot holds the tip of a row, the other adds the next block, from the free edges to the crown."""
     assembly = vault(parts)
-    stability = Stability(assembly, EQUILIBRIUM)
+    stability = StabilityOracle(assembly, EQUILIBRIUM)
     state = np.where(assembly.boundary, 2, 0).astype(np.uint8)
 
     def built(chain: list[int]) -> NDArray[np.uint8]:

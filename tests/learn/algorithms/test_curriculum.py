@@ -21,16 +21,16 @@ from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.networks.factory import make_policy  # noqa: E402
-from falsework.search import BeamSearch, BeamSettings, task_of  # noqa: E402
+from falsework.search import BeamSearch, BeamSettings, make_task  # noqa: E402
 from falsework.search.device.rules import TensorRules  # noqa: E402
-from falsework.stability import Stability  # noqa: E402
+from falsework.stability import StabilityOracle  # noqa: E402
 
 
 @pytest.fixture(scope="module")
 def arch() -> tuple[Environment, Any]:
     assembly = load_structure("arch:blocks=7")
-    oracle = Stability(assembly)
-    search = BeamSearch(task_of(assembly), oracle, BeamSettings(width=16))
+    oracle = StabilityOracle(assembly)
+    search = BeamSearch(make_task(assembly), oracle, BeamSettings(width=16))
     search.run()
     environment = Environment(assembly, 2, oracle=oracle, device="cpu")
     return environment, torch.from_numpy(search.states())
@@ -149,7 +149,7 @@ def test_saved_and_loaded_it_goes_on_the_same(arch, generator) -> None:
 def test_a_policy_learns_an_arch_from_a_curriculum() -> None:
     assembly = load_structure("arch:blocks=5")
     environment = Environment(assembly, 2, device="cpu")
-    search = BeamSearch(task_of(assembly), environment.oracle, BeamSettings(width=16))
+    search = BeamSearch(make_task(assembly), environment.oracle, BeamSettings(width=16))
     search.run()
     states = torch.from_numpy(search.states())
     policy = make_policy(assembly, PolicySettings(kind="mlp"), "cpu", 0)

@@ -15,14 +15,14 @@ from falsework.learn.config.policy import PolicySettings
 from falsework.learn.networks.factory import make_policy
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.search import BeamSearch, BeamSettings
-from falsework.search.find import find_plans, task_of
+from falsework.search.find import find_plans, make_task
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.task import Direction
 from falsework.search.problem.timed_oracle import TimedOracle
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 ARCH = load_structure("arch:blocks=5")
-TASK = task_of(ARCH)
+TASK = make_task(ARCH)
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["one state", "two states"])
@@ -34,8 +34,8 @@ def guide(request: pytest.FixtureRequest) -> PolicyGuide:
 
 
 @pytest.fixture(scope="module")
-def oracle() -> Stability:
-    return Stability(ARCH)
+def oracle() -> StabilityOracle:
+    return StabilityOracle(ARCH)
 
 
 def test_probabilities(guide: PolicyGuide) -> None:
@@ -66,7 +66,7 @@ def test_both_ends_agree(guide: PolicyGuide) -> None:
 
 
 @pytest.mark.parametrize("direction", list(Direction))
-def test_guides_a_beam(guide: PolicyGuide, oracle: Stability, direction: Direction) -> None:
+def test_guides_a_beam(guide: PolicyGuide, oracle: StabilityOracle, direction: Direction) -> None:
     """The score of the best way that a beam found is what the policy gives this way."""
     beam = BeamSearch(TASK, oracle, BeamSettings(64, direction, "none"), guide=guide)
     assert beam.run().found
@@ -91,12 +91,12 @@ def test_speed_is_known(guide: PolicyGuide) -> None:
     assert fresh.seconds_for(64) >= fresh.seconds_for(16) > 0
 
 
-def test_clock_stops_a_search(oracle: Stability) -> None:
+def test_clock_stops_a_search(oracle: StabilityOracle) -> None:
     """When the time is up in the middle of a level, the search stands where it was before the level."""
     vault = load_structure("vault")
     clock = Deadline(0.15)
-    timed = TimedOracle(Stability(vault), clock)
-    beam = BeamSearch(task_of(vault), timed, BeamSettings(256, Direction.ASSEMBLY))
+    timed = TimedOracle(StabilityOracle(vault), clock)
+    beam = BeamSearch(make_task(vault), timed, BeamSettings(256, Direction.ASSEMBLY))
     result = beam.run()
     assert result.interrupted
     assert clock.passed
@@ -108,7 +108,7 @@ def test_clock_stops_a_search(oracle: Stability) -> None:
     assert clock.spent["verdicts"] > 0
 
 
-def test_clock_without_a_deadline(oracle: Stability) -> None:
+def test_clock_without_a_deadline(oracle: StabilityOracle) -> None:
     clock = Deadline()
     timed = TimedOracle(oracle, clock)
     plan = find_plans(ARCH, forces=False).plans[0]

@@ -22,7 +22,7 @@ from falsework.stability.reference.clarabel import ExactSolver  # noqa: E402
 def replay(bottle: Assembly, exact: ExactSolver, states, targets, actions) -> None:
     """Each sample is a legal first step of its task, and leads to a stable state."""
     for state, target, action in zip(states.numpy(), targets.numpy(), actions.tolist(), strict=True):
-        task = Task.create(bottle.boundary, 2, start=state, target=target)
+        task = Task.from_rules(bottle.boundary, 2, start=state, target=target)
         assert task.moves(state[None], Direction.DISASSEMBLY)[0, action]
         after = task.follow(state[None], np.array([action]), Direction.DISASSEMBLY)
         assert task.contains(after).all()

@@ -16,7 +16,7 @@ from falsework.errors import InputError, TrainingError  # noqa: E402
 from falsework.learn.algorithms.imitation import Imitation, imitation_loss  # noqa: E402
 from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.data.dataset import DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.learn.data.dataset import DataSettings, build_dataset, training_task  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
@@ -34,7 +34,7 @@ def arch() -> Any:
 
 @pytest.fixture(scope="module")
 def states(arch: Any) -> Any:
-    return build_dataset(arch, task_for(arch, 2), DataSettings(16, 1), device="cpu").train
+    return build_dataset(arch, training_task(arch, 2), DataSettings(16, 1), device="cpu").train
 
 
 def settings(**changes: Any) -> ImitationPhase:

@@ -19,7 +19,7 @@ from falsework.learn.env.rollout import roll_out
 from falsework.learn.networks.factory import make_policy
 from falsework.replanning.result import Stage
 from falsework.search import ExhaustiveSearch, StateGraph
-from falsework.search.find import task_of
+from falsework.search.find import make_task
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.task import Task
 
@@ -34,7 +34,7 @@ def environment() -> Environment:
 @pytest.fixture(scope="module")
 def graph(environment: Environment) -> StateGraph:
     """All states that the complete arch leads to, and whether each is solvable."""
-    return ExhaustiveSearch(task_of(ARCH), environment.oracle).run().graph  # type: ignore[arg-type]
+    return ExhaustiveSearch(make_task(ARCH), environment.oracle).run().graph  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_searches_agree_with_all_states(environment: Environment, graph: StateGr
         own = result.states[result.owner == number]
         if graph.solvable[number]:
             assert graph.states[number].tobytes() in rows(own)
-            assert task_of(ARCH).target.tobytes() in rows(own)
+            assert make_task(ARCH).target.tobytes() in rows(own)
         else:
             assert len(own) == 0
 
@@ -73,7 +73,7 @@ def test_searches_reach_targets(environment: Environment, graph: StateGraph, pol
     starts, targets, truth = [], [], []
     for a, b in pairs:
         try:
-            task = Task.create(ARCH.boundary, 2, start=graph.states[a], target=graph.states[b])
+            task = Task.from_rules(ARCH.boundary, 2, start=graph.states[a], target=graph.states[b])
         except InputError:
             continue
         starts.append(graph.states[a])

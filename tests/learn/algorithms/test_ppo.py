@@ -27,7 +27,7 @@ from falsework.learn.algorithms.rollout_storage import Transitions, collect_tran
 from falsework.learn.algorithms.start_states import MixedStarts, StartBatch  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.ppo import REINFORCEMENT, CurriculumSettings, PpoPhase  # noqa: E402
-from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, training_task  # noqa: E402
 from falsework.learn.data.random_walks import GoalSampler, RandomWalkGoals  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
@@ -35,7 +35,7 @@ from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.networks.factory import make_policy  # noqa: E402
 from falsework.learn.networks.policy import Policy, masked_log_probabilities  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
-from falsework.stability import Stability  # noqa: E402
+from falsework.stability import StabilityOracle  # noqa: E402
 
 MLP = PolicySettings(kind="mlp", layers=2, channels=32)
 RESIDUAL = PolicySettings(kind="resmlp", layers=2, channels=32)
@@ -55,7 +55,7 @@ def arch() -> Assembly:
 
 @pytest.fixture(scope="module")
 def data(arch: Assembly) -> Dataset:
-    return build_dataset(arch, task_for(arch), DataSettings(train_width=8, test_width=16), device="cpu")
+    return build_dataset(arch, training_task(arch), DataSettings(train_width=8, test_width=16), device="cpu")
 
 
 SCRATCH = REINFORCEMENT.resolved("cpu")
@@ -71,7 +71,7 @@ def learner(environment: Environment, settings: PpoPhase = SCRATCH, seed: int = 
 
 def fine_tuner(arch: Assembly, data: Dataset, *, settings: PpoPhase = SMALL, seed: int = 0, **options: Any) -> PPO:
     """From mixed start states, as by default, with the test states held out."""
-    environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
+    environment = Environment(arch, 2, oracle=StabilityOracle(arch), device="cpu")
     solved = SolvableStates(environment.rules)
     solved.hold_out(torch.as_tensor(data.test))
     solved.add(torch.as_tensor(data.train))
@@ -273,7 +273,7 @@ def collect(environment: Environment, policy: Policy, starts: Tensor, targets: T
 
 def test_every_action_of_every_rollout_is_stored(arch: Assembly, data: Dataset) -> None:
     """One row an action; those of a successful rollout are as many as steps to the end, and all are legal."""
-    environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
+    environment = Environment(arch, 2, oracle=StabilityOracle(arch), device="cpu")
     starts = torch.as_tensor(data.train)
     played = collect(environment, make_policy(arch, RESIDUAL), starts)
     assert played.success.any()
@@ -302,7 +302,7 @@ def test_rollouts_that_cannot_begin_have_no_transitions(arch: Assembly, data: Da
 def test_rollouts_make_a_policy_better(arch: Assembly, data: Dataset) -> None:
     """From random weights, without any imitation, on states that were never started from."""
     ppo = fine_tuner(arch, data, settings=replace(SMALL, imitation=0.0))
-    environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
+    environment = Environment(arch, 2, oracle=StabilityOracle(arch), device="cpu")
 
     def greedy(policy: Policy) -> float:
         return float(roll_out(environment, policy, torch.as_tensor(data.test), keep="ends").success.float().mean())
@@ -316,7 +316,7 @@ def test_rollouts_make_a_policy_better(arch: Assembly, data: Dataset) -> None:
 
 def test_a_target_one_action_away_is_learned(arch: Assembly) -> None:
     """Whatever the target keeps."""
-    environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
+    environment = Environment(arch, 2, oracle=StabilityOracle(arch), device="cpu")
     complete = environment.rules.complete()
     actions = environment.rules.moves(complete).nonzero()[:, 1]
     starts = complete.expand(len(actions), -1).contiguous()
@@ -326,7 +326,7 @@ def test_a_target_one_action_away_is_learned(arch: Assembly) -> None:
 
 def test_tasks_are_drawn_anew_and_imitated(bottle: Assembly, bottle_graph: StateGraph) -> None:
     """With a source of tasks hardly any start comes twice, and what the source knows is learned beside."""
-    environment = Environment(bottle, 2, oracle=Stability(bottle), device="cpu")
+    environment = Environment(bottle, 2, oracle=StabilityOracle(bottle), device="cpu")
     ways = RandomWalkGoals(bottle_graph, device=environment.device)
     states, targets, valid = ways.draw(300, environment.generator(7))
 
@@ -370,7 +370,7 @@ def recorded(ppo: PPO) -> list[Tensor]:
 
 def test_hindsight_keeps_held_out_states_out(arch: Assembly) -> None:
     """As starts, as goals and as what is imitated, of rollouts that pass them again and again."""
-    environment = Environment(arch, 2, oracle=Stability(arch), device="cpu")
+    environment = Environment(arch, 2, oracle=StabilityOracle(arch), device="cpu")
     solved = SolvableStates(environment.rules)
     starts = environment.rules.complete(64)
     targets = environment.rules.goals(starts)

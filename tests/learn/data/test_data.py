@@ -22,12 +22,12 @@ from falsework.learn.data.dataset import (  # noqa: E402
     build_dataset,
     load_dataset,
     save_dataset,
-    task_for,
+    training_task,
 )
 from falsework.learn.training.train import train  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
 from falsework.search.device.oracle import HostOracle  # noqa: E402
-from falsework.stability import Stability, StabilitySettings  # noqa: E402
+from falsework.stability import StabilityOracle, StabilitySettings  # noqa: E402
 from falsework.utils.archive import read_archive, write_archive  # noqa: E402
 
 
@@ -38,7 +38,7 @@ def arch() -> Any:
 
 @pytest.fixture(scope="module")
 def data(arch: Any) -> Dataset:
-    return build_dataset(arch, task_for(arch, 2), DataSettings(6, 12, (24, 24)), device="cpu")
+    return build_dataset(arch, training_task(arch, 2), DataSettings(6, 12, (24, 24)), device="cpu")
 
 
 def test_sets_share_nothing_and_all_their_states_come_apart(arch: Any, data: Dataset) -> None:
@@ -46,8 +46,8 @@ def test_sets_share_nothing_and_all_their_states_come_apart(arch: Any, data: Dat
     everything = np.concatenate(sets)
     assert min(len(states) for states in sets) > 10
     assert len(np.unique(everything, axis=0)) == len(everything)
-    assert Stability(arch).verdicts(everything).stable.all()
-    graph = StateGraph.build(data.task, everything)
+    assert StabilityOracle(arch).verdicts(everything).stable.all()
+    graph = StateGraph.from_states(data.task, everything)
     assert graph.solvable.all()
     assert sum(sum(counts) for counts in data.levels().values()) == len(everything)
 
@@ -199,8 +199,8 @@ def test_sets_come_from_whole_searches(
 def test_a_real_structure_has_as_many_states_as_in_the_paper(shared_assembly: Callable[[str], Path]) -> None:
     """Table 3 of the paper: 1,077 and 1,159."""
     assembly = load_structure(str(shared_assembly("bottle-12")))
-    oracle = HostOracle(Stability(assembly, StabilitySettings(criterion="equilibrium")))
-    data = build_dataset(assembly, task_for(assembly, 2), oracle=oracle, device="cpu")
+    oracle = HostOracle(StabilityOracle(assembly, StabilitySettings(criterion="equilibrium")))
+    data = build_dataset(assembly, training_task(assembly, 2), oracle=oracle, device="cpu")
     assert data.criterion == "equilibrium"
     assert 950 < len(data.train) < 1250
     assert 950 < len(data.test) < 1350

@@ -11,7 +11,7 @@ import torch
 from falsework.assembly import load_structure
 from falsework.errors import InputError
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.data.dataset import task_for
+from falsework.learn.data.dataset import training_task
 from falsework.learn.data.labelled_states import (
     LabelledStructure,
     LabelSettings,
@@ -28,7 +28,7 @@ from falsework.learn.training.checkpoint import load_policy, load_run
 from falsework.learn.training.general import GeneralSettings, GeneralTraining
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.task import Direction
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 
 QUICK = LabelSettings(width=8, searches=1, rollouts=8, most=64)
 SMALL = PolicySettings("local", layers=2, channels=16, heads=2)
@@ -48,13 +48,13 @@ def test_labels_are_legal_and_lead_to_stable_states() -> None:
     arch = load_structure("arch:blocks=6")
     one = label_states(arch, 2, "contact", QUICK, seed=3)
     assert one is not None
-    rules = TensorRules(task_for(arch, 2))
+    rules = TensorRules(training_task(arch, 2))
     states, valid = torch.from_numpy(one.states), torch.from_numpy(one.valid)
     assert (valid <= rules.moves(states)).all()
     assert valid.any(dim=1).all(), "every state has a way on"
     rows, actions = valid.nonzero(as_tuple=True)
     after = rules.follow(states[rows], actions)
-    assert Stability(arch, StabilitySettings(criterion="contact")).verdicts(after.numpy()).verdict.all()
+    assert StabilityOracle(arch, StabilitySettings(criterion="contact")).verdicts(after.numpy()).verdict.all()
 
 
 def test_walks_leave_the_states_of_the_search() -> None:
@@ -98,7 +98,7 @@ def test_legal_actions_are_those_of_the_rules() -> None:
     tensor = torch.from_numpy(states)
     for robots in (1, 2, 4):
         fixed = torch.tensor(arch.boundary.tolist())
-        expected = TensorRules(task_for(arch, robots), direction=Direction.DISASSEMBLY).moves(tensor)
+        expected = TensorRules(training_task(arch, robots), direction=Direction.DISASSEMBLY).moves(tensor)
         assert torch.equal(legal_actions(tensor, fixed, torch.tensor([robots])), expected)
 
 
@@ -159,7 +159,7 @@ def test_one_policy_learns_several_structures(labelled: list[LabelledStructure],
     for name, robots in (("arch:blocks=5", 2), ("stack:blocks=5", 1)):
         assembly = load_structure(name)
         policy = load_policy(tmp_path, assembly=assembly).of_task(robots, equilibrium=True)
-        oracle = Stability(assembly, StabilitySettings(criterion="equilibrium"))
+        oracle = StabilityOracle(assembly, StabilitySettings(criterion="equilibrium"))
         environment = Environment(assembly, robots, oracle=oracle, device="cpu")
         states = torch.from_numpy(next(one.states for one in labelled if one.name == name))
         assert roll_out(environment, policy, states, keep="ends").success.float().mean() > 0.8

@@ -47,7 +47,7 @@ def test_valid_actions_are_legal_for_their_task(bottle: Assembly, bottle_graph: 
     """Also with the rule that the last free robot is not spent on a part that stays held."""
     pairs = PairSource(bottle_graph).draw(3000, np.random.default_rng(1))
     for state, target, valid in zip(pairs.states[:300], pairs.targets[:300], pairs.valid[:300], strict=True):
-        task = Task.create(bottle.boundary, 2, start=state, target=target)
+        task = Task.from_rules(bottle.boundary, 2, start=state, target=target)
         assert task.moves(state[None], Direction.DISASSEMBLY)[0][valid].all()
     environment = Environment(bottle, 2, device="cpu")
     states, targets, valid = pairs.tensors(environment.device)

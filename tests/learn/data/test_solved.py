@@ -10,7 +10,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
 from falsework.assembly import load_structure  # noqa: E402
-from falsework.learn.data.dataset import DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.learn.data.dataset import DataSettings, build_dataset, training_task  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
 from falsework.search.device.rules import TensorRules  # noqa: E402
@@ -23,7 +23,7 @@ def rules_of(data: Any) -> TensorRules:
 @pytest.fixture(scope="module")
 def data() -> Any:
     assembly = load_structure("arch:blocks=7")
-    return build_dataset(assembly, task_for(assembly, 2), DataSettings(4, 8, (16,)), device="cpu")
+    return build_dataset(assembly, training_task(assembly, 2), DataSettings(4, 8, (16,)), device="cpu")
 
 
 def keys(states: Any) -> set[bytes]:
@@ -48,7 +48,7 @@ def test_it_is_a_set(data: Any) -> None:
 def test_valid_actions_are_those_of_the_state_graph(data: Any) -> None:
     """The graph finds successors by writing them down and comparing whole states."""
     states = np.concatenate([data.train, data.test, data.validation, data.more])
-    graph = StateGraph.build(data.task, states)
+    graph = StateGraph.from_states(data.task, states)
     solved = SolvableStates(rules_of(data), torch.from_numpy(states))
     valid = solved.valid_actions(torch.from_numpy(graph.states)).numpy()
     assert np.array_equal(valid, graph.valid_actions())
@@ -75,7 +75,7 @@ def test_test_states_are_never_stored(data: Any) -> None:
     unaware = SolvableStates(rules_of(data))
     unaware.hold_out(test)
     unaware.add(torch.from_numpy(data.train))
-    graph = StateGraph.build(data.task, data.train)
+    graph = StateGraph.from_states(data.task, data.train)
     # What nobody found is not used: without the test states the valid actions are those among the training states.
     assert np.array_equal(unaware.valid_actions(torch.from_numpy(graph.states)).numpy(), graph.valid_actions())
 

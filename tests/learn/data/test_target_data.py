@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.data.dataset import task_for  # noqa: E402
+from falsework.learn.data.dataset import training_task  # noqa: E402
 from falsework.learn.data.goal_dataset import GoalDataSettings, SearchStates, build_goal_dataset  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.env.rollout import roll_out  # noqa: E402
@@ -21,13 +21,13 @@ from falsework.search.device.oracle import tensor_oracle  # noqa: E402
 from falsework.search.device.parallel_beams import parallel_beam_search  # noqa: E402
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
 from falsework.search.problem.task import Direction, Task  # noqa: E402
-from falsework.stability import Stability  # noqa: E402
+from falsework.stability import StabilityOracle  # noqa: E402
 
 
 @pytest.mark.usefixtures("few_tries")
 def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
     settings = GoalDataSettings(train_width=4, test_width=12, widths=(20,), pairs=500, test_pairs=100)
-    data = build_goal_dataset(bottle, task_for(bottle), settings, device="cpu")
+    data = build_goal_dataset(bottle, training_task(bottle), settings, device="cpu")
     assert len(data.train) == 500
     assert 0 < len(data.test) <= 100
     seen = StateIndex(data.graph.states)
@@ -39,9 +39,9 @@ def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
     assert (kept.find(data.train.states) < 0).all()
     assert len(data.wide) > len(data.graph)
     assert (data.wide.index.find(data.graph.states) >= 0).all()
-    again = build_goal_dataset(bottle, task_for(bottle), settings, device="cpu")
+    again = build_goal_dataset(bottle, training_task(bottle), settings, device="cpu")
     assert np.array_equal(again.test.targets, data.test.targets)
-    alone = build_goal_dataset(bottle, task_for(bottle), replace(settings, widths=()), device="cpu")
+    alone = build_goal_dataset(bottle, training_task(bottle), replace(settings, widths=()), device="cpu")
     assert alone.wide is alone.graph
     assert np.array_equal(alone.test.states, data.test.states)
 
@@ -49,9 +49,9 @@ def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
 @pytest.mark.usefixtures("few_tries")
 def test_searches_are_read_back(bottle: Assembly, tmp_path: Path) -> None:
     """The same data set comes of them; files that are something else are refused."""
-    task = task_for(bottle)
+    task = training_task(bottle)
     settings = GoalDataSettings(train_width=4, test_width=12, widths=(8, 8), pairs=100, test_pairs=20)
-    oracle = tensor_oracle(Stability(bottle), torch.device("cpu"))
+    oracle = tensor_oracle(StabilityOracle(bottle), torch.device("cpu"))
     seen: list[str] = []
     searched = SearchStates.find(task, settings, oracle, device=torch.device("cpu"), report=seen.append)
     assert seen[-1] == "searches 3 to 4 of 4, width 8"
@@ -66,7 +66,7 @@ def test_searches_are_read_back(bottle: Assembly, tmp_path: Path) -> None:
         assert np.array_equal(one.wide.states, other.wide.states)
     tetris = load_structure("stack:blocks=12")
     with pytest.raises(InputError, match="states of another structure"):
-        SearchStates.load(tmp_path / "searched.npz", task_for(tetris))
+        SearchStates.load(tmp_path / "searched.npz", training_task(tetris))
     with pytest.raises(InputError, match="stable under the criterion contact; remove it"):
         SearchStates.load(tmp_path / "searched.npz", replace(task, holds_keep_stable=True))
     replace(searched, more=searched.more[:, 1:]).save(tmp_path / "searched.npz", task)
@@ -77,7 +77,7 @@ def test_searches_are_read_back(bottle: Assembly, tmp_path: Path) -> None:
 def test_bad_input_is_one_clear_line() -> None:
     tiny = load_structure("stack:blocks=2")
     with pytest.raises(InputError, match="finds no pair of states of stack:blocks=2 that one of width 64 has not seen"):
-        build_goal_dataset(tiny, task_for(tiny, 1), device="cpu")
+        build_goal_dataset(tiny, training_task(tiny, 1), device="cpu")
     with pytest.raises(InputError, match="a search of width 0 finds nothing"):
         GoalDataSettings(train_width=0)
     with pytest.raises(InputError, match="pairs and test_pairs are counts"):
@@ -100,18 +100,18 @@ def test_after_a_search_that_died_out_one_begins_at_the_empty_structure(
         return replace(found, found=np.arange(count) < next(through))
 
     monkeypatch.setattr("falsework.learn.data.dataset.parallel_beam_search", search)
-    task, device = task_for(bottle), torch.device("cpu")
+    task, device = training_task(bottle), torch.device("cpu")
     settings = GoalDataSettings(train_width=4, test_width=12, widths=(2,) * 12 + (3,), pairs=100, test_pairs=20)
-    SearchStates.find(task, settings, tensor_oracle(Stability(bottle), device), device=device)
+    SearchStates.find(task, settings, tensor_oracle(StabilityOracle(bottle), device), device=device)
     assert directions == [(down, 4, 2), (up, 4, 2), (down, 4, 2), (down, 1, 3)]
 
 
 @pytest.mark.usefixtures("few_tries")
 def test_no_search_begins_once_there_are_enough(bottle: Assembly) -> None:
     """What is learned from and tested on is always searched; of three further searches two are left out here."""
-    task, device = task_for(bottle), torch.device("cpu")
+    task, device = training_task(bottle), torch.device("cpu")
     settings = GoalDataSettings(train_width=4, test_width=12, widths=(8, 10, 12), pairs=100, test_pairs=20)
-    oracle = tensor_oracle(Stability(bottle), device)
+    oracle = tensor_oracle(StabilityOracle(bottle), device)
     answers = iter([False, True])
     found = SearchStates.find(task, settings, oracle, device=device, enough=lambda: next(answers))
     fewer = SearchStates.find(task, replace(settings, widths=(8,)), oracle, device=device)
@@ -127,7 +127,7 @@ def test_no_search_begins_once_there_are_enough(bottle: Assembly) -> None:
 def test_random_legal_actions_solve_few_pairs_of_a_real_structure(shared_assembly: Any) -> None:
     """Less than one in ten in the test and the validation set, with other draws than those that chose the pairs."""
     assembly = load_structure(str(shared_assembly("bottle-12")))
-    data = build_goal_dataset(assembly, task_for(assembly), GoalDataSettings(test_pairs=100), device="cpu")
+    data = build_goal_dataset(assembly, training_task(assembly), GoalDataSettings(test_pairs=100), device="cpu")
     environment = Environment(assembly, 2, device="cpu")
 
     def uniform(states, targets=None, /):

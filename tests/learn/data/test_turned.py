@@ -22,7 +22,7 @@ from falsework.learn.training.run_context import RunContext  # noqa: E402
 from falsework.learn.training.training_data import collect_training_data  # noqa: E402
 from falsework.search import StateGraph  # noqa: E402
 from falsework.search.device.oracle import HostOracle  # noqa: E402
-from falsework.stability import Stability  # noqa: E402
+from falsework.stability import StabilityOracle  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("few_tries")
 
@@ -53,7 +53,7 @@ def test_images_of_tasks_are_tasks(dome: Assembly, graph: StateGraph) -> None:
     assert (environment.rules.moves(states, targets) | ~valid).all()
     assert environment.rules.contains(states, targets).all()
     after = environment.rules.follow(states, valid.long().argmax(dim=1))
-    oracle = Stability(dome)
+    oracle = StabilityOracle(dome)
     for some in (states, targets, after):
         assert (oracle.verdicts(some.numpy()).verdict == 1).all()
     assert (graph.index.find(states.numpy()) < 0).mean() > 0.5
@@ -107,7 +107,7 @@ def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly, mon
 
     monkeypatch.setattr("falsework.learn.training.training_data.build_goal_dataset", keep)
     data_of_run = collect_training_data(
-        RunContext(dome, settings.resolved(dome.part_count, "cpu"), HostOracle(Stability(dome)), CPU)
+        RunContext(dome, settings.resolved(dome.part_count, "cpu"), HostOracle(StabilityOracle(dome)), CPU)
     )
     (data,) = found
     assert isinstance(data_of_run.tasks, SymmetryAugmentation)
@@ -121,7 +121,7 @@ def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly, mon
 
 def test_a_policy_that_numbers_parts_learns_from_images_of_states(dome: Assembly) -> None:
     """They stand, and none of them is an image of a state that is held out."""
-    oracle = Stability(dome)
+    oracle = StabilityOracle(dome)
     chosen: tuple[tuple[Any, Any], ...] = (("transformer", "wide"), ("resmlp", "width64"), ("resmlp", "wide"))
     plain, alone, turned = (
         collect_training_data(

@@ -14,9 +14,9 @@ from falsework.errors import InputError, StateError  # noqa: E402
 from falsework.geometry import TriangleMesh  # noqa: E402
 from falsework.learn.env.environment import Environment, Rollouts  # noqa: E402
 from falsework.learn.env.rollout import choose_actions, play, roll_out  # noqa: E402
-from falsework.search import Direction, StateGraph, Task, find_plans, task_of  # noqa: E402
+from falsework.search import Direction, StateGraph, Task, find_plans, make_task  # noqa: E402
 from falsework.search.device.oracle import DeviceOracle, HostOracle, without_fallback  # noqa: E402
-from falsework.stability import PressingStability, Stability, StabilitySettings, Verdict, Verdicts  # noqa: E402
+from falsework.stability import PressOracle, StabilityOracle, StabilitySettings, Verdict, Verdicts  # noqa: E402
 from falsework.stability.reference.clarabel import ExactSolver  # noqa: E402
 
 EQUILIBRIUM = StabilitySettings(criterion="equilibrium")
@@ -27,7 +27,7 @@ class Counting:
     """Passes questions on and writes down what was asked."""
 
     def __init__(self, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> None:
-        self.oracle = Stability(assembly, settings)
+        self.oracle = StabilityOracle(assembly, settings)
         self.holds_keep_stable = self.oracle.holds_keep_stable
         self.asked: list[bytes] = []
 
@@ -53,7 +53,7 @@ class Scripted:
     """Prefers the next action of a plan, told by the number of steps done."""
 
     def __init__(self, assembly: Assembly, actions: list[int]) -> None:
-        self.task = task_of(assembly)
+        self.task = make_task(assembly)
         self.actions = actions
 
     def __call__(self, states, targets=None):
@@ -74,7 +74,7 @@ def bottle() -> Assembly:
 
 
 def random_rollouts(assembly: Assembly, count: int, seed: int = 0, **options) -> tuple[Environment, Rollouts]:
-    options: dict[str, Any] = {"oracle": Stability(assembly, EQUILIBRIUM), **options}
+    options: dict[str, Any] = {"oracle": StabilityOracle(assembly, EQUILIBRIUM), **options}
     environment = Environment(assembly, 2, device="cpu", **options)
     starts = environment.rules.complete(count)
     generator = environment.generator(seed)
@@ -86,7 +86,9 @@ def check_rollouts(assembly: Assembly, rollouts: Rollouts, targets: np.ndarray |
     exact = ExactSolver(assembly)
     states, actions = rollouts.states.numpy(), rollouts.actions.numpy()
     for row, length in enumerate(rollouts.length.tolist()):
-        task = Task.create(assembly.boundary, 2, start=states[0, row], target=None if targets is None else targets[row])
+        task = Task.from_rules(
+            assembly.boundary, 2, start=states[0, row], target=None if targets is None else targets[row]
+        )
         passed = states[: length + 1, row]
         for step in range(length):
             assert task.moves(passed[step][None], Direction.DISASSEMBLY)[0, actions[step, row]]
@@ -121,7 +123,7 @@ def test_random_rollouts_with_targets(bottle: Assembly) -> None:
 
 
 def test_a_plan_is_a_success_with_the_rewards_of_the_paper(arch: Assembly) -> None:
-    route = find_plans(arch, task_of(arch)).plans[0].route
+    route = find_plans(arch, make_task(arch)).plans[0].route
     environment = Environment(arch, 2, device="cpu")
     rollouts = roll_out(environment, Scripted(arch, list(route.actions)), environment.rules.complete(3))
     assert rollouts.success.all()
@@ -142,7 +144,7 @@ def test_the_first_unstable_state_costs_one(arch: Assembly) -> None:
     held = environment.step(environment.rules.complete(), torch.tensor([middle]), check=True)
     assert held.reward.tolist() == [0.0]
     fallen = environment.step(held.states, torch.tensor([arch.part_count + middle]), check=True)
-    assert not Stability(arch).verdicts(fallen.states.numpy()).stable[0]
+    assert not StabilityOracle(arch).verdicts(fallen.states.numpy()).stable[0]
     assert fallen.reward.tolist() == [-1.0]
     assert fallen.done.all()
     assert fallen.unstable.all()
@@ -201,7 +203,7 @@ def test_under_contact_every_action_is_judged(bottle: Assembly) -> None:
 def test_a_hold_after_which_a_part_slides_ends_a_rollout(bottle: Assembly) -> None:
     """A robot that takes over a part takes its weight off the neighbours, and one that leant on it slides."""
     slides = np.array([1, 0, 1, 0, 0, 2, 1, 1, 0, 1, 2, 2], dtype=np.uint8)
-    contact = Stability(bottle)
+    contact = StabilityOracle(bottle)
     taken = next(
         part for part in (5, 10) if contact.verdicts(np.where(np.arange(12) == part, 1, slides)[None]).stable[0]
     )
@@ -222,7 +224,7 @@ def test_a_hold_after_which_a_part_slides_ends_a_rollout(bottle: Assembly) -> No
         assert np.array_equal(rollouts.states[rollouts.passed()].numpy(), before[None])
         assert environment.counters.states_asked == 1
     assert (environment._verdicts._verdict == Verdict.SLIDES).sum() == 1
-    balanced = Environment(bottle, 2, oracle=Stability(bottle, EQUILIBRIUM), device="cpu")
+    balanced = Environment(bottle, 2, oracle=StabilityOracle(bottle, EQUILIBRIUM), device="cpu")
     step = balanced.step(torch.from_numpy(before)[None], torch.tensor([taken]), check=True)
     assert not step.unstable.any()
     assert balanced.counters.states_asked == 0
@@ -237,7 +239,7 @@ def test_verdicts_are_right_when_slots_are_fought_over(bottle: Assembly) -> None
     states = states[torch.randperm(len(states), generator=torch.Generator().manual_seed(0))]
     environment._verdicts = VerdictTable(environment.rules, memory=1)
     environment._verdicts._slots = 32
-    truth = torch.from_numpy(Stability(bottle, EQUILIBRIUM).verdicts(states.numpy()).stable)
+    truth = torch.from_numpy(StabilityOracle(bottle, EQUILIBRIUM).verdicts(states.numpy()).stable)
     for begin in range(0, len(states), 700):
         rows = slice(begin, begin + 700)
         assert torch.equal(environment.stable(states[rows]), truth[rows])
@@ -247,7 +249,7 @@ class HalfBlind:
     """A solver on a GPU that leaves every other state of a batch open."""
 
     def __init__(self, assembly: Assembly) -> None:
-        self.oracle = Stability(assembly, EQUILIBRIUM)
+        self.oracle = StabilityOracle(assembly, EQUILIBRIUM)
         self.asked = 0
 
     def check_tensor(self, states):
@@ -259,18 +261,18 @@ class HalfBlind:
 
 def half_blind_oracle(assembly: Assembly) -> DeviceOracle:
     oracle = DeviceOracle.__new__(DeviceOracle)
-    oracle._solver, oracle._fallback = HalfBlind(assembly), Stability(assembly, EQUILIBRIUM)  # type: ignore[assignment]
+    oracle._solver, oracle._fallback = HalfBlind(assembly), StabilityOracle(assembly, EQUILIBRIUM)  # type: ignore[assignment]
     return oracle
 
 
 def test_states_left_open_go_to_the_exact_solver_unless_they_may_be_given_up(arch: Assembly) -> None:
     """Given up they count as not proven, and are not remembered as such."""
-    environment = Environment(arch, 2, oracle=Stability(arch, EQUILIBRIUM), device="cpu")
+    environment = Environment(arch, 2, oracle=StabilityOracle(arch, EQUILIBRIUM), device="cpu")
     oracle = half_blind_oracle(arch)
     environment._on_device = oracle
     _, rollouts = random_rollouts(arch, 60)
     states = torch.unique(rollouts.states.flatten(0, 1), dim=0)
-    truth = torch.from_numpy(Stability(arch, EQUILIBRIUM).verdicts(states.numpy()).stable)
+    truth = torch.from_numpy(StabilityOracle(arch, EQUILIBRIUM).verdicts(states.numpy()).stable)
     assert truth.any()
     assert not truth.all()
     solver: Any = oracle._solver
@@ -286,7 +288,7 @@ def test_states_left_open_go_to_the_exact_solver_unless_they_may_be_given_up(arc
     environment.exact = False
     assert torch.equal(environment.stable(states, states), truth)
     assert solver.asked == len(states) + again
-    host = HostOracle(Stability(arch))
+    host = HostOracle(StabilityOracle(arch))
     assert without_fallback(host) is host
 
 
@@ -382,10 +384,10 @@ def test_every_state_of_a_graph_is_proven_stable(shared_assembly) -> None:
     environment = Environment(assembly, 2, device="cpu")
     from falsework.search import BeamSearch, BeamSettings
 
-    task = task_of(assembly)
+    task = make_task(assembly)
     search = BeamSearch(task, environment.oracle, BeamSettings(width=8))
     search.run()
-    graph = StateGraph.build(task, search.states())
+    graph = StateGraph.from_states(task, search.states())
     states = torch.from_numpy(graph.states)
     assert environment.stable(states).all()
     parents = states[torch.from_numpy(graph.source).long()]
@@ -409,7 +411,7 @@ def test_bad_input_is_one_clear_line(arch: Assembly) -> None:
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no GPU")
 def test_rollouts_on_a_gpu_obey_rules_and_exact_solver(arch: Assembly) -> None:
-    environment = Environment(arch, 2, oracle=Stability(arch, EQUILIBRIUM), device="cuda")
+    environment = Environment(arch, 2, oracle=StabilityOracle(arch, EQUILIBRIUM), device="cuda")
 
     def indifferent(states, targets=None):
         return torch.zeros(len(states), 2 * states.shape[1], device=states.device), torch.zeros(
@@ -432,9 +434,9 @@ def test_a_removal_that_needs_a_press_is_legal_where_robots_press() -> None:
     assembly = Assembly.from_meshes([*plates, wall], boundary=[3], friction=0.5)
     states = torch.tensor([[1, 2, 2, 2], [2, 1, 2, 2]], dtype=torch.uint8)
     actions = torch.tensor([4 + 2, 4 + 2])  # the second leaves nothing on the outer plate that could press
-    oracle = Stability(assembly)
+    oracle = StabilityOracle(assembly)
     plain = Environment(assembly, oracle=oracle, device="cpu").step(states, actions)
-    pressing = Environment(assembly, oracle=PressingStability(oracle), device="cpu").step(states, actions)
+    pressing = Environment(assembly, oracle=PressOracle(oracle), device="cpu").step(states, actions)
     assert plain.unstable.tolist() == [True, True]
     assert pressing.unstable.tolist() == [False, True]
     assert pressing.reward.tolist()[0] == 0.0

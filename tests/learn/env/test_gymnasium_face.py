@@ -19,8 +19,8 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 from falsework.assembly import Assembly, load_structure  # noqa: E402
 from falsework.errors import InputError, StateError  # noqa: E402
 from falsework.learn.env.gymnasium_env import ID, DisassemblyEnv  # noqa: E402
-from falsework.search import BeamSearch, BeamSettings, StateGraph, Task, find_plans, task_of  # noqa: E402
-from falsework.stability import Stability, StabilitySettings  # noqa: E402
+from falsework.search import BeamSearch, BeamSettings, StateGraph, Task, find_plans, make_task  # noqa: E402
+from falsework.stability import StabilityOracle, StabilitySettings  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -30,9 +30,9 @@ def arch() -> Assembly:
 
 @pytest.fixture(scope="module")
 def graph(arch: Assembly) -> StateGraph:
-    search = BeamSearch(task_of(arch), Stability(arch), BeamSettings(width=8))
+    search = BeamSearch(make_task(arch), StabilityOracle(arch), BeamSettings(width=8))
     search.run()
-    return StateGraph.build(task_of(arch), search.states())
+    return StateGraph.from_states(make_task(arch), search.states())
 
 
 @pytest.mark.parametrize("options", [{}, {"starts": "graph"}, {"target": "half"}, {"clearance": True, "robots": 1}])
@@ -57,7 +57,7 @@ def test_it_is_made_by_name_without_an_import() -> None:
 
 
 def test_a_plan_is_a_success(arch: Assembly) -> None:
-    plan = find_plans(arch, task_of(arch)).plans[0].route
+    plan = find_plans(arch, make_task(arch)).plans[0].route
     environment = DisassemblyEnv(arch)
     environment.reset(seed=0)
     rewards = []
@@ -77,7 +77,7 @@ def test_it_agrees_with_the_environment_on_tensors(graph: StateGraph, arch: Asse
     torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
     from falsework.learn.env.environment import Environment
 
-    oracle = Stability(arch)
+    oracle = StabilityOracle(arch)
     tensors = Environment(arch, 2, oracle=oracle, device="cpu")
     face = DisassemblyEnv(arch, starts=graph, oracle=oracle)
     rng = np.random.default_rng(0)
@@ -102,15 +102,17 @@ def test_its_criterion_is_that_of_the_graph() -> None:
     """Under contact a hold may bring a neighbour to slide, and ends the episode; under equilibrium it never does."""
     bottle = load_structure("bottle")
     before = np.array([1, 0, 1, 0, 0, 2, 1, 1, 0, 1, 2, 2], dtype=np.uint8)
-    contact = Stability(bottle)
+    contact = StabilityOracle(bottle)
     taken = next(
         part for part in (5, 10) if contact.verdicts(np.where(np.arange(12) == part, 1, before)[None]).stable[0]
     )
     before[taken] = 1
     for criterion in ("contact", "equilibrium"):
-        beam = BeamSearch(task_of(bottle), Stability(bottle, StabilitySettings(criterion=criterion)), BeamSettings(4))
+        beam = BeamSearch(
+            make_task(bottle), StabilityOracle(bottle, StabilitySettings(criterion=criterion)), BeamSettings(4)
+        )
         beam.run()
-        face = DisassemblyEnv(bottle, starts=StateGraph.build(beam.task, beam.states()))
+        face = DisassemblyEnv(bottle, starts=StateGraph.from_states(beam.task, beam.states()))
         face.reset(options={"start": before})
         _, reward, over, _, info = face.step(taken)
         assert info["unstable"] == over == (criterion == "contact")
@@ -154,7 +156,7 @@ def test_illegal_actions_end_the_episode_or_raise(arch: Assembly) -> None:
 
 
 def test_bad_input_is_one_clear_line(arch: Assembly) -> None:
-    empty = Task.create(arch.boundary, 2).target
+    empty = Task.from_rules(arch.boundary, 2).target
     with pytest.raises(InputError, match="illegal is 'ignore'; choose 'end' or 'error'"):
         DisassemblyEnv(arch, illegal="ignore")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="render mode 'human' is not supported"):
@@ -186,7 +188,7 @@ def test_a_copy_goes_its_own_way(
 ) -> None:
     """Tree searches copy environments, and vector environments send them to processes; threads cannot be copied."""
     monkeypatch.setattr("falsework.stability.cpu.solver.core_count", lambda: 2)
-    oracle = Stability(arch, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
+    oracle = StabilityOracle(arch, StabilitySettings(criterion=criterion))  # type: ignore[arg-type]
     env = DisassemblyEnv(arch, robots=2, oracle=oracle)
     _, info = env.reset(seed=0)
     env.step(int(np.flatnonzero(info["action_mask"])[0]))

@@ -38,7 +38,7 @@ def random_tasks(boundary: NDArray[np.bool_], robots: int, count: int, seed: int
         start, target = (np.where(boundary, HELD, VALUES[stage]).astype(np.uint8) for stage in (early, late))
         if max(int(((s == HELD) & ~boundary).sum()) for s in (start, target)) > robots:
             continue
-        tasks.append(Task.create(boundary, robots, start=start, target=target, fixed=fixed))
+        tasks.append(Task.from_rules(boundary, robots, start=start, target=target, fixed=fixed))
     return tasks
 
 
@@ -54,11 +54,11 @@ def walk(task: Task, rng: np.random.Generator) -> list[States]:
 
 def check_against_task(assembly: Assembly, robots: int, *, clear: bool, fixed: list[int], tasks: int) -> None:
     clearance = assembly.clearance if clear else None
-    rules = TensorRules(Task.create(assembly.boundary, robots, clearance=clearance, fixed=fixed))
+    rules = TensorRules(Task.from_rules(assembly.boundary, robots, clearance=clearance, fixed=fixed))
     rng = np.random.default_rng(robots)
     states, targets, masks = [], [], []
     for plain in random_tasks(assembly.boundary, robots, tasks, 7 + robots, fixed):
-        task = Task.create(
+        task = Task.from_rules(
             assembly.boundary, robots, start=plain.start, target=plain.target, fixed=fixed, clearance=clearance
         )
         passed = np.array(walk(task, rng))
@@ -93,10 +93,10 @@ def test_masks_agree_on_real_structures(name: str, shared_assembly) -> None:
 def test_without_target_everything_goes_but_what_is_fixed() -> None:
     assembly = load_structure("arch:blocks=7")
     fixed = [1, 4]
-    rules = TensorRules(Task.create(assembly.boundary, 2, fixed=fixed))
+    rules = TensorRules(Task.from_rules(assembly.boundary, 2, fixed=fixed))
     rng = np.random.default_rng(1)
     for plain in random_tasks(assembly.boundary, 2, 60, 3, fixed):
-        task = Task.create(assembly.boundary, 2, start=plain.start, fixed=fixed)
+        task = Task.from_rules(assembly.boundary, 2, start=plain.start, fixed=fixed)
         states = np.array(walk(task, rng))
         assert np.array_equal(rules.moves(torch.tensor(states)).numpy(), task.moves(states, Direction.DISASSEMBLY))
         assert rules.reached(torch.tensor(states)).tolist() == (states == task.target).all(axis=1).tolist()
@@ -105,7 +105,7 @@ def test_without_target_everything_goes_but_what_is_fixed() -> None:
 
 def test_actions_and_hashes_are_those_of_arrays() -> None:
     assembly = load_structure("bottle")
-    task = Task.create(assembly.boundary, 2)
+    task = Task.from_rules(assembly.boundary, 2)
     rules = TensorRules(task)
     states = np.array(walk(task, np.random.default_rng(0)))
     row, action = np.nonzero(task.moves(states, Direction.DISASSEMBLY))
@@ -123,19 +123,19 @@ def test_actions_and_hashes_are_those_of_arrays() -> None:
 
 def test_contains_sees_what_task_refuses() -> None:
     boundary = np.array([True, False, False, False])
-    rules = TensorRules(Task.create(boundary, 1, fixed=[3]))
+    rules = TensorRules(Task.from_rules(boundary, 1, fixed=[3]))
     start = torch.tensor([[2, 1, 1, 1]], dtype=torch.uint8)
     for target, message in (([2, 2, 2, 1], "held"), ([2, 0, 0, 0], "fixed")):
         assert not rules.contains(start, torch.tensor([target], dtype=torch.uint8))
         with pytest.raises(StateError, match=message):
-            Task.create(boundary, 1, start=start[0].numpy(), target=target, fixed=[3])
+            Task.from_rules(boundary, 1, start=start[0].numpy(), target=target, fixed=[3])
     backwards = torch.tensor([[2, 0, 1, 1]], dtype=torch.uint8)
     assert not rules.contains(backwards, start)
 
 
 def test_bad_input_is_one_clear_line() -> None:
     boundary = np.array([True, False, False])
-    task = Task.create(boundary, 1)
+    task = Task.from_rules(boundary, 1)
     with pytest.raises(InputError, match="unknown device"):
         TensorRules(task, "toaster")
     rules = TensorRules(task)
@@ -147,5 +147,5 @@ def test_bad_input_is_one_clear_line() -> None:
 
 
 def test_removed_parts_are_never_touched() -> None:
-    rules = TensorRules(Task.create(np.array([True, False]), 1))
+    rules = TensorRules(Task.from_rules(np.array([True, False]), 1))
     assert not rules.moves(torch.tensor([[2, REMOVED]], dtype=torch.uint8)).any()

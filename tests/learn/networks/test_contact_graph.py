@@ -29,7 +29,7 @@ def states_of(assembly: Assembly, count: int = 8) -> torch.Tensor:
 
 @pytest.mark.parametrize("name", ["arch:blocks=5", "polycube:pieces=8,size=3", "dome:rings=2,blocks=5", "house"])
 def test_features_are_finite_and_of_moderate_size(name: str) -> None:
-    graph = ContactGraph.of(load_structure(name))
+    graph = ContactGraph.from_assembly(load_structure(name))
     for array in (graph.part, graph.pair, graph.lever, graph.whole):
         assert np.isfinite(array).all()
         assert np.abs(array).max() < 10
@@ -50,7 +50,7 @@ def test_a_turn_about_the_vertical_changes_no_answer(angle: float) -> None:
 def test_slots_grow_with_neighbours_and_are_bounded() -> None:
     """A plate under many bricks sees a bounded number of them, and each brick sees the plate."""
     wall = load_structure(f"wall:bricks={MOST_NEIGHBOURS + 4},courses=1")
-    graph = ContactGraph.of(Assembly.from_meshes(wall.meshes, boundary=[0]))
+    graph = ContactGraph.from_assembly(Assembly.from_meshes(wall.meshes, boundary=[0]))
     assert graph.taken[-1].sum() == MOST_NEIGHBOURS
     assert graph.taken[1:-1].sum(axis=1).tolist() == [*[3] * (MOST_NEIGHBOURS + 2), 2]
     assert (graph.neighbour[1:-1] == wall.part_count - 1).any(axis=1).all()
@@ -72,7 +72,7 @@ def test_filling_up_changes_no_answer() -> None:
     policy = make_policy(arch, PolicySettings("local"))
     assert isinstance(policy, LocalAttentionPolicy)
     states = states_of(arch)
-    graph = GraphTensors.of(ContactGraph.of(arch))
+    graph = GraphTensors.from_graph(ContactGraph.from_assembly(arch))
 
     def filled(tensor: torch.Tensor, parts: int = 0, slots: int = 0) -> torch.Tensor:
         shape = list(tensor.shape)
@@ -103,5 +103,5 @@ def test_filling_up_changes_no_answer() -> None:
 
 def test_slots_do_not_multiply_with_parts() -> None:
     """Cost and memory are those of the contacts."""
-    short, long = (ContactGraph.of(load_structure(f"wall:bricks={bricks},courses=4")) for bricks in (6, 24))
+    short, long = (ContactGraph.from_assembly(load_structure(f"wall:bricks={bricks},courses=4")) for bricks in (6, 24))
     assert long.neighbour.shape[1] == short.neighbour.shape[1] == 6

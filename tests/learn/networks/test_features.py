@@ -11,7 +11,7 @@ from falsework.learn.networks.geometric_features import PartFeatures
 
 
 def test_a_line_is_a_small_share_of_what_surrounds_a_part(beam_on_ridge: Assembly) -> None:
-    features = PartFeatures.of(beam_on_ridge)
+    features = PartFeatures.from_assembly(beam_on_ridge)
     for array in (features.part, features.pair, features.ports):
         assert np.isfinite(array).all()
     of_beam = features.ports[0, 2]
@@ -22,7 +22,7 @@ def test_a_line_is_a_small_share_of_what_surrounds_a_part(beam_on_ridge: Assembl
 
 
 def test_a_line_is_a_force_with_two_torques(beam_on_ridge: Assembly) -> None:
-    graph = ForceTorqueGraph.of(beam_on_ridge)
+    graph = ForceTorqueGraph.from_assembly(beam_on_ridge)
     assert graph.force_parts.tolist() == [[0, 2], [1, 2]]
     assert np.bincount(graph.point_force).tolist() == [4, 2]
     assert graph.normals == pytest.approx(np.array([(0, 0, 1.0)] * 2))

@@ -117,7 +117,7 @@ def evaluate_by_edges(
 @pytest.mark.parametrize("name", ["polycube:pieces=6,size=3", "dome:rings=1,blocks=4", "arch:blocks=4"])
 def test_agrees_with_a_network_that_goes_from_edge_to_edge(name: str, goal_conditioned: bool) -> None:
     assembly = load_structure(name)
-    graph = ForceTorqueGraph.of(assembly)
+    graph = ForceTorqueGraph.from_assembly(assembly)
     settings = PolicySettings("gat", goal_conditioned=goal_conditioned, layers=2, channels=8, heads=2)
     policy = make_policy(assembly, settings, seed=1)
     assert isinstance(policy, GraphAttentionPolicy)

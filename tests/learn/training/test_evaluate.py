@@ -18,13 +18,13 @@ from falsework.cli.main import main  # noqa: E402
 from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.train import METHODS, TrainSettings  # noqa: E402
-from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, task_for  # noqa: E402
+from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, training_task  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.learn.networks.factory import make_policy  # noqa: E402
 from falsework.learn.training.evaluate import evaluate, greedy_success, sample  # noqa: E402
 from falsework.learn.training.train import train  # noqa: E402
 from falsework.search.problem.state_graph import load_state_graph  # noqa: E402
-from falsework.stability import Stability  # noqa: E402
+from falsework.stability import StabilityOracle  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("few_tries")
 
@@ -40,7 +40,7 @@ def arch() -> Any:
 
 @pytest.fixture(scope="module")
 def data(arch: Any) -> Dataset:
-    return build_dataset(arch, task_for(arch, 2), DataSettings(16, 32), device="cpu")
+    return build_dataset(arch, training_task(arch, 2), DataSettings(16, 32), device="cpu")
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_success_is_a_way_to_the_end_that_stands(arch: Any, data: Dataset) -> No
     states = torch.from_numpy(data.train)
     success, which = greedy_success(environment, policy, states)
     assert 0 < success.succeeded < success.states == len(states)
-    oracle, rules = Stability(arch), environment.rules
+    oracle, rules = StabilityOracle(arch), environment.rules
     for start, expected in list(zip(states, which.tolist(), strict=True))[::7]:
         state = start[None]
         while (mask := rules.moves(state)).any():

@@ -30,7 +30,7 @@ from falsework.learn.networks.factory import make_policy, transfer  # noqa: E402
 from falsework.learn.training.logger import read_progress  # noqa: E402
 from falsework.learn.training.result import TrainResult  # noqa: E402
 from falsework.replanning import Replanner  # noqa: E402
-from falsework.search import TensorRules, task_of  # noqa: E402
+from falsework.search import TensorRules, make_task  # noqa: E402
 
 ARCH = "arch:blocks=7"
 NETS = '''
@@ -180,7 +180,7 @@ def test_the_reward_decides_what_is_learned(wanted: int) -> None:
 
     phase = replace(COMPLETE, rollouts=64, batch=64, imitation=0.0, learning_rate=1e-2, average=0.0)
     result = train(None, replace(SETTINGS, phases=(phase,), steps=40), reward=reward)
-    mask = TensorRules(task_of(arch, robots=2)).moves(complete[None])
+    mask = TensorRules(make_task(arch, robots=2)).moves(complete[None])
     assert mask[0].sum() > 4
     assert confidences(result.policy, complete[None], mask)[0, wanted] > 0.9
 

@@ -17,7 +17,7 @@ from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.task import Direction
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from tests.robots.plans.orders import APART
 from tests.robots.plans.sunk_cubes import under_a_bar
 
@@ -96,13 +96,13 @@ def planned_in_turn() -> Callable[[Assembly, Cell], RobotPlan]:
 
 
 @pytest.fixture(scope="session")
-def oracle(column: Assembly) -> Stability:
+def oracle(column: Assembly) -> StabilityOracle:
     """Stability of the column."""
-    return Stability(column)
+    return StabilityOracle(column)
 
 
 @pytest.fixture(scope="session")
-def result(column: Assembly, cell: Cell, oracle: Stability) -> HybridResult:
+def result(column: Assembly, cell: Cell, oracle: StabilityOracle) -> HybridResult:
     """Search for a plan that takes the column apart."""
     return plan_robots(column, cell, oracle=oracle, settings=APART)
 

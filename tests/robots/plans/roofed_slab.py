@@ -34,6 +34,6 @@ def tabled(cell: Cell) -> Cell:
     return replace(cell, obstacles=(Obstacle("tables", tuple(tops)),))
 
 
-def task_of(assembly: Assembly, cell: Cell, *, support: bool) -> Task:
+def make_task(assembly: Assembly, cell: Cell, *, allow_regrasp: bool) -> Task:
     """The task to take everything away."""
-    return Task.create(assembly.boundary, cell.robot_count, identity=assembly.identity, support=support)
+    return Task.from_rules(assembly.boundary, cell.robot_count, identity=assembly.identity, allow_regrasp=allow_regrasp)

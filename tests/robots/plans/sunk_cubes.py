@@ -17,7 +17,7 @@ from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.search import Task
 from falsework.search.problem.task import Direction
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 NEAR, FAR = 0, 1
 """The cube that the first arm holds by its side, and another on the far side."""
@@ -54,17 +54,19 @@ def begin(assembly: Assembly, cell: Cell) -> dict[str, Any]:
         "start": state,
         "configurations": (nearest.configuration, *cell.homes[1:]),
         "held": (NEAR, *(None for _ in cell.homes[1:])),
-        "oracle": Stability(assembly),
+        "oracle": StabilityOracle(assembly),
     }
 
 
-def task_of(assembly: Assembly, begun: dict[str, Any], *, support: bool) -> Task:
+def make_task(assembly: Assembly, begun: dict[str, Any], *, allow_regrasp: bool) -> Task:
     """The task that begins there."""
-    return Task.create(assembly.boundary, 2, start=begun["start"], identity=assembly.identity, support=support)
+    return Task.from_rules(
+        assembly.boundary, 2, start=begun["start"], identity=assembly.identity, allow_regrasp=allow_regrasp
+    )
 
 
-def planned(assembly: Assembly, cell: Cell, begun: dict[str, Any], *, support: bool) -> HybridResult:
+def planned(assembly: Assembly, cell: Cell, begun: dict[str, Any], *, allow_regrasp: bool) -> HybridResult:
     """Search for a plan from there on."""
     given = {key: value for key, value in begun.items() if key != "start"}
-    task = task_of(assembly, begun, support=support)
+    task = make_task(assembly, begun, allow_regrasp=allow_regrasp)
     return plan_robots(assembly, cell, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=4), **given)

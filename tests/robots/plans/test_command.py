@@ -149,7 +149,7 @@ def test_a_bag_says_what_it_lacks(run: Callable, cell_file: Path, tmp_path: Path
 
 def test_arms_may_hold_again(run: Callable, cell_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "robot_plan.json"
-    arguments = ("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--support", "--json")
+    arguments = ("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--allow-regrasp", "--json")
     code, answer, error = run(*arguments)
     assert code == 0, error
     assert answer["releases"] == 0  # not needed here
@@ -244,7 +244,7 @@ def test_motions_at_the_same_time(run: Callable, cell_file: Path, tmp_path: Path
     assert {entry["robot"] for entry in times["arms"]} == {"arm", "other"}
     assert load_robot_plan(tmp_path / "plan.json").makespan == pytest.approx(times["makespan_s"], abs=1e-3)
     check = ("robots", "check", tmp_path / "plan.json", "--motions-only")
-    code, answer, _ = run(*check, "--delays", "20", "--longest-delay", "0.5", "--json")
+    code, answer, _ = run(*check, "--delays", "20", "--max-delay", "0.5", "--json")
     assert code == 0
     assert answer["timed_samples"] > 0
     assert answer["delays"]["overlaps"] > 0
@@ -256,9 +256,9 @@ def test_motions_at_the_same_time(run: Callable, cell_file: Path, tmp_path: Path
         (("--delays", "0"), "cannot simulate 0 runs"),
         (("--delays", "-5"), "cannot simulate -5 runs"),
         (("--delays", "nan"), "--delays is 'nan'; give a whole number"),
-        (("--delays", "5", "--longest-delay", "nan"), "delays of up to nan"),
-        (("--delays", "5", "--longest-delay=-0.1"), "delays of up to -0.1"),
-        (("--longest-delay", "0.5"), "give their number too"),
+        (("--delays", "5", "--max-delay", "nan"), "delays of up to nan"),
+        (("--delays", "5", "--max-delay=-0.1"), "delays of up to -0.1"),
+        (("--max-delay", "0.5"), "give their number too"),
     ):
         code, _, error = run(*check, *given)
         assert code == 2

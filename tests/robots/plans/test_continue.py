@@ -33,7 +33,7 @@ from falsework.robots.plans.timeline import interruption
 from falsework.robots.schedule.build import schedule_plan
 from falsework.search import Direction, Task
 from falsework.search.plans.plan_check import validate_plan
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from falsework.viewer.arms import Arms
 from tests.robots.plans.orders import APART
 
@@ -45,11 +45,11 @@ def building(robot_plan: RobotPlan) -> RobotPlan:
 
 
 @pytest.fixture(scope="module")
-def go_on(column: Assembly, cell: Cell, oracle: Stability) -> Callable[..., RobotPlan]:
+def go_on(column: Assembly, cell: Cell, oracle: StabilityOracle) -> Callable[..., RobotPlan]:
     """`go_on(state, configurations, held, gripped)`: a plan that builds the rest."""
 
     def plan(state: np.ndarray, *now: Any, **more: Any) -> RobotPlan:
-        task = Task.create(column.boundary, 2, target=state, identity=column.identity)
+        task = Task.from_rules(column.boundary, 2, target=state, identity=column.identity)
         given = dict(zip(("configurations", "held", "gripped"), now, strict=False))
         found = plan_robots(column, cell, task=task, oracle=oracle, **given, **more)
         assert found.plan is not None, found.explanation
@@ -147,7 +147,7 @@ def test_a_carried_part_that_cannot_be_next_is_brought_back(
     rest = plan_robots(
         column,
         cell,
-        task=Task.create(column.boundary, 2, start=building.states[inserting(building)[0] + 2], target=empty),
+        task=Task.from_rules(column.boundary, 2, start=building.states[inserting(building)[0] + 2], target=empty),
         configurations=values,
         held=held,
         gripped=gripped,
@@ -162,7 +162,7 @@ def test_a_carried_part_that_cannot_be_next_is_brought_back(
 
 
 def test_disassembly_delivers_a_carried_part_first(
-    robot_plan: RobotPlan, column: Assembly, cell: Cell, oracle: Stability, tmp_path: Path
+    robot_plan: RobotPlan, column: Assembly, cell: Cell, oracle: StabilityOracle, tmp_path: Path
 ) -> None:
     step = inserting(robot_plan)[0]
     robot, part = robot_plan.steps[step].robot, int(robot_plan.actions[step]) % column.part_count
@@ -170,7 +170,7 @@ def test_disassembly_delivers_a_carried_part_first(
     grip, held[robot] = values[robot], part
     values[robot] = robot_plan.steps[step].trajectories[-1].positions[0]
     gripped = [grip if k == robot else None for k in range(2)]
-    task = Task.create(column.boundary, 2, start=robot_plan.states[step + 1], identity=column.identity)
+    task = Task.from_rules(column.boundary, 2, start=robot_plan.states[step + 1], identity=column.identity)
     given: dict[str, Any] = {"configurations": values, "held": held, "gripped": gripped}
     rest = plan_robots(column, cell, task=task, oracle=oracle, settings=APART, **given).plan
     assert rest is not None
@@ -187,7 +187,7 @@ def test_disassembly_delivers_a_carried_part_first(
 
 
 def test_arms_that_move_at_the_same_time(
-    building: RobotPlan, column: Assembly, cell: Cell, oracle: Stability, tmp_path: Path
+    building: RobotPlan, column: Assembly, cell: Cell, oracle: StabilityOracle, tmp_path: Path
 ) -> None:
     """Another arm keeps clear of a part that waits in a gripper, whatever the delays."""
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
@@ -196,7 +196,7 @@ def test_arms_that_move_at_the_same_time(
 
     step = inserting(building)[0]
     values, held, gripped = carrying(building, step)
-    task = Task.create(column.boundary, 2, target=building.states[step], identity=column.identity)
+    task = Task.from_rules(column.boundary, 2, target=building.states[step], identity=column.identity)
     now: dict[str, Any] = {"configurations": values, "held": held, "gripped": gripped}
     rest = plan_robots(column, cell, task=task, oracle=oracle, settings=HybridSettings(together=True), **now).plan
     assert rest is not None
@@ -256,11 +256,11 @@ def test_plans_that_do_not_say_what_is_carried(
         robot_plan_from_dict(robot_plan_to_dict(replace(free, steps=tuple(steps))))
 
 
-def test_where_the_arms_cannot_be(building: RobotPlan, column: Assembly, cell: Cell, oracle: Stability) -> None:
+def test_where_the_arms_cannot_be(building: RobotPlan, column: Assembly, cell: Cell, oracle: StabilityOracle) -> None:
     step = inserting(building)[0]
     values, held, gripped = carrying(building, step)
     robot = building.steps[step].robot
-    task = Task.create(column.boundary, 2, target=building.states[step], identity=column.identity)
+    task = Task.from_rules(column.boundary, 2, target=building.states[step], identity=column.identity)
 
     def go(*now: Any) -> None:
         given = dict(zip(("configurations", "held", "gripped"), now, strict=False))

@@ -21,7 +21,7 @@ from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import event_times, schedule_of
 from falsework.robots.schedule.build import schedule_plan
 from falsework.search.problem.task import Direction
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def together(row: Assembly, wide: Cell) -> dict[Direction, RobotPlan]:
     return {direction: plan for direction, plan in made.items() if plan is not None}
 
 
-def test_by_default_it_assembles(column: Assembly, cell: Cell, oracle: Stability, robot_plan: RobotPlan) -> None:
+def test_by_default_it_assembles(column: Assembly, cell: Cell, oracle: StabilityOracle, robot_plan: RobotPlan) -> None:
     """The motions are those of the disassembly, backwards in time; the steps have the numbers of the plan."""
     plan = plan_robots(column, cell, oracle=oracle).plan
     assert plan is not None

@@ -33,7 +33,7 @@ from falsework.search import Direction
 from falsework.search.plans.plan_check import validate_plan
 from falsework.viewer.arms import Arms
 from falsework.viewer.pictures.gantt import bars_of
-from tests.robots.plans.sunk_cubes import FAR, NEAR, begin, cubes, planned, task_of
+from tests.robots.plans.sunk_cubes import FAR, NEAR, begin, cubes, make_task, planned
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def begun(falling: Assembly, roofed: Cell) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def plan(falling: Assembly, roofed: Cell, begun: dict[str, Any]) -> RobotPlan:
     """A plan that hands the near cube to the second arm."""
-    result = planned(falling, roofed, begun, support=True)
+    result = planned(falling, roofed, begun, allow_regrasp=True)
     assert result.plan is not None
     assert result.statistics["releases"] == 0
     assert result.statistics["hand_overs"] > 0
@@ -66,7 +66,7 @@ def timed(falling: Assembly, roofed: Cell, begun: dict[str, Any]) -> RobotPlan:
     from falsework.robots.planning.hybrid_result import HybridSettings
 
     given = {key: value for key, value in begun.items() if key != "start"}
-    task = task_of(falling, begun, support=True)
+    task = make_task(falling, begun, allow_regrasp=True)
     settings = HybridSettings(Direction.DISASSEMBLY, attempts=4, together=True)
     found = plan_robots(falling, roofed, task=task, settings=settings, **given).plan
     assert found is not None
@@ -85,7 +85,7 @@ def what(report: CheckReport) -> str:
 
 
 def test_without_support_there_is_no_plan(falling: Assembly, roofed: Cell, begun: dict[str, Any]) -> None:
-    found = planned(falling, roofed, begun, support=False)
+    found = planned(falling, roofed, begun, allow_regrasp=False)
     assert found.plan is None
     assert found.explanation is not None
     assert "remove near-0" in found.explanation.text
@@ -130,8 +130,8 @@ def test_an_arm_may_take_its_part_back_with_another_grasp(falling: Assembly, roo
     cell = replace(roofed, robots=(roofed.robots[0], helper))
     begun = begin(falling, cell)
     begun["start"][FAR] = REMOVED
-    assert planned(falling, cell, begun, support=False).plan is None
-    plan = planned(falling, cell, begun, support=True).plan
+    assert planned(falling, cell, begun, allow_regrasp=False).plan is None
+    plan = planned(falling, cell, begun, allow_regrasp=True).plan
     assert plan is not None
     robots = [plan.steps[step].robot for step in halves(plan)]
     assert robots == [1, 0, 0, 1]
@@ -149,9 +149,9 @@ def test_no_plan_begins_between_both_halves(plan: RobotPlan, falling: Assembly, 
         here = {**begun, "start": plan.states[row], "configurations": frame.configurations, "held": frame.held}
         if row == leave:
             with pytest.raises(StateError, match="two robots hold one part"):
-                planned(falling, roofed, here, support=True)
+                planned(falling, roofed, here, allow_regrasp=True)
         else:
-            assert planned(falling, roofed, here, support=True).plan is not None
+            assert planned(falling, roofed, here, allow_regrasp=True).plan is not None
 
 
 def test_files_keep_it(plan: RobotPlan, tmp_path: Path) -> None:

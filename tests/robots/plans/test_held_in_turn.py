@@ -24,7 +24,7 @@ from falsework.robots.plans.timeline import event_times, nodes_of
 from falsework.search import Task
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.task import Direction
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from tests.robots.plans.beam_in_turn import BEAM, LEFT, RIGHT, bridge_with
 
 
@@ -40,15 +40,15 @@ def apart(cell_of: Callable[..., Cell]) -> Cell:
     return cell_of(2, 1.5)
 
 
-def planned(assembly: Assembly, cell: Cell, *, support: bool) -> HybridResult:
-    task = Task.create(assembly.boundary, 2, identity=assembly.identity, support=support)
+def planned(assembly: Assembly, cell: Cell, *, allow_regrasp: bool) -> HybridResult:
+    task = Task.from_rules(assembly.boundary, 2, identity=assembly.identity, allow_regrasp=allow_regrasp)
     return plan_robots(assembly, cell, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=4))
 
 
 @pytest.fixture(scope="module")
 def plan(bridge: Assembly, apart: Cell) -> RobotPlan:
     """A plan in which one arm hands the beam to the other."""
-    found = planned(bridge, apart, support=True).plan
+    found = planned(bridge, apart, allow_regrasp=True).plan
     assert found is not None
     return found
 
@@ -58,7 +58,7 @@ def timed(bridge: Assembly, apart: Cell) -> RobotPlan:
     """The same for arms that move at the same time."""
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
 
-    task = Task.create(bridge.boundary, 2, identity=bridge.identity, support=True)
+    task = Task.from_rules(bridge.boundary, 2, identity=bridge.identity, allow_regrasp=True)
     settings = HybridSettings(Direction.DISASSEMBLY, attempts=4, together=True)
     found = plan_robots(bridge, apart, task=task, settings=settings).plan
     assert found is not None
@@ -73,8 +73,8 @@ def halves(plan: RobotPlan) -> list[int]:
 
 def test_without_a_hand_over_there_is_no_plan(bridge: Assembly, apart: Cell) -> None:
     """Each block needs the arm of its side, and while one leaves the beam must be held: by the other arm."""
-    assert planned(bridge, apart, support=False).plan is None
-    graph, oracle, complete = KeyframeGraph(bridge, apart), Stability(bridge), complete_state(bridge.boundary)
+    assert planned(bridge, apart, allow_regrasp=False).plan is None
+    graph, oracle, complete = KeyframeGraph(bridge, apart), StabilityOracle(bridge), complete_state(bridge.boundary)
     for gone in ((), (LEFT,), (RIGHT,)):
         state = complete.copy()
         state[list(gone)] = REMOVED

@@ -16,7 +16,7 @@ from falsework.robots.keyframes.keyframe_graph import KeyframeGraph, KeyframeSet
 from falsework.robots.keyframes.keyframes import Edge, Node
 from falsework.robots.model.cell import Cell, Obstacle, Placement
 from falsework.robots.model.shapes import block
-from falsework.robots.planning.end_motions import Ends
+from falsework.robots.planning.boundary_motions import BoundaryMotions
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
 from falsework.robots.planning.hybrid_search import HybridSearch
@@ -27,7 +27,7 @@ from falsework.search.beam.beam import BeamSearch
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import SupportGuide
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from tests.robots.plans.orders import APART
 
 
@@ -55,14 +55,14 @@ def test_the_same_seed_gives_the_same_plan(result: HybridResult, column: Assembl
 
 
 def test_from_midway_with_robots_where_they_stand(
-    result: HybridResult, column: Assembly, cell: Cell, oracle: Stability
+    result: HybridResult, column: Assembly, cell: Cell, oracle: StabilityOracle
 ) -> None:
     """From every keyframe of a plan the rest of the way is found, and ends as the plan does."""
     plan = result.plan
     assert plan is not None
     for index in range(1, len(plan), 2):
         frame = plan.keyframes[index]
-        task = Task.create(column.boundary, 2, start=plan.states[index], identity=column.identity)
+        task = Task.from_rules(column.boundary, 2, start=plan.states[index], identity=column.identity)
         rest = plan_robots(
             column,
             cell,
@@ -78,7 +78,7 @@ def test_from_midway_with_robots_where_they_stand(
         np.testing.assert_array_equal(rest.plan.states[-1], plan.states[-1])
 
 
-def test_a_guide_decides_the_order(column: Assembly, cell: Cell, oracle: Stability) -> None:
+def test_a_guide_decides_the_order(column: Assembly, cell: Cell, oracle: StabilityOracle) -> None:
     def prefer_two(states, actions, direction) -> np.ndarray:
         assert direction in (Direction.DISASSEMBLY, Direction.ASSEMBLY)
         scores = np.zeros(actions.shape)
@@ -90,7 +90,7 @@ def test_a_guide_decides_the_order(column: Assembly, cell: Cell, oracle: Stabili
     assert found.plan.plan.inserted_parts[-1] == 2
 
 
-def test_a_guide_is_asked_about_each_state_once(column: Assembly, cell: Cell, oracle: Stability) -> None:
+def test_a_guide_is_asked_about_each_state_once(column: Assembly, cell: Cell, oracle: StabilityOracle) -> None:
     """A rollout of the guide is a plan already; looking for motions along it asks nothing new."""
     asked: list[bytes] = []
 
@@ -117,17 +117,17 @@ def test_where_rollouts_fail_the_plan_is_searched_for(
     assert validate_plan(found.plan.plan, column).good
 
 
-def test_a_target_and_missing_parts(column: Assembly, cell: Cell, oracle: Stability) -> None:
+def test_a_target_and_missing_parts(column: Assembly, cell: Cell, oracle: StabilityOracle) -> None:
     target = complete_state(column.boundary)
     target[1] = 0
-    task = Task.create(column.boundary, 2, target=target)
+    task = Task.from_rules(column.boundary, 2, target=target)
     found = plan_robots(column, cell, task=task, oracle=oracle, settings=APART)
     assert found.plan is not None
     assert found.plan.plan.inserted_parts.tolist() == [1]
     late = plan_robots(
         column,
         cell,
-        task=Task.create(column.boundary, 2, missing=[2]),
+        task=Task.from_rules(column.boundary, 2, missing=[2]),
         oracle=oracle,
         settings=APART,
     )
@@ -136,7 +136,7 @@ def test_a_target_and_missing_parts(column: Assembly, cell: Cell, oracle: Stabil
     guided = plan_robots(
         column,
         cell,
-        task=Task.create(column.boundary, 2, missing=[2]),
+        task=Task.from_rules(column.boundary, 2, missing=[2]),
         oracle=oracle,
         guide=SupportGuide(column),
         settings=APART,
@@ -158,7 +158,7 @@ def test_what_is_out_of_reach_is_named(column: Assembly, cell_of: Callable[..., 
 
 
 def test_what_is_in_the_way_is_named_and_what_was_found_is_kept(
-    column: Assembly, cell: Cell, oracle: Stability
+    column: Assembly, cell: Cell, oracle: StabilityOracle
 ) -> None:
     """A roof close above the lower cubes: what stands on top of them is under it too, so nothing leaves upwards."""
     roof = Obstacle("roof", (block((-0.35, -0.35, 0.5), (0.35, 0.35, 0.52)),))
@@ -183,7 +183,7 @@ def test_what_is_in_the_way_is_named_and_what_was_found_is_kept(
     assert any(name == "roof" or name.startswith("wall") for name in pairs)
 
 
-def test_a_partial_plan_is_a_plan(column: Assembly, cell: Cell, oracle: Stability) -> None:
+def test_a_partial_plan_is_a_plan(column: Assembly, cell: Cell, oracle: StabilityOracle) -> None:
     """A cage around the lower cubes only: the upper one leaves, and the plan for that is kept and proven."""
     cage = Obstacle(
         "cage", (block((-0.6, -0.35, 0.0), (-0.25, 0.35, 0.25)), block((0.45, -0.35, 0.0), (0.6, 0.35, 0.25)))
@@ -202,7 +202,7 @@ def test_a_partial_plan_is_a_plan(column: Assembly, cell: Cell, oracle: Stabilit
 
 
 def test_a_dead_end_leads_back_to_the_hold_that_causes_it(
-    column: Assembly, cell: Cell, oracle: Stability, monkeypatch: pytest.MonkeyPatch
+    column: Assembly, cell: Cell, oracle: StabilityOracle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first grip of the plan lets its part never go: what other arms do meanwhile is not varied before it."""
 
@@ -230,11 +230,11 @@ def test_a_dead_end_leads_back_to_the_hold_that_causes_it(
 
 
 @pytest.fixture
-def search(column: Assembly, cell: Cell, oracle: Stability) -> HybridSearch:
+def search(column: Assembly, cell: Cell, oracle: StabilityOracle) -> HybridSearch:
     """A search that restarts after dead ends at two states."""
     graph, settings = KeyframeGraph(column, cell), HybridSettings(Direction.DISASSEMBLY, dead_ends=1)
     task = task_in_cell(column, cell, None, graph.exits)
-    return HybridSearch(graph, task, oracle, None, settings, None, Ends(graph), Deadline(None))
+    return HybridSearch(graph, task, oracle, None, settings, None, BoundaryMotions(graph), Deadline(None))
 
 
 @pytest.mark.parametrize(("parts", "found"), [((1,), True), ((1, 2), False)])
@@ -257,7 +257,7 @@ def test_dead_ends_at_one_state_count_once(
 
     monkeypatch.setattr(search, "_options", options)
     monkeypatch.setattr(search.solvability, "falls", lambda _: None)
-    chain = search.depth_first_pass(root, np.random.default_rng(0))
+    chain = search.depth_first_search(root, np.random.default_rng(0))
     assert (chain is not None) == found
     assert search.counts["dead_ends"] == (10 if found else 11)
 
@@ -276,7 +276,7 @@ def test_where_nothing_leads_on_the_steps_back_grow(
 
     monkeypatch.setattr(search.solvability, "stays", lambda _: False)
     monkeypatch.setattr(search.solvability, "reroute", reroute)
-    assert search._keyframes_that_lead_on(nodes) == (39 if solvable else 0)
+    assert search._extendable_keyframes(nodes) == (39 if solvable else 0)
     assert asked == ([59, 58, 54, 38] if solvable else [59, 58, 54, 38, 0])
 
 
@@ -302,7 +302,7 @@ def test_a_deadline_ends_the_search(column: Assembly, cell: Cell) -> None:
 
 @pytest.mark.parametrize("support", [False, True])
 def test_ctrl_c_in_a_search_for_states_ends_the_whole_search(
-    column: Assembly, cell: Cell, oracle: Stability, monkeypatch: pytest.MonkeyPatch, support: bool
+    column: Assembly, cell: Cell, oracle: StabilityOracle, monkeypatch: pytest.MonkeyPatch, allow_regrasp: bool
 ) -> None:
     """Searches for states end in good order and report the interruption; nothing begins anew after it."""
     asked = 0
@@ -313,7 +313,7 @@ def test_ctrl_c_in_a_search_for_states_ends_the_whole_search(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(BeamSearch, "step", interrupted)
-    task = Task.create(column.boundary, 2, identity=column.identity, support=support)
+    task = Task.from_rules(column.boundary, 2, identity=column.identity, allow_regrasp=allow_regrasp)
     with pytest.raises(KeyboardInterrupt):
         plan_robots(column, cell, task=task, oracle=oracle, settings=APART)
     assert asked == 1
@@ -322,7 +322,7 @@ def test_ctrl_c_in_a_search_for_states_ends_the_whole_search(
         check.perturb(1)
 
 
-def test_wrong_starts(column: Assembly, cell: Cell, oracle: Stability) -> None:
+def test_wrong_starts(column: Assembly, cell: Cell, oracle: StabilityOracle) -> None:
     with pytest.raises(InputError, match="has 2 robots"):
         plan_robots(column, cell, configurations=[cell.homes[0]], oracle=oracle, settings=APART)
     with pytest.raises(InputError, match="configuration of arm 1"):
@@ -337,7 +337,7 @@ def test_wrong_starts(column: Assembly, cell: Cell, oracle: Stability) -> None:
         plan_robots(column, cell, held=(1, None), oracle=oracle, settings=APART)
     start = complete_state(column.boundary)
     start[1] = HELD
-    task = Task.create(column.boundary, 2, start=start)
+    task = Task.from_rules(column.boundary, 2, start=start)
     with pytest.raises(InputError, match=r"away from part .*, which it should hold"):
         plan_robots(column, cell, task=task, held=(1, None), oracle=oracle, settings=APART)
     down = np.array([0.0, 1.4, 0.3, 0.0, 0.0, 0.0])
@@ -353,8 +353,8 @@ def test_solvable_states_are_those_of_the_census(column: Assembly) -> None:
     """What the proposals call solvable is solvable, by exhaustion; in so small a structure they miss nothing."""
     from falsework.search import ExhaustiveSearch
 
-    oracle = Stability(column)
-    task = Task.create(column.boundary, 1, clearance=column.clearance, identity=column.identity)
+    oracle = StabilityOracle(column)
+    task = Task.from_rules(column.boundary, 1, clearance=column.clearance, identity=column.identity)
     graph = ExhaustiveSearch(task, oracle).run().graph
     solvability = SolvabilityCheck(column, task, oracle)
     assert solvability.prepare().found

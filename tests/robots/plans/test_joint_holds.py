@@ -18,7 +18,7 @@ from falsework.robots.motion.collision_world import Contact, Scene
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Task
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from tests.robots.plans.orders import APART
 
 
@@ -103,8 +103,8 @@ def test_grasps_that_no_arm_can_approach_do_not_count(
         graph = KeyframeGraph(column, cell)
         if blocked:
             monkeypatch.setattr(graph, "retreat", lambda *given: None if given[1] == 2 else given[3][None])
-        for support in (False, True):
-            graph.support = support
+        for allow_regrasp in (False, True):
+            graph.allow_regrasp = allow_regrasp
             graph.joint.forget()
             assert graph.joint.learn((1, 2), state) == blocked
 
@@ -118,7 +118,7 @@ def test_arms_with_which_dead_ends_repeat_are_not_tried_again(column: Assembly, 
         assert edge.node in graph.dead
     assert graph.dead.repeated(root, 1, robot)
     assert robot not in {edge.robot for edge in graph.edges(root, 1)}
-    graph.support = True
+    graph.allow_regrasp = True
     assert robot in {edge.robot for edge in graph.edges(root, 1)}
     graph.dead.clear()
     assert not graph.dead.repeated(root, 1, robot)
@@ -136,7 +136,7 @@ def test_states_are_compared_where_rivals_meet(column: Assembly, cell_of: Callab
 
 
 def test_the_oracle_leaves_open_what_no_arms_can_hold(column: Assembly, graph: KeyframeGraph) -> None:
-    oracle = Stability(column)
+    oracle = StabilityOracle(column)
     graph.joint.exclude((1, 2), held(column))
     holding = HoldingOracle(oracle, graph.joint)
     states = np.array([held(column, 1), held(column, 1, 2)])
@@ -155,8 +155,8 @@ def test_plans_keep_to_it(column: Assembly, cell: Cell, graph: KeyframeGraph) ->
 
 
 def test_a_way_around_is_found_from_midway(column: Assembly, graph: KeyframeGraph) -> None:
-    task = Task.create(column.boundary, 2, clearance=column.clearance, identity=column.identity)
-    solvability = SolvabilityCheck(column, task, Stability(column), joint=graph.joint)
+    task = Task.from_rules(column.boundary, 2, clearance=column.clearance, identity=column.identity)
+    solvability = SolvabilityCheck(column, task, StabilityOracle(column), joint=graph.joint)
     result = solvability.prepare()
     assert result.found
     state = held(column, 2)

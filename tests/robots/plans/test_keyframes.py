@@ -91,7 +91,7 @@ def test_what_was_computed_is_kept(graph: KeyframeGraph, column: Assembly, cell:
 def test_a_part_under_another_cannot_leave(graph: KeyframeGraph, column: Assembly) -> None:
     state = complete_state(column.boundary)
     assert graph.blocked_by(1, state) == 0
-    later, ways = graph.way_out(0, state)
+    later, ways = graph.exit_direction_of(0, state)
     assert len(ways)
     assert later[0] == 1
 

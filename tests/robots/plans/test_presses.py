@@ -56,7 +56,7 @@ def pressed(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> RobotPlan:
     start[SIDE] = HELD
     end = start.copy()
     end[:SIDE] = REMOVED
-    task = Task.create(column.boundary, 2, start=start, target=end, clearance=column.clearance)
+    task = Task.from_rules(column.boundary, 2, start=start, target=end, clearance=column.clearance)
     home = cell.homes[0]
     plan = plan_robots(
         column,
@@ -321,7 +321,7 @@ def test_limits_of_holds_are_those_of_the_weakest_gripper(column: Assembly, cell
     free = stability_in(cell, column, settings)
     assert free == settings
     small = replace(cell, placement=Placement(scale=0.5, density=500.0))
-    scale = CellScale.of(column, small)
+    scale = CellScale.from_cell(column, small)
     assert (scale.force, scale.moment, scale.stiffness) == pytest.approx((0.25, 0.125, 0.5))
     first, second = small.robots
     first = replace(first, gripper=replace(first.gripper, force=80.0, moment=9.0))
@@ -361,7 +361,7 @@ def test_arms_press_where_the_search_needs_it(gap: Assembly, cell: Cell, togethe
 
     def planned(cell: Cell, holds: HoldSettings) -> tuple[RobotPlan, list[int]]:
         """Return the plan and the order in which parts come."""
-        task = Task.create(gap.boundary, 2, start=start, target=end, missing=[2])
+        task = Task.from_rules(gap.boundary, 2, start=start, target=end, missing=[2])
         given: dict[str, Any] = {"configurations": (cell.homes[0], grip), "held": (None, 1)}
         limits = HybridSettings(Direction.DISASSEMBLY, attempts=2, together=together)
         stability = StabilitySettings(reserve=1.1, holds=holds)
@@ -389,7 +389,7 @@ def test_arms_press_where_the_search_needs_it(gap: Assembly, cell: Cell, togethe
 def test_a_plan_without_the_reserve_where_none_keeps_it(cell: Cell, make_boxes: Callable[..., Assembly]) -> None:
     """A cube that an earthquake pushes with 0.52 of its weight, on a friction of 0.55."""
     alone = make_boxes((-0.1, -0.1, 0.0))
-    shaken = alone.replace(loads=Loads.of(alone.part_count, acceleration=(0.52, 0.0, 0.0)))
+    shaken = alone.replace(loads=Loads.from_arrays(alone.part_count, acceleration=(0.52, 0.0, 0.0)))
     plan = plan_robots(shaken, cell, settings=APART).plan
     assert plan is not None
     assert plan.plan.claim.reserve == 1.0

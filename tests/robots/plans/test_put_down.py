@@ -53,15 +53,15 @@ from falsework.search.plans.plan_check import validate_plan
 from falsework.viewer.arms import Arms
 from falsework.viewer.pictures.gantt import bars_of
 from tests.robots.plans.bag_reading import corners, planning_scenes
-from tests.robots.plans.roofed_slab import SLAB, slab, tabled, task_of
+from tests.robots.plans.roofed_slab import SLAB, make_task, slab, tabled
 
 REMOVAL = 1
 """The step of the small plan that takes the slab away."""
 
 
-def planned(assembly: Assembly, cell: Cell, *, support: bool) -> HybridResult:
+def planned(assembly: Assembly, cell: Cell, *, allow_regrasp: bool) -> HybridResult:
     """Search for a plan that takes everything away."""
-    task = task_of(assembly, cell, support=support)
+    task = make_task(assembly, cell, allow_regrasp=allow_regrasp)
     return plan_robots(assembly, cell, task=task, settings=HybridSettings(Direction.DISASSEMBLY, attempts=3))
 
 
@@ -80,7 +80,7 @@ def one(cell_of: Callable[..., Cell]) -> Cell:
 @pytest.fixture(scope="module")
 def plan(alone: Assembly, one: Cell) -> RobotPlan:
     """A plan in which the slab is put down."""
-    found = planned(alone, one, support=True).plan
+    found = planned(alone, one, allow_regrasp=True).plan
     assert found is not None
     return found
 
@@ -102,7 +102,7 @@ def timed(stack: Assembly, two: Cell) -> RobotPlan:
     """A plan in which one arm puts the slab down while the other moves."""
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
 
-    task = task_of(stack, two, support=True)
+    task = make_task(stack, two, allow_regrasp=True)
     settings = HybridSettings(Direction.DISASSEMBLY, attempts=3, together=True)
     found = plan_robots(stack, two, task=task, settings=settings).plan
     assert found is not None
@@ -131,7 +131,7 @@ def what(report: CheckReport) -> str:
 
 def test_without_it_there_is_no_plan(alone: Assembly, one: Cell) -> None:
     """The arm reaches the slab by its edges only, and with these grasps no drop-off pose is free."""
-    found = planned(alone, one, support=False)
+    found = planned(alone, one, allow_regrasp=False)
     assert found.plan is None
     assert found.explanation is not None
     assert "remove slab-0" in found.explanation.text
@@ -190,17 +190,17 @@ def test_in_reverse_it_is_gripped_for_its_place(plan: RobotPlan, alone: Assembly
 
 
 def test_it_is_not_put_down_where_it_can_be_delivered(alone: Assembly, cell_of: Callable[..., Cell]) -> None:
-    free = planned(alone, cell_of(1), support=True).plan
+    free = planned(alone, cell_of(1), allow_regrasp=True).plan
     assert free is not None
     assert all(step.put_down is None for step in free.steps)
     graph, state = KeyframeGraph(alone, cell_of(1)), complete_state(alone.boundary)
-    graph.support = True
+    graph.allow_regrasp = True
     hold = next(graph.edges(graph.start(state, cell_of(1).homes, (None,)), SLAB))
     assert all(edge.put_down is None for edge in graph.edges(hold.node, SLAB + alone.part_count))
 
 
 def test_without_a_floor_there_is_no_place(alone: Assembly, one: Cell) -> None:
-    assert planned(alone, replace(one, floor=None), support=True).plan is None
+    assert planned(alone, replace(one, floor=None), allow_regrasp=True).plan is None
 
 
 def test_files_keep_it(plan: RobotPlan, tmp_path: Path) -> None:

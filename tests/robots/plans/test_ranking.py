@@ -14,15 +14,15 @@ from falsework.robots.planning.action_ranking import ExecutionHeuristic
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Direction, Task
 from falsework.search.problem.guide import MemoizedGuide, SupportGuide
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 ARCH = load_structure("arch:blocks=5")
-TASK = Task.create(ARCH.boundary, 2)
+TASK = Task.from_rules(ARCH.boundary, 2)
 
 
 @pytest.fixture(scope="module")
-def arch_oracle() -> Stability:
-    return Stability(ARCH)
+def arch_oracle() -> StabilityOracle:
+    return StabilityOracle(ARCH)
 
 
 def removals(states, actions) -> np.ndarray:
@@ -31,7 +31,7 @@ def removals(states, actions) -> np.ndarray:
 
 
 @pytest.mark.parametrize("rng", [None, np.random.default_rng(0)], ids=["greedy", "sampled"])
-def test_a_rollout_is_a_plan(arch_oracle: Stability, rng: np.random.Generator | None) -> None:
+def test_a_rollout_is_a_plan(arch_oracle: StabilityOracle, rng: np.random.Generator | None) -> None:
     route = SolvabilityCheck(ARCH, TASK, arch_oracle, score=removals).roll_out(rng)
     assert route is not None
     assert len(route.actions) == TASK.steps
@@ -43,15 +43,15 @@ def test_a_rollout_is_a_plan(arch_oracle: Stability, rng: np.random.Generator | 
         np.testing.assert_array_equal(TASK.follow(state[None], action[None], Direction.DISASSEMBLY)[0], after)
 
 
-def test_a_rollout_may_fail(arch_oracle: Stability) -> None:
+def test_a_rollout_may_fail(arch_oracle: StabilityOracle) -> None:
     """One robot cannot take an arch apart, and a search that has been stopped has no rollout."""
-    alone = SolvabilityCheck(ARCH, Task.create(ARCH.boundary, 1), arch_oracle, score=removals)
+    alone = SolvabilityCheck(ARCH, Task.from_rules(ARCH.boundary, 1), arch_oracle, score=removals)
     for rng in (None, np.random.default_rng(0)):
         assert alone.roll_out(rng) is None
     assert SolvabilityCheck(ARCH, TASK, arch_oracle, score=removals).roll_out(None, lambda: True) is None
 
 
-def test_rows_step_together(arch_oracle: Stability) -> None:
+def test_rows_step_together(arch_oracle: StabilityOracle) -> None:
     """The scores of all rows are asked for in one go at each step."""
     sizes = []
 

@@ -18,7 +18,7 @@ from falsework.errors import InputError, PlanError, StateError
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.exports.commands import Begin, Grip, Wait, commands_of
 from falsework.robots.exports.export import export_plan
-from falsework.robots.keyframes.failure_report import fall_in_words
+from falsework.robots.keyframes.failure_report import describe_failure
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell, Obstacle
 from falsework.robots.model.shapes import block
@@ -35,13 +35,13 @@ from falsework.robots.plans.robot_plan_file import (
 from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
 from falsework.search import Outcome, Task
 from falsework.search.plans.plan_check import validate_plan
-from falsework.search.problem.support_route import SupportRoute
+from falsework.search.problem.regrasp_route import RegraspRoute
 from falsework.search.problem.task import Direction
-from falsework.search.together.rule import LockedTogether
+from falsework.search.together.rule import InterlockedSets
 from falsework.stability import Verdict, Verdicts
 from falsework.viewer.pictures.gantt import bars_of
 from tests.robots.plans.orders import APART
-from tests.robots.plans.sunk_cubes import FAR, NEAR, begin, cubes, planned, task_of
+from tests.robots.plans.sunk_cubes import FAR, NEAR, begin, cubes, make_task, planned
 
 
 @pytest.fixture(scope="module")
@@ -59,13 +59,13 @@ def begun(sunk: Assembly, roofed: Cell) -> dict:
 @pytest.fixture(scope="module")
 def plan(sunk: Assembly, roofed: Cell, begun: dict) -> RobotPlan:
     """A plan that holds the near cube again from above."""
-    found = planned(sunk, roofed, begun, support=True).plan
+    found = planned(sunk, roofed, begun, allow_regrasp=True).plan
     assert found is not None
     return found
 
 
 def test_without_regrasping_there_is_no_plan(sunk: Assembly, roofed: Cell, begun: dict) -> None:
-    found = planned(sunk, roofed, begun, support=False)
+    found = planned(sunk, roofed, begun, allow_regrasp=False)
     assert found.plan is None
     assert found.explanation is not None
     assert "remove near-0" in found.explanation.text
@@ -73,7 +73,7 @@ def test_without_regrasping_there_is_no_plan(sunk: Assembly, roofed: Cell, begun
 
 def test_with_regrasping_the_part_leaves_by_another_grasp(plan: RobotPlan, sunk: Assembly, roofed: Cell) -> None:
     states = plan.states[:, NEAR].tolist()
-    assert plan.plan.support
+    assert plan.plan.allow_regrasp
     release = states.index(INSTALLED)
     again = states.index(HELD, release)
     assert states[release - 1] == HELD
@@ -100,7 +100,7 @@ def test_in_reverse_the_release_is_a_hold(plan: RobotPlan, sunk: Assembly, roofe
     assert report.good, [str(problem) for problem in report.problems]
     assert validate_plan(back.plan, sunk).good
     place = len(plan) - kinds.index("open")
-    assert "holding near-0" in fall_in_words("plan", plan.plan.route, place, sunk.names)
+    assert "holding near-0" in describe_failure("plan", plan.plan.route, place, sunk.names)
     for one in (plan, back):
         events = nodes_of(one)[1]
         nodes = nodes_of(one)[0]
@@ -126,7 +126,7 @@ def test_files_keep_it(plan: RobotPlan, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     save_robot_plan(plan, path)
     read = load_robot_plan(path)
-    assert read.plan.support
+    assert read.plan.allow_regrasp
     np.testing.assert_array_equal(read.plan.actions, plan.plan.actions)
     np.testing.assert_array_equal(read.plan.states, plan.plan.states)
     data = robot_plan_to_dict(plan)
@@ -171,7 +171,7 @@ def test_a_schedule_keeps_the_order_of_release_and_hold(sunk: Assembly, roofed: 
     from falsework.robots.schedule.build import schedule_plan
     from falsework.robots.schedule.simulation import simulate
 
-    task = task_of(sunk, begun, support=True)
+    task = make_task(sunk, begun, allow_regrasp=True)
     given = {key: value for key, value in begun.items() if key != "start"}
     settings = HybridSettings(Direction.DISASSEMBLY, attempts=4, together=True)
     plan = plan_robots(sunk, roofed, task=task, settings=settings, **given).plan
@@ -206,7 +206,7 @@ def test_a_grasp_that_cannot_leave_is_the_last_choice(sunk: Assembly, roofed: Ce
     root = graph.start(complete_state(sunk.boundary), covered.homes, (None, None))
     assert next(graph.edges(root, NEAR), None) is None
     assert next(graph.edges(root, FAR), None) is not None
-    graph.support = True
+    graph.allow_regrasp = True
     hold = next(graph.edges(root, NEAR))
     assert not hold.node.can_release(NEAR)  # it need not have been held
     assert not hold.node.was_released(NEAR)
@@ -245,7 +245,7 @@ class Rules:
         self, states: np.ndarray, *, near: np.ndarray | None = None, require_certificate: bool = False
     ) -> Verdicts:
         """Verdicts on them."""
-        verdicts = Verdicts.blank(len(states))
+        verdicts = Verdicts.all_undecided(len(states))
         verdicts.verdict[:] = np.where(self._stable(states), Verdict.STABLE, Verdict.UNSTABLE)
         return verdicts
 
@@ -256,7 +256,7 @@ class Rules:
             free[:, part] = (states[:, self.order[:place]] == REMOVED).all(axis=1)
         return free
 
-    def doubt(self, parts: np.ndarray) -> str:
+    def caveat(self, parts: np.ndarray) -> str:
         """Why exits may be missing."""
         return ""
 
@@ -269,9 +269,11 @@ def test_an_abstract_plan_may_need_a_release(column: Assembly) -> None:
 
     rules: Any = Rules()
     boundary = np.arange(6) == 5
-    plain = SolvabilityCheck(column, Task.create(boundary, 2, clearance=rules), rules, guide=level)
+    plain = SolvabilityCheck(column, Task.from_rules(boundary, 2, clearance=rules), rules, guide=level)
     assert plain.prepare().outcome is Outcome.PROVED_IMPOSSIBLE
-    check = SolvabilityCheck(column, Task.create(boundary, 2, clearance=rules, support=True), rules, guide=level)
+    check = SolvabilityCheck(
+        column, Task.from_rules(boundary, 2, clearance=rules, allow_regrasp=True), rules, guide=level
+    )
     route = check.prepare().routes[0]
     actions = list(enumerate(route.actions.tolist()))
     released = [(row, action) for row, action in actions if action < 6 and route.states[row][action] == HELD]
@@ -294,10 +296,10 @@ def test_a_planned_release_is_carried_out_at_once(
 
     def prepared(check: SolvabilityCheck, stop: Any = None) -> Any:
         result = prepare(check, stop)
-        check._follow([SupportRoute.through(np.array(states))])
+        check._follow([RegraspRoute.from_states(np.array(states))])
         return result
 
-    task = task_of(sunk, begun, support=True)
+    task = make_task(sunk, begun, allow_regrasp=True)
     given: dict[str, Any] = {key: value for key, value in begun.items() if key != "start"}
     given["settings"] = HybridSettings(Direction.DISASSEMBLY, attempts=1)
     assert plan_robots(sunk, roofed, task=task, **given).plan is None
@@ -310,10 +312,10 @@ def test_a_planned_release_is_carried_out_at_once(
 
 def test_rejected_input(sunk: Assembly, roofed: Cell, begun: dict) -> None:
     with pytest.raises(InputError, match="repeated holds take no missing parts"):
-        Task.create(sunk.boundary, 2, support=True, missing=[NEAR])
+        Task.from_rules(sunk.boundary, 2, allow_regrasp=True, missing=[NEAR])
     target = begun["start"].copy()
     target[NEAR] = INSTALLED
-    task = Task.create(sunk.boundary, 2, start=begun["start"], target=target, support=True)
+    task = Task.from_rules(sunk.boundary, 2, start=begun["start"], target=target, allow_regrasp=True)
     with pytest.raises(StateError, match="near-0 is held in the start and installed in the target"):
         plan_robots(
             sunk,
@@ -323,9 +325,9 @@ def test_rejected_input(sunk: Assembly, roofed: Cell, begun: dict) -> None:
             held=begun["held"],
             settings=APART,
         )
-    task = replace(Task.create(sunk.boundary, 2, support=True), props=(NEAR,))
+    task = replace(Task.from_rules(sunk.boundary, 2, allow_regrasp=True), props=(NEAR,))
     with pytest.raises(InputError, match="robot plans have no props"):
         plan_robots(sunk, roofed, task=task, settings=APART)
-    task = replace(Task.create(sunk.boundary, 2), together=LockedTogether(sunk, 2))
+    task = replace(Task.from_rules(sunk.boundary, 2), together=InterlockedSets(sunk, 2))
     with pytest.raises(InputError, match="robot plans move one part at a time"):
         plan_robots(sunk, roofed, task=task, settings=APART)

@@ -28,7 +28,7 @@ from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.conflicts import choices, fixed_precedences
 from falsework.robots.schedule.itinerary import Itineraries
 from falsework.robots.schedule.solver import solve
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 
 
 class Case:
@@ -36,7 +36,7 @@ class Case:
 
     def __init__(self, assembly: Assembly, cell: Cell) -> None:
         """Plan the motions."""
-        self.assembly, self.cell, self.oracle = assembly, cell, Stability(assembly)
+        self.assembly, self.cell, self.oracle = assembly, cell, StabilityOracle(assembly)
         self.graph = KeyframeGraph(assembly, cell)
         self.task = task_in_cell(assembly, cell, None, self.graph.exits)
         self.legal = SolvabilityCheck(assembly, self.task, self.oracle).legal
@@ -110,15 +110,15 @@ def test_the_end_of_an_order_is_that_of_a_schedule(case: Case, builds: bool) -> 
     plan = case.plan(chain)
     rows = Itineraries(plan.reverse() if builds else plan, CollisionWorld(case.cell, case.graph.parts))
     fixed, found = fixed_precedences(rows), choices(rows)
-    ordered = [replace(choice, ways=_only(choice.ways, choice.planned)) for choice in found]
+    ordered = [replace(choice, orders=_only(choice.orders, choice.planned)) for choice in found]
     assert solve(rows.nodes, fixed, ordered, 2).makespan == pytest.approx(search.best[-1].end, abs=0.02)
     # The solver may choose either of them to go first, so its schedule is no longer.
     assert solve(rows.nodes, fixed, found, 2).makespan <= search.best[-1].end + 1e-3
 
 
-def _only(ways: tuple, planned: int) -> tuple:
+def _only(orders: tuple, planned: int) -> tuple:
     """Return the ways to decide a conflict without the one that is not planned."""
-    return tuple(way if k == planned else None for k, way in enumerate(ways))
+    return tuple(way if k == planned else None for k, way in enumerate(orders))
 
 
 def test_the_same_plan_leads_to_the_same_order(case: Case) -> None:

@@ -20,7 +20,7 @@ from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node
 from falsework.robots.model.cell import Cell
 from falsework.robots.motion.collision_world import CollisionQuery
-from falsework.robots.planning import plan_maker
+from falsework.robots.planning import plan_builder
 from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -54,7 +54,7 @@ def planned(request: pytest.FixtureRequest, cell_of: Callable[..., Cell]) -> Pla
         assembly, cell = bridge_with(spares=1), cell_of(2, 1.5)
     else:
         assembly, cell = slab(tiles=2), tabled(cell_of(2))
-    task = Task.create(assembly.boundary, 2, identity=assembly.identity, support=True)
+    task = Task.from_rules(assembly.boundary, 2, identity=assembly.identity, allow_regrasp=True)
     plans, given = [], []
     settings = HybridSettings(Direction.DISASSEMBLY, attempts=4, together=True)
     for change in (True, False):
@@ -64,7 +64,7 @@ def planned(request: pytest.FixtureRequest, cell_of: Callable[..., Cell]) -> Pla
             return reorder(graph, oracle, root, chain, timed, **more) if change else list(chain)
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(plan_maker, "reorder", ordered)
+            patch.setattr(plan_builder, "reorder", ordered)
             plans.append(plan_robots(assembly, cell, task=task, settings=settings).plan)
     better, as_found = plans
     assert better is not None

@@ -19,15 +19,15 @@ from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search import Route, Task
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.task import Direction
-from falsework.stability import Replay, Stability, StabilitySettings
+from falsework.stability import Replay, StabilityOracle, StabilitySettings
 from falsework.stability.contact.history import History
 from tests.robots.plans.orders import APART
 
 ARCH = load_structure("arch:blocks=5")
-TASK = Task.create(ARCH.boundary, 2)
+TASK = Task.from_rules(ARCH.boundary, 2)
 
 
-class Watched(Stability):
+class Watched(StabilityOracle):
     """Remembers the states that it was asked about."""
 
     def __init__(self, assembly: Assembly, criterion: Any) -> None:
@@ -83,7 +83,7 @@ def test_rollouts_ask_about_holds_where_they_must(criterion: str) -> None:
 
 
 def test_rollouts_go_around_what_is_forbidden() -> None:
-    solvability = SolvabilityCheck(ARCH, TASK, Stability(ARCH), score=removals)
+    solvability = SolvabilityCheck(ARCH, TASK, StabilityOracle(ARCH), score=removals)
     assert solvability.prepare().found
     first = solvability.roll_out(None)
     assert first is not None
@@ -118,12 +118,12 @@ def test_what_is_solvable_under_contact_has_been_asked_about(criterion: str) -> 
 
 
 def test_a_hold_on_the_way_that_does_not_stand_is_gone_around() -> None:
-    def prepared(oracle: Stability) -> SolvabilityCheck:
+    def prepared(oracle: StabilityOracle) -> SolvabilityCheck:
         solvability = SolvabilityCheck(ARCH, TASK, oracle)
         assert solvability.prepare().found
         return solvability
 
-    class Refusing(Stability):
+    class Refusing(StabilityOracle):
         refused = np.empty((0, ARCH.part_count), dtype=np.uint8)
 
         def verdicts(self, states: Any, *, near: Any = None, require_certificate: bool = False) -> Any:
@@ -132,8 +132,8 @@ def test_a_hold_on_the_way_that_does_not_stand_is_gone_around() -> None:
             return verdicts
 
     state, tried = complete_state(ARCH.boundary), 0
-    for action in prepared(Stability(ARCH)).legal(state):
-        plain = prepared(Stability(ARCH))
+    for action in prepared(StabilityOracle(ARCH)).legal(state):
+        plain = prepared(StabilityOracle(ARCH))
         after = state.copy()
         after[action] = HELD
         before = [later for later in plain.legal(after) if plain.known(after, later)]
@@ -153,7 +153,7 @@ def test_a_hold_on_the_way_that_does_not_stand_is_gone_around() -> None:
 
 
 def test_another_abstract_plan_costs_a_bounded_number_of_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
-    oracle = Stability(ARCH)
+    oracle = StabilityOracle(ARCH)
     solvability = SolvabilityCheck(ARCH, TASK, oracle)
     assert solvability.prepare().found
     known = len(solvability)
@@ -165,7 +165,7 @@ def test_another_abstract_plan_costs_a_bounded_number_of_verdicts(monkeypatch: p
 
 
 def test_the_deadline_ends_later_searches_too() -> None:
-    oracle, late = Stability(ARCH), False
+    oracle, late = StabilityOracle(ARCH), False
     solvability = SolvabilityCheck(ARCH, TASK, oracle)
     assert solvability.prepare(lambda: late).found
     late, known, asked = True, len(solvability), oracle.counters.asked
@@ -177,7 +177,7 @@ def test_the_deadline_ends_later_searches_too() -> None:
 
 def test_a_forbidden_state_takes_its_only_ways_with_it() -> None:
     """One part at a time on one way: whatever comes before the forbidden state is not solvable any more."""
-    oracle = Stability(ARCH)
+    oracle = StabilityOracle(ARCH)
     solvability = SolvabilityCheck(ARCH, TASK, oracle)
     assert solvability.prepare().found
     route = SolvabilityCheck(ARCH, TASK, oracle, score=removals).roll_out(None)
@@ -201,7 +201,7 @@ def test_a_plan_says_by_which_criterion_it_stands(column: Assembly, cell: Cell, 
     plain = plan_robots(
         column,
         cell,
-        oracle=Stability(column, StabilitySettings(criterion="equilibrium")),
+        oracle=StabilityOracle(column, StabilitySettings(criterion="equilibrium")),
         settings=APART,
     )
     assert plain.plan is not None
@@ -216,7 +216,7 @@ def test_a_plan_that_falls_is_not_delivered_but_another_one_is(
     """The search for a plan without motions replays its steps; the plan with motions is replayed as a whole."""
     assert result.plan is not None
     bad = result.plan.states[2].copy()
-    oracle = Stability(column)
+    oracle = StabilityOracle(column)
     falling = Falling(oracle.replayer, lambda state: np.array_equal(state, bad))
     oracle.__dict__["replayer"] = falling
     found = plan_robots(column, cell, oracle=oracle, settings=APART)
@@ -231,7 +231,7 @@ def test_a_plan_that_falls_is_not_delivered_but_another_one_is(
 def test_where_every_plan_falls_none_is_delivered_and_the_step_is_named(column: Assembly, cell: Cell) -> None:
     """Whenever cube 2 is held, the replay falls, and without holding it there is no plan."""
     for inside in (False, True):
-        oracle = Stability(column)
+        oracle = StabilityOracle(column)
         oracle.__dict__["replayer"] = Falling(oracle.replayer, lambda state: bool(state[2] == HELD), inside)
         found = plan_robots(column, cell, oracle=oracle, settings=HybridSettings(Direction.DISASSEMBLY, attempts=3))
         assert not found.found

@@ -11,7 +11,7 @@ import pytest
 from falsework.search import BeamSettings, Direction, Outcome, Task
 from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
 from falsework.search.beam.beam import BeamSearch
-from falsework.search.beam.conflicts import Conflicts, luby
+from falsework.search.beam.nogoods import Nogoods, luby
 
 
 def misled(states: Any, actions: Any, direction: Direction) -> Any:
@@ -25,7 +25,7 @@ def bound_to_the_last(rules: Any, parts: int = 8) -> tuple[Task, Any]:
     oracle = rules.blocks(parts)
     oracle.supports[parts - 1] = [frozenset(range(1, parts - 1))]
     oracle.supports[1 : parts - 1] = [[frozenset({part - 1})] for part in range(1, parts - 1)]
-    return Task.create(rules.ground(parts), 1), oracle
+    return Task.from_rules(rules.ground(parts), 1), oracle
 
 
 def narrow(task: Task, oracle: Any) -> BeamSearch:
@@ -37,7 +37,7 @@ def narrow(task: Task, oracle: Any) -> BeamSearch:
 @pytest.mark.parametrize("seed", range(25))
 def test_wide_enough_it_decides_like_the_enumeration(rules: Any, direction: Direction, seed: int) -> None:
     oracle, clearance = rules.random(seed, 7)
-    task = Task.create(rules.ground(7), 1 + seed % 2, clearance=clearance if seed % 3 == 0 else None)
+    task = Task.from_rules(rules.ground(7), 1 + seed % 2, clearance=clearance if seed % 3 == 0 else None)
     beam = BackjumpingBeam(task, oracle, BackjumpingSettings(direction))
     result = beam.run(4**6)
     possible = rules.enumeration(task, oracle).count() > 0
@@ -57,7 +57,7 @@ def test_restarts_wider_where_narrow_beams_do_not_see_the_way(rules: Any) -> Non
         scores[:, [90, parts + 90]] = -5.0
         return scores
 
-    beam = BackjumpingBeam(Task.create(rules.ground(parts), 1), oracle, guide=guide)
+    beam = BackjumpingBeam(Task.from_rules(rules.ground(parts), 1), oracle, guide=guide)
     first = beam.run(1)
     assert first.outcome is Outcome.NOT_FOUND
     assert "up to a width of 1" in first.limit
@@ -84,7 +84,7 @@ def test_choices_begin_the_chains_of_held_parts(rules: Any) -> None:
     """Of two robots one waits at part 7, then parts 1 and 2 are laid one after the other by the second."""
     task, oracle = bound_to_the_last(rules)
     oracle.supports[3:7] = [[frozenset({7})]] * 4
-    search = narrow(Task.create(task.boundary, 2), oracle)
+    search = narrow(Task.from_rules(task.boundary, 2), oracle)
     search.run()
     (latest, action), *earlier = search.choices()
     held = [(search.before(number)[1:] == 2).sum() for number, _ in [(latest, action), *earlier]]
@@ -94,7 +94,7 @@ def test_choices_begin_the_chains_of_held_parts(rules: Any) -> None:
 
 
 def test_a_beam_without_dead_ends_has_no_choices_to_take_back(rules: Any) -> None:
-    search = BackjumpingBeam(Task.create(rules.ground(5), 2), rules.blocks(5)).search
+    search = BackjumpingBeam(Task.from_rules(rules.ground(5), 2), rules.blocks(5)).search
     assert list(search.choices()) == []
     assert search.run().found
     assert search.conflicts.count == 0
@@ -112,8 +112,8 @@ def test_a_choice_that_led_to_a_dead_end_is_not_made_again(rules: Any) -> None:
 
 
 def test_forgets_the_states_used_longest_ago(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("falsework.search.beam.conflicts._REMEMBERED_STATES", 2)
-    conflicts, states = Conflicts(), np.eye(3, dtype=np.uint8)
+    monkeypatch.setattr("falsework.search.beam.nogoods._REMEMBERED_STATES", 2)
+    conflicts, states = Nogoods(), np.eye(3, dtype=np.uint8)
     for row, action in ((0, 4), (1, 5), (0, 6), (0, 6), (2, 7)):
         conflicts.learn(states[row], action)
     rows, actions = conflicts.barred(states)

@@ -23,9 +23,9 @@ from falsework.search import (
 )
 from falsework.search.beam import scores as scores_module
 from falsework.search.beam.frontier import Level, PackedLevel, expand, pack
-from falsework.search.beam.scores import Promise, Scores
+from falsework.search.beam.scores import Priorities, Scores
 from falsework.search.problem.hashing import StateHash
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 
 BOTH = pytest.mark.parametrize("direction", list(Direction))
 WAYS = pytest.mark.parametrize("way", [{}, {"lookahead": 8}, {"lookahead": 4, "commit": True}, {"diversity": "none"}])
@@ -45,7 +45,7 @@ def check_route(route: Route, task: Task, oracle: Any, rules: Any) -> None:
 @pytest.mark.parametrize("seed", range(30))
 def test_without_a_limit_it_decides(rules: Any, direction: Direction, seed: int) -> None:
     oracle, clearance = rules.random(seed, 6)
-    task = Task.create(rules.ground(6), 1 + seed % 2, clearance=clearance if seed % 3 == 0 else None)
+    task = Task.from_rules(rules.ground(6), 1 + seed % 2, clearance=clearance if seed % 3 == 0 else None)
     result = BeamSearch(task, oracle, BeamSettings(width=10_000, direction=direction)).run()
     plans = rules.enumeration(task, oracle).count()
     assert result.outcome is (Outcome.FOUND if plans else Outcome.PROVED_IMPOSSIBLE)
@@ -57,12 +57,12 @@ def test_without_a_limit_it_decides(rules: Any, direction: Direction, seed: int)
 def test_every_state_of_an_assembly_beam_is_solvable(rules: Any, seed: int) -> None:
     """Found from the empty structure, each can be taken apart: that is what makes them data (paper, section 5)."""
     oracle, _ = rules.random(seed, 8)
-    search = BeamSearch(Task.create(rules.ground(8), 2), oracle, BeamSettings(width=6))
+    search = BeamSearch(Task.from_rules(rules.ground(8), 2), oracle, BeamSettings(width=6))
     search.run()
     for level, found in enumerate(search.levels):
         assert len(found.states) <= 6
         for state in found.states:
-            rest = Task.create(rules.ground(8), 2, start=state)
+            rest = Task.from_rules(rules.ground(8), 2, start=state)
             assert rest.steps == level
             assert rules.enumeration(rest, oracle).count() > 0
 
@@ -72,7 +72,7 @@ def test_every_state_of_an_assembly_beam_is_solvable(rules: Any, seed: int) -> N
 @pytest.mark.parametrize("seed", range(8))
 def test_what_a_narrow_beam_finds_is_a_plan(rules: Any, direction: Direction, way: dict[str, Any], seed: int) -> None:
     oracle, _ = rules.random(seed, 9)
-    task = Task.create(rules.ground(9), 2)
+    task = Task.from_rules(rules.ground(9), 2)
     search = BeamSearch(task, oracle, BeamSettings(width=3, direction=direction, seed=seed, **way))
     result = search.run()
     if result.found:
@@ -88,7 +88,7 @@ def test_what_a_narrow_beam_finds_is_a_plan(rules: Any, direction: Direction, wa
 def test_only_moves_that_need_one_get_a_verdict(rules: Any, direction: Direction) -> None:
     """Each asked state has, by its parent, one part removed; or in assembly, one part released."""
     oracle, _ = rules.random(1, 8)
-    task = Task.create(rules.ground(8), 2)
+    task = Task.from_rules(rules.ground(8), 2)
     search = BeamSearch(task, oracle, BeamSettings(width=20, direction=direction))
     result = search.run()
     asked = np.concatenate(oracle.asked)
@@ -101,7 +101,7 @@ def test_only_moves_that_need_one_get_a_verdict(rules: Any, direction: Direction
 
 def test_a_promising_beam_asks_little(rules: Any) -> None:
     """Free blocks: the first batch of four always holds a stable state, so four verdicts a part are enough."""
-    task = Task.create(rules.ground(21), 2)
+    task = Task.from_rules(rules.ground(21), 2)
     settings = BeamSettings(width=1, lookahead=32, commit=True, diversity="none")
     result = BeamSearch(task, rules.blocks(21), settings).run()
     assert result.found
@@ -112,7 +112,7 @@ def test_a_promising_beam_asks_little(rules: Any) -> None:
 
 def test_narrow_beam_with_choice_ahead_climbs_a_high_tower(rules: Any) -> None:
     """Of sixty parts one can be placed at a time; width one with all insertions ahead finds it, without it never."""
-    task = Task.create(rules.ground(61), 1)
+    task = Task.from_rules(rules.ground(61), 1)
     lookahead = BeamSearch(task, rules.tower(61), BeamSettings(width=1, lookahead=64, commit=True)).run()
     assert lookahead.found
     blind = BeamSearch(task, rules.tower(61), BeamSettings(width=1)).run()
@@ -122,7 +122,7 @@ def test_narrow_beam_with_choice_ahead_climbs_a_high_tower(rules: Any) -> None:
 
 @BOTH
 def test_a_dead_beam_says_where(rules: Any, direction: Direction) -> None:
-    task = Task.create(rules.ground(6), 1)
+    task = Task.from_rules(rules.ground(6), 1)
     result = BeamSearch(task, rules.arch(6), BeamSettings(direction=direction)).run()
     assert result.outcome is Outcome.PROVED_IMPOSSIBLE
     assert result.reached == 1
@@ -135,7 +135,7 @@ def test_a_dead_beam_says_where(rules: Any, direction: Direction) -> None:
 @WAYS
 def test_resuming_changes_nothing(rules: Any, direction: Direction, way: dict[str, Any]) -> None:
     oracle, _ = rules.random(5, 10)
-    task = Task.create(rules.ground(10), 2)
+    task = Task.from_rules(rules.ground(10), 2)
     settings = BeamSettings(width=4, direction=direction, seed=3, **way)
     whole = BeamSearch(task, oracle, settings)
     expected = whole.run()
@@ -154,7 +154,7 @@ def test_resuming_changes_nothing(rules: Any, direction: Direction, way: dict[st
 
 def test_an_interruption_from_the_keyboard_keeps_what_was_found(rules: Any) -> None:
     oracle, _ = rules.random(5, 10)
-    task = Task.create(rules.ground(10), 2)
+    task = Task.from_rules(rules.ground(10), 2)
     seen: list[SearchProgress] = []
 
     def press(event: SearchProgress) -> None:
@@ -173,7 +173,7 @@ def test_an_interruption_from_the_keyboard_keeps_what_was_found(rules: Any) -> N
 
 def test_same_seed_same_beam(rules: Any) -> None:
     oracle, _ = rules.random(2, 12)
-    task = Task.create(rules.ground(12), 2)
+    task = Task.from_rules(rules.ground(12), 2)
     found = [BeamSearch(task, oracle, BeamSettings(width=8, seed=seed)) for seed in (1, 1, 2)]
     for search in found:
         search.run()
@@ -188,7 +188,7 @@ def test_a_guide_decides(rules: Any) -> None:
     def guide(states: Any, actions: Any, direction: Direction) -> Any:
         return np.concatenate([wanted, wanted])[None].repeat(len(states), axis=0).astype(float)
 
-    task = Task.create(rules.ground(6), 1)
+    task = Task.from_rules(rules.ground(6), 1)
     settings = BeamSettings(width=1, diversity="none", direction=Direction.DISASSEMBLY)
     result = BeamSearch(task, rules.blocks(6), settings, guide=guide).run()
     assert (result.routes[0].actions[1::2] - 6).tolist() == [3, 5, 1, 4, 2]
@@ -227,21 +227,21 @@ def test_support_guide_of_a_large_structure(alike: bool) -> None:
     np.testing.assert_allclose(score, np.concatenate([expected, expected], axis=1), atol=1e-6)
 
 
-def test_no_verdict_is_guessed(small_arch: Assembly, arch_oracle: Stability) -> None:
+def test_no_verdict_is_guessed(small_arch: Assembly, arch_oracle: StabilityOracle) -> None:
     """Every state that a beam keeps is stable by the exact solver."""
     for direction in Direction:
         search = BeamSearch(
-            Task.create(small_arch.boundary, 2), arch_oracle, BeamSettings(width=8, direction=direction)
+            Task.from_rules(small_arch.boundary, 2), arch_oracle, BeamSettings(width=8, direction=direction)
         )
         search.run()
         assert arch_oracle.exact.check(search.states()).stable.all()
 
 
 def test_unlimited_beam_and_exhaustive_search_agree_on_real_states(
-    small_arch: Assembly, arch_oracle: Stability
+    small_arch: Assembly, arch_oracle: StabilityOracle
 ) -> None:
     """States between both ends are those found from the one and from the other."""
-    task = Task.create(small_arch.boundary, 2)
+    task = Task.from_rules(small_arch.boundary, 2)
     census = ExhaustiveSearch(task, arch_oracle).run()
     backward = BeamSearch(task, arch_oracle, BeamSettings(width=100_000))
     assert backward.run().found
@@ -261,14 +261,14 @@ def test_bad_settings(settings: dict[str, int], message: str) -> None:
 
 def test_large_frontiers_are_sampled(rules: Any) -> None:
     """With room for few candidates at a time the beam still fills its width, from all of them over time."""
-    task = Task.create(rules.ground(31), 2)
+    task = Task.from_rules(rules.ground(31), 2)
     result = BeamSearch(task, rules.blocks(31), BeamSettings(width=8, pool=31 * 16)).run()
     assert result.found
 
 
 def test_going_back(rules: Any) -> None:
     """A beam that died narrow comes through when it is taken back and widened; one taken back knows no more."""
-    task = Task.create(rules.ground(31), 1)
+    task = Task.from_rules(rules.ground(31), 1)
     search = BeamSearch(task, rules.tower(31), BeamSettings(width=1))
     assert not search.run().found
     assert not search.exhaustive
@@ -301,7 +301,7 @@ def test_packed_levels_have_the_same_states() -> None:
 @pytest.mark.parametrize("direction", Direction)
 def test_frontiers_have_each_state_once(rules: Any, direction: Direction) -> None:
     """As if all moves of all states were written down and equal states removed, the first move kept."""
-    random, task = np.random.default_rng(0), Task.create(rules.ground(9), 3).judged_by(rules.tower(9))
+    random, task = np.random.default_rng(0), Task.from_rules(rules.ground(9), 3).judged_by(rules.tower(9))
     level = task.origin(direction)[None]
     for _ in range(9):
         frontier = expand(task, direction, level, StateHash.for_parts(9))
@@ -328,14 +328,14 @@ def test_the_best_are_the_first_of_all(
 ) -> None:
     """Sorting those that may be among the best is sorting all, with equal ones in the same random order."""
     monkeypatch.setattr(scores_module, "_FEW", few)
-    random, task = np.random.default_rng(1), Task.create(rules.ground(9), 3).judged_by(rules.tower(9))
+    random, task = np.random.default_rng(1), Task.from_rules(rules.ground(9), 3).judged_by(rules.tower(9))
     level = task.origin(direction)[None]
     for step in range(9):
         frontier = expand(task, direction, level, StateHash.for_parts(9))
         shapes = (len(level),), (len(level), 18)
         before, guide = (random.random(shape).round(0 if ties else 9) for shape in shapes)
         scores = Scores(frontier, before, guide)
-        promise = Promise(scores, np.random.default_rng(step))
+        promise = Priorities(scores, np.random.default_rng(step))
         rows = np.flatnonzero(frontier.fixing)
         everything = scores.of(frontier.candidates())
         gap = np.ptp(everything) + 1.0

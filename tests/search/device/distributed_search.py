@@ -32,7 +32,7 @@ def neighbours_stand(states: Any, parents: Any) -> Any:
 
 def search_all(device: str, shards: ProcessGroup) -> dict[str, Any]:
     """Every search, as arrays to compare."""
-    task = Task.create(np.arange(PARTS) == 0, 3)
+    task = Task.from_rules(np.arange(PARTS) == 0, 3)
     arrays: dict[str, Any] = {}
     for index, settings in enumerate(SEARCHES):
         search = DeviceBeam(task, neighbours_stand, settings, device=device, shards=shards)

@@ -20,7 +20,7 @@ from falsework.search.device.k_means import find_centers
 from falsework.search.device.oracle import BatchedTensorOracle, HostOracle
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.hashing import StateHash
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from falsework.utils.bits import pack
 from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import choose_device, mix, put, uniform
@@ -58,7 +58,7 @@ def random_task(rng: np.random.Generator, rules: Any, parts: int) -> Task:
         missing = rng.choice(goes, size=min(2, len(goes)), replace=False).tolist()
         clearance = rules.random(int(rng.integers(100)), parts)[1] if rng.random() < 0.4 else None
         try:
-            task = Task.create(
+            task = Task.from_rules(
                 rules.ground(parts),
                 int(rng.integers(1, 4)),
                 start=start,
@@ -113,13 +113,13 @@ def test_ways_out_on_tensors_are_those_of_the_table(rules: Any, direction: Direc
         np.ones(parts, bool),
         0,
     )
-    task = Task.create(rules.ground(parts), parts, clearance=table)
+    task = Task.from_rules(rules.ground(parts), parts, clearance=table)
     states = rng.choice([0, 0, 1, 2], size=(500, parts)).astype(np.uint8)
     states[:, 0] = 2
     tensor_rules = TensorRules(task, CPU, direction)
     moves = tensor_rules.moves(put(states, CPU)).numpy()
     assert np.array_equal(moves, task.moves(states, direction))
-    assert not np.array_equal(moves, Task.create(rules.ground(parts), parts).moves(states, direction))
+    assert not np.array_equal(moves, Task.from_rules(rules.ground(parts), parts).moves(states, direction))
     dead = tensor_rules.dead_ends(put(states, CPU)).numpy()
     assert np.array_equal(dead, task.dead_ends(states, direction))
     assert dead.any() == (direction is Direction.ASSEMBLY)
@@ -130,7 +130,7 @@ def test_ways_out_on_tensors_are_those_of_the_table(rules: Any, direction: Direc
 def test_without_a_limit_it_finds_what_the_other_beam_finds(rules: Any, direction: Direction, seed: int) -> None:
     """Level by level the same states, and the same counters."""
     oracle, clearance = rules.random(seed, 6)
-    task = Task.create(rules.ground(6), 1 + seed % 2, clearance=clearance if seed % 3 == 0 else None)
+    task = Task.from_rules(rules.ground(6), 1 + seed % 2, clearance=clearance if seed % 3 == 0 else None)
     one = BeamSearch(task, oracle, BeamSettings(width=10_000, direction=direction))
     two = beam(task, oracle, width=10_000, direction=direction)
     expected, result = one.run(), two.run()
@@ -151,7 +151,7 @@ def test_without_a_limit_it_finds_what_the_other_beam_finds(rules: Any, directio
 @pytest.mark.parametrize("seed", range(6))
 def test_what_a_narrow_beam_finds_is_a_plan(rules: Any, direction: Direction, diversity: str, seed: int) -> None:
     oracle, _ = rules.random(seed, 9)
-    task = Task.create(rules.ground(9), 2)
+    task = Task.from_rules(rules.ground(9), 2)
     search = beam(task, oracle, width=3, direction=direction, diversity=diversity, seed=seed)
     result = search.run()
     if result.found:
@@ -166,7 +166,7 @@ def test_what_a_narrow_beam_finds_is_a_plan(rules: Any, direction: Direction, di
 
 def test_same_seed_same_beam(rules: Any) -> None:
     oracle, _ = rules.random(2, 12)
-    task = Task.create(rules.ground(12), 2)
+    task = Task.from_rules(rules.ground(12), 2)
     found = [beam(task, oracle, width=8, seed=seed) for seed in (1, 1, 2)]
     for search in found:
         search.run()
@@ -177,7 +177,7 @@ def test_same_seed_same_beam(rules: Any) -> None:
 def test_words_that_collide_do_not_merge_states(rules: Any) -> None:
     """With words that tell only values apart, states with the same numbers of parts all share a hash."""
     oracle, _ = rules.random(4, 6)
-    task = Task.create(rules.ground(6), 2)
+    task = Task.from_rules(rules.ground(6), 2)
     expected = BeamSearch(task, oracle, BeamSettings(width=10_000))
     expected.run()
     search = beam(task, oracle, width=10_000)
@@ -189,7 +189,7 @@ def test_words_that_collide_do_not_merge_states(rules: Any) -> None:
 
 def test_stopped_and_run_on_changes_nothing(rules: Any) -> None:
     oracle, _ = rules.random(5, 10)
-    task = Task.create(rules.ground(10), 2)
+    task = Task.from_rules(rules.ground(10), 2)
     whole, halted = beam(task, oracle, width=4), beam(task, oracle, width=4)
     expected = whole.run()
     result = halted.run(stop=lambda: len(halted.levels) > 5)
@@ -201,7 +201,7 @@ def test_stopped_and_run_on_changes_nothing(rules: Any) -> None:
 
 def test_memory_that_runs_out_halves_the_batch(rules: Any) -> None:
     oracle, _ = rules.random(2, 12)
-    task = Task.create(rules.ground(12), 2)
+    task = Task.from_rules(rules.ground(12), 2)
     expected = beam(task, oracle, width=8)
     expected.run()
     sizes = []
@@ -229,7 +229,7 @@ def test_what_is_to_be_done_meanwhile_is_done_once(rules: Any, count: int) -> No
 
 def test_settings_and_devices_that_do_not_exist_are_refused(rules: Any) -> None:
     with pytest.raises(InputError, match="ahead"):
-        beam(Task.create(rules.ground(4), 1), rules.blocks(4), lookahead=4)
+        beam(Task.from_rules(rules.ground(4), 1), rules.blocks(4), lookahead=4)
     with pytest.raises(InputError, match="choose auto"):
         choose_device("cuda:99")
     with pytest.raises(InputError, match="unknown device"):
@@ -237,10 +237,10 @@ def test_settings_and_devices_that_do_not_exist_are_refused(rules: Any) -> None:
     assert choose_device("cpu") == CPU
 
 
-def test_the_device_decides_which_beam_runs(arch_oracle: Stability, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_device_decides_which_beam_runs(arch_oracle: StabilityOracle, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a GPU the same call runs on the processor, and asking for one says so."""
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    task = Task.create(arch_oracle.assembly.boundary, 2)
+    task = Task.from_rules(arch_oracle.assembly.boundary, 2)
     for device in ("cpu", "auto"):
         with beam_search(task, arch_oracle, BeamSettings(width=4), device) as (search, first):
             assert isinstance(search, BeamSearch)
@@ -286,11 +286,11 @@ def test_shares_cover_everything_once() -> None:
 def test_a_real_structure_gives_as_many_states(shared_assembly: Callable[[str], Path], name: str) -> None:
     """The paper's data set of bottle-12 at width 64 has 1,077 states; all of these can be taken apart."""
     assembly = load_structure(str(shared_assembly(name)))
-    task = Task.create(assembly.boundary, 2)
-    search = beam(task, Stability(assembly), width=64)
+    task = Task.from_rules(assembly.boundary, 2)
+    search = beam(task, StabilityOracle(assembly), width=64)
     result = search.run()
     assert result.found
-    graph = StateGraph.build(task, search.states())
+    graph = StateGraph.from_states(task, search.states())
     assert len(graph) == len(search.states())
     assert graph.solvable.all()
     assert 950 < len(graph) < 1250
@@ -301,7 +301,7 @@ def test_a_real_structure_gives_as_many_states(shared_assembly: Callable[[str], 
 def test_a_state_that_slides_is_not_entered(rules: Any, direction: Direction, seed: int) -> None:
     """Where a hold may bring a neighbour to slide, every move is asked about, and nothing but what stands is kept."""
     oracle = rules.pressing(seed, 7)
-    task = Task.create(rules.ground(7), 2)
+    task = Task.from_rules(rules.ground(7), 2)
     search = beam(task, oracle, width=3**6, direction=direction, diversity="none")
     result = search.run()
     if direction is Direction.DISASSEMBLY:
@@ -320,7 +320,7 @@ def test_sliding_states_are_no_proof_of_impossibility(rules: Any) -> None:
     oracle = rules.pressing(0, 3)
     oracle.supports = rules.blocks(3).supports
     oracle.pressed = [frozenset(), frozenset({2}), frozenset({1})]
-    task = Task.create(rules.ground(3), 1)
+    task = Task.from_rules(rules.ground(3), 1)
     for direction in Direction:
         result = beam(task, oracle, width=9, direction=direction).run()
         assert result.outcome is Outcome.NOT_FOUND

@@ -16,7 +16,7 @@ from falsework.search.problem.guide import NoveltyGuide
 
 def full_graph(rules: Any, seed: int, parts: int, robots: int = 2) -> StateGraph:
     oracle, _ = rules.random(seed, parts)
-    return ExhaustiveSearch(Task.create(rules.ground(parts), robots), oracle).run().graph
+    return ExhaustiveSearch(Task.from_rules(rules.ground(parts), robots), oracle).run().graph
 
 
 def all_routes(rules: Any, graph: StateGraph) -> list[Route]:
@@ -27,7 +27,7 @@ def all_routes(rules: Any, graph: StateGraph) -> list[Route]:
             return state in states
 
     routes = rules.enumeration(graph.task, Known()).routes()
-    return [Route.through(np.array(route, dtype=np.uint8)) for route in routes]
+    return [Route.from_states(np.array(route, dtype=np.uint8)) for route in routes]
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -47,7 +47,7 @@ def test_distances_are_distances(rules: Any) -> None:
     graph = full_graph(rules, 4, 7)
     rng = np.random.default_rng(0)
     routes = [route for route in (graph.sample_route(rng) for _ in range(12)) if route is not None]
-    found = Alternatives.of(routes)
+    found = Alternatives.from_routes(routes)
     for matrix in (found.order_distance, found.state_distance, found.distance):
         assert np.array_equal(matrix, matrix.T)
         assert (np.diag(matrix) == 0).all()
@@ -58,7 +58,7 @@ def test_distances_are_distances(rules: Any) -> None:
 
 def test_opposite_orders_are_at_distance_one(rules: Any) -> None:
     """Free blocks, one robot: the farthest plan from any plan is its reverse, order distance 1."""
-    graph = ExhaustiveSearch(Task.create(rules.ground(7), 1), rules.blocks(7)).run().graph
+    graph = ExhaustiveSearch(Task.from_rules(rules.ground(7), 1), rules.blocks(7)).run().graph
     chosen = choose_alternatives(graph, 2)
     first, second = chosen.routes
     assert np.array_equal(first.removal_rank()[1:], 5 - second.removal_rank()[1:])
@@ -88,7 +88,7 @@ def test_better_than_luck(rules: Any, seed: int) -> None:
     chosen = choose_alternatives(graph, 4)
     rng = np.random.default_rng(0)
     pool = [route for route in (graph.sample_route(rng) for _ in range(60)) if route is not None]
-    measured = Alternatives.of(pool).distance
+    measured = Alternatives.from_routes(pool).distance
     luck = 0.0
     for _ in range(200):
         rows = rng.choice(len(pool), 4, replace=False)
@@ -99,14 +99,14 @@ def test_better_than_luck(rules: Any, seed: int) -> None:
 
 
 def test_no_more_than_there_are(rules: Any) -> None:
-    one = ExhaustiveSearch(Task.create(rules.ground(5), 1), rules.tower(5)).run().graph
+    one = ExhaustiveSearch(Task.from_rules(rules.ground(5), 1), rules.tower(5)).run().graph
     assert len(choose_alternatives(one, 5).routes) == 1
     assert choose_alternatives(one, 5).least_distance == 1.0
-    six = ExhaustiveSearch(Task.create(rules.ground(4), 1), rules.blocks(4)).run().graph
+    six = ExhaustiveSearch(Task.from_rules(rules.ground(4), 1), rules.blocks(4)).run().graph
     chosen = choose_alternatives(six, 10)
     assert len(chosen.routes) == 6
     assert len({route.states.tobytes() for route in chosen.routes}) == 6
-    none = ExhaustiveSearch(Task.create(rules.ground(6), 1), rules.arch(6)).run().graph
+    none = ExhaustiveSearch(Task.from_rules(rules.ground(6), 1), rules.arch(6)).run().graph
     assert choose_alternatives(none, 3).routes == ()
     with pytest.raises(InputError, match="at least 1"):
         choose_alternatives(six, 0)

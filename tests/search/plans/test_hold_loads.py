@@ -16,10 +16,10 @@ from falsework.assembly.state import HELD
 from falsework.errors import PlanError
 from falsework.geometry import TriangleMesh
 from falsework.search import Plan, Task, find_plans, validate_plan, validate_proofs
-from falsework.search.plans.build import plan_of_build
+from falsework.search.plans.build_proofs import prove_build
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.result import Route
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from falsework.stability.contact.hold_loads import largest_load
 from falsework.stability.holds import HoldMode, HoldSettings
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
@@ -55,10 +55,10 @@ def test_a_robot_bears_its_part_and_what_rests_on_it() -> None:
     assembly = Assembly.from_meshes(boxes, boundary=[2])
     weight = 9.81 * assembly.mass.mass[0]
     states = np.array([[2, 1, 2], [2, 2, 2], [2, 0, 2]], np.uint8)
-    task = Task.create(assembly.boundary, 2, start=states[0], target=states[-1], fixed=[0])
-    replayer = Stability(assembly).replayer
+    task = Task.from_rules(assembly.boundary, 2, start=states[0], target=states[-1], fixed=[0])
+    replayer = StabilityOracle(assembly).replayer
     assert replayer is not None
-    found = plan_of_build(Route.through(states), assembly, task, replayer, None, forces=True)
+    found = prove_build(Route.from_states(states), assembly, task, replayer, None, forces=True)
     (alone,), (lower, upper), (both,) = found.loads
     assert (both.part, lower.part, upper.part, alone.part) == (0, 0, 1, 0)
     np.testing.assert_allclose([both.force, both.moment], [2 * weight, 0.25 * weight], rtol=1e-3)

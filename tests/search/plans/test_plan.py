@@ -33,13 +33,13 @@ from falsework.search.margins.demands import Demands
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans import packed_proofs
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
-from falsework.stability import Stability, StabilitySettings, Verdict
+from falsework.stability import StabilityOracle, StabilitySettings, Verdict
 from falsework.stability.settings import EQUILIBRIUM
 from tests.older_files import as_version_3
 
 
 @pytest.fixture(scope="module")
-def plan(small_arch: Assembly, arch_oracle: Stability) -> Plan:
+def plan(small_arch: Assembly, arch_oracle: StabilityOracle) -> Plan:
     planning = find_plans(small_arch, oracle=arch_oracle)
     assert planning.found
     return planning.plans[0]
@@ -64,7 +64,7 @@ def same(a: Plan, b: Plan) -> bool:
 
 
 def test_plans_of_version_1_are_under_equilibrium(small_arch: Assembly, tmp_path: Path) -> None:
-    oracle = Stability(small_arch, EQUILIBRIUM)
+    oracle = StabilityOracle(small_arch, EQUILIBRIUM)
     made = find_plans(small_arch, oracle=oracle).plans[0]
     assert made.replay is None
     save_plan(made, tmp_path / "plan.json", proofs=True)
@@ -177,7 +177,7 @@ def test_files_follow_the_published_schema(plan: Plan, tmp_path: Path, proofs: b
 def test_plans_of_version_3_are_read_in_the_order_of_assembly(
     plan: Plan, balanced: tuple[Assembly, Plan], small_arch: Assembly, tmp_path: Path, direction: Direction
 ) -> None:
-    margins = PlanMargins.of(Stability(small_arch), plan.states, Demands(friction=1.05))
+    margins = PlanMargins.from_oracle(StabilityOracle(small_arch), plan.states, Demands(friction=1.05))
     recorded = replace(plan, margins=margins)
     for made, assembly, settings in (
         (recorded, small_arch, StabilitySettings()),
@@ -393,7 +393,7 @@ def test_wrong_displacements_are_found(plan: Plan, small_arch: Assembly) -> None
 def balanced() -> tuple[Assembly, Plan]:
     """A vault with a plan whose proofs are forces."""
     vault = load_structure("vault:parts=62")
-    return vault, find_plans(vault, oracle=Stability(vault, EQUILIBRIUM)).plans[0]
+    return vault, find_plans(vault, oracle=StabilityOracle(vault, EQUILIBRIUM)).plans[0]
 
 
 @pytest.fixture
@@ -464,9 +464,9 @@ def test_damaged_changes_are_rejected(changes: dict[str, Any]) -> None:
     assert "must have either zlib_base64 or changes" in message(data, zlib_base64="")
 
 
-def test_ways_out_are_checked(small_arch: Assembly, arch_oracle: Stability) -> None:
+def test_ways_out_are_checked(small_arch: Assembly, arch_oracle: StabilityOracle) -> None:
     """A plan that claims straight ways out is checked for them; one made with that rule passes."""
-    task = Task.create(small_arch.boundary, 2, clearance=small_arch.clearance, identity=small_arch.identity)
+    task = Task.from_rules(small_arch.boundary, 2, clearance=small_arch.clearance, identity=small_arch.identity)
     planning = find_plans(small_arch, task, oracle=arch_oracle)
     assert planning.found
     clear = planning.plans[0]
@@ -517,6 +517,6 @@ def test_nothing_half_written_is_left(plan: Plan, tmp_path: Path, monkeypatch: p
 
 def test_only_stable_routes_become_plans(plan: Plan, small_arch: Assembly, rules: Any) -> None:
     verdicts = rules.verdicts(np.arange(len(plan.states)) != 4)
-    task = Task.create(small_arch.boundary, 2)
+    task = Task.from_rules(small_arch.boundary, 2)
     with pytest.raises(PlanError, match="state 4 of the plan is not proven stable"):
-        Plan.of(plan.route, small_arch, task, verdicts)
+        Plan.from_route(plan.route, small_arch, task, verdicts)

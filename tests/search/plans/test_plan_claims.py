@@ -34,12 +34,12 @@ from falsework.search import (
 )
 from falsework.search.margins.demands import Demands
 from falsework.search.margins.plan_margins import PlanMargins
-from falsework.search.plans import build, packed_proofs, plan_check, plan_reader
-from falsework.search.plans.build import plan_of_build
+from falsework.search.plans import build_proofs, packed_proofs, plan_check, plan_reader
+from falsework.search.plans.build_proofs import prove_build
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.plans.plan_source import structure_to_check
 from falsework.search.problem.result import Route
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 
 Peak = Callable[[Callable[[], Any]], int]
@@ -52,9 +52,9 @@ SPEC = "arch:blocks=3"
 def plan() -> Plan:
     """A plan with displacements, a replay and margins."""
     assembly = load_structure(SPEC)
-    oracle = Stability(assembly)
+    oracle = StabilityOracle(assembly)
     found = find_plans(assembly, oracle=oracle).plans[0]
-    margins = PlanMargins.of(oracle, found.states, Demands(friction=1.1))
+    margins = PlanMargins.from_oracle(oracle, found.states, Demands(friction=1.1))
     return replace(found, margins=margins, source={"built_in": SPEC})
 
 
@@ -78,7 +78,7 @@ def propped() -> tuple[Assembly, Plan]:
         boundary=with_one.boundary,
         props=with_one.props,
         prop_limit=1,
-        support=True,
+        allow_regrasp=True,
         forces=None,
         displacement=None,
         replay=None,
@@ -100,10 +100,10 @@ def pressed() -> tuple[Assembly, Plan]:
     boxes = [box("plate-0", 0.0, 0.2, 0.5), box("plate-1", 0.2, 0.4, 0.5), box("wall", -1.0, 0.0, 1.0)]
     assembly = Assembly.from_meshes(boxes, boundary=[2], friction=0.5)
     states = np.array([[1, 2, 2], [2, 2, 2], [0, 2, 2]], np.uint8)
-    task = Task.create(assembly.boundary, 2, start=states[0], target=states[-1], fixed=[1])
-    replayer = Stability(assembly).replayer
+    task = Task.from_rules(assembly.boundary, 2, start=states[0], target=states[-1], fixed=[1])
+    replayer = StabilityOracle(assembly).replayer
     assert replayer is not None
-    return assembly, plan_of_build(Route.through(states), assembly, task, replayer, None, forces=True)
+    return assembly, prove_build(Route.from_states(states), assembly, task, replayer, None, forces=True)
 
 
 def checked(
@@ -208,14 +208,14 @@ LISTED: dict[str, Callable[[Plan, Plan, PlanReport], bool]] = {
     "structure.props": lambda old, new, report: report.about is not None and report.about.props == len(new.props) == 1,
     "robots": lambda old, new, report: report.about is not None and report.about.robots == new.robots > old.robots,
     "rules.removable_only_if_clear": lambda old, new, report: new.removable_only_if_clear,
-    "rules.support": lambda old, new, report: new.support is not old.support,
+    "rules.support": lambda old, new, report: new.allow_regrasp is not old.allow_regrasp,
     "rules.props": lambda old, new, report: report.about is not None and report.about.prop_limit == new.prop_limit,
     "rules.parts_at_once": lambda old, new, report: (
         report.about is not None and report.about.parts_at_once <= new.parts_at_once
     ),
     "rules.moves": lambda old, new, report: report.about is not None and report.about.moves <= new.moves,
     "rules.turns": lambda old, new, report: new.turns,
-    "steps.way_out": lambda old, new, report: True,
+    "steps.exit_direction_of": lambda old, new, report: True,
     "stability.stiffness_ratio": lambda old, new, report: report.claim.criterion == "equilibrium",
     "stability.tolerance": lambda old, new, report: f"its tolerance {new.claim.tolerance:g}" in report.unverified,
     "stability.force_bound": lambda old, new, report: f"its force bound {new.claim.force_bound:g}" in report.unverified,
@@ -291,7 +291,7 @@ def test_one_change_at_a_time_is_refused_or_claims_nothing(data: dict[str, Any])
 
 
 def test_one_change_of_a_plan_under_equilibrium() -> None:
-    found = find_plans(load_structure(SPEC), oracle=Stability(load_structure(SPEC), EQUILIBRIUM)).plans[0]
+    found = find_plans(load_structure(SPEC), oracle=StabilityOracle(load_structure(SPEC), EQUILIBRIUM)).plans[0]
     exact = validate_plan(replace(found, forces=None), load_structure(SPEC), EQUILIBRIUM).residual
     assert exact < 1e-6  # from state to state, so a little above the resolution
     data = json.loads(json.dumps(plan_to_dict(replace(found, source={"built_in": SPEC}), proofs=True)))
@@ -338,7 +338,7 @@ def test_one_change_of_a_plan_with_props(propped: tuple[Assembly, Plan]) -> None
 
 def test_one_change_of_a_plan_with_several_parts_in_one_step() -> None:
     shelf = load_structure("shelf:shelves=0")
-    found = find_plans(shelf, robots=1, oracle=Stability(shelf, EQUILIBRIUM), parts_at_once=2).plans[0]
+    found = find_plans(shelf, robots=1, oracle=StabilityOracle(shelf, EQUILIBRIUM), parts_at_once=2).plans[0]
     data = json.loads(json.dumps(plan_to_dict(replace(found, source={"built_in": "shelf:shelves=0"}), proofs=True)))
     count, accepted = accepted_changes(data, EQUILIBRIUM, among=("rules", "steps"), structure=shelf)
     assert count > 100
@@ -446,11 +446,13 @@ def _drawn(assembly: Any) -> Plan:
     start = np.where(assembly.boundary, 2, 1).astype(np.uint8)
     after = start.copy()
     after[0] = 2
-    verdicts = Verdicts.blank(2)
+    verdicts = Verdicts.all_undecided(2)
     verdicts.verdict[:] = 1
     verdicts.residual[:] = 0.0
-    task = Task.create(assembly.boundary, 2)
-    return Plan.of(Route(np.array([start, after]), np.array([0])), assembly, task, verdicts, StabilitySettings().claim)
+    task = Task.from_rules(assembly.boundary, 2)
+    return Plan.from_route(
+        Route(np.array([start, after]), np.array([0])), assembly, task, verdicts, StabilitySettings().claim
+    )
 
 
 def test_a_name_of_a_folder_is_no_built_in_structure(plan: Plan, tmp_path: Path, monkeypatch: Any) -> None:
@@ -497,12 +499,12 @@ def test_a_plan_without_steps_shows_nothing(plan: Plan) -> None:
 def test_certificates_in_a_plan_are_evaluated_instead_of_solving(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     assembly = load_structure(SPEC)
     for settings in (StabilitySettings(), EQUILIBRIUM):
-        made = find_plans(assembly, oracle=Stability(assembly, settings)).plans[0]
+        made = find_plans(assembly, oracle=StabilityOracle(assembly, settings)).plans[0]
         bare = replace(made, forces=None, displacement=None)
         solved = validate_plan(bare, assembly, settings)
         assert (solved.good, solved.certified) == (True, 0)
         with monkeypatch.context() as patch:
-            for module, name in ((build, "Stability"), (build, "Replayer"), (plan_check, "Stability")):
+            for module, name in ((build_proofs, "Stability"), (build_proofs, "Replayer"), (plan_check, "Stability")):
                 patch.setattr(module, name, type(name, (), {}))  # whoever asks a solver or a replay fails
             report = validate_plan(made, assembly, settings)
         assert report.good
@@ -543,7 +545,7 @@ def test_an_unstable_state_is_told_from_a_wrong_certificate(plan: Plan) -> None:
     assembly = load_structure(SPEC)
     states, parts = np.repeat(plan.states[-1:], 3, axis=0), assembly.part_count
     states[:2, 1] = [0, 2]
-    proofs = Stability(assembly).verdicts(states[[1, 1, 2]], require_certificate=True).displacement
+    proofs = StabilityOracle(assembly).verdicts(states[[1, 1, 2]], require_certificate=True).displacement
     falls = replace(plan, states=states, actions=np.array([parts + 1, 1]), displacement=proofs)
     report = validate_plan(replace(falls, margins=None), assembly)
     assert "the structure is unstable at the beginning" in report.reason

@@ -11,14 +11,14 @@ from falsework.assembly import load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.search import find_plans
-from falsework.search.find import Planning, task_of
+from falsework.search.find import Planning, make_task
 from falsework.search.planner import Planner
 from falsework.search.problem.edge_rows import edge_rows
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.task import Direction
 from falsework.search.settings import PlannerSettings
 from falsework.search.strategies import EDGES, Portfolio
-from falsework.stability import Stability
+from falsework.stability import StabilityOracle
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 
 _LENGTH, _COURSES = 12, 13
@@ -79,7 +79,7 @@ def vault() -> Assembly:
 
 
 def test_parts_at_edges_are_inserted_first_and_removed_last(vault: Assembly) -> None:
-    base, task = SupportGuide(vault), task_of(vault, 3)
+    base, task = SupportGuide(vault), make_task(vault, 3)
     guide, rows = base.edges_first(task), edge_rows(*_contacts(vault))
     assert guide is not None
     assert rows is not None
@@ -95,26 +95,26 @@ def test_parts_at_edges_are_inserted_first_and_removed_last(vault: Assembly) -> 
 
 def test_one_robot_and_standing_parts_leave_the_guide_as_it_is(vault: Assembly) -> None:
     guide = SupportGuide(vault)
-    assert guide.edges_first(task_of(vault, 1)) is None
-    assert guide.edges_first(task_of(vault, 2)) is not None
+    assert guide.edges_first(make_task(vault, 1)) is None
+    assert guide.edges_first(make_task(vault, 2)) is not None
     target = complete_state(vault.boundary)
     target[np.flatnonzero(~vault.boundary)[3:]] = 0
-    assert guide.edges_first(task_of(vault, 3, target=target)) is None
+    assert guide.edges_first(make_task(vault, 3, target=target)) is None
 
 
 def test_under_equilibrium_edges_come_second_in_small_shells_and_first_in_large_ones(vault: Assembly) -> None:
     for assembly, place in ((vault, 1), (load_structure("vault:parts=350"), 0)):
-        task = task_of(assembly, 2).judged_by(Stability(assembly, EQUILIBRIUM))
+        task = make_task(assembly, 2).judged_by(StabilityOracle(assembly, EQUILIBRIUM))
         guide = SupportGuide(assembly)
         assert guide.edges_first(task) is not None
-        assert guide.edges_first(task_of(assembly, 1).judged_by(Stability(assembly, EQUILIBRIUM))) is None
-        portfolio = Portfolio.of(PlannerSettings(), "plan", task, edges=True)
+        assert guide.edges_first(make_task(assembly, 1).judged_by(StabilityOracle(assembly, EQUILIBRIUM))) is None
+        portfolio = Portfolio.from_settings(PlannerSettings(), "plan", task, edges=True)
         assert portfolio.names.index(EDGES) == place
 
 
 def test_under_equilibrium_most_parts_wait_for_the_rows_before() -> None:
     vault = load_structure("vault:parts=350")
-    planning = find_plans(vault, robots=2, oracle=Stability(vault, EQUILIBRIUM), forces=False)
+    planning = find_plans(vault, robots=2, oracle=StabilityOracle(vault, EQUILIBRIUM), forces=False)
     assert planning.found
     placed, rows = (planning.plans[0].states != 0).argmax(axis=0), edge_rows(*_contacts(vault))
     assert rows is not None
@@ -131,8 +131,8 @@ def test_three_robots_build_a_vault_from_its_edges(vault: Assembly) -> None:
 
 @pytest.mark.parametrize("robots", [2, 3])
 def test_resuming_a_search_from_the_edges_changes_nothing(vault: Assembly, robots: int, tmp_path: Path) -> None:
-    oracle = Stability(vault, EQUILIBRIUM if robots == 2 else StabilitySettings())
-    task, guide = task_of(vault, robots).judged_by(oracle), SupportGuide(vault)
+    oracle = StabilityOracle(vault, EQUILIBRIUM if robots == 2 else StabilitySettings())
+    task, guide = make_task(vault, robots).judged_by(oracle), SupportGuide(vault)
     expected = Planner(task, oracle, guide=guide).run()
     planner, path = Planner(task, oracle, guide=guide), tmp_path / "planner.npz"
     calls = iter(range(60))

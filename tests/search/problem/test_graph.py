@@ -26,20 +26,20 @@ from falsework.utils.archive import read_archive, write_archive
 @pytest.fixture
 def graph(rules: Any) -> StateGraph:
     oracle, _ = rules.random(4, 8)
-    search = BeamSearch(Task.create(rules.ground(8), 2, identity="abc"), oracle, BeamSettings(width=12))
+    search = BeamSearch(Task.from_rules(rules.ground(8), 2, identity="abc"), oracle, BeamSettings(width=12))
     search.run()
-    return StateGraph.build(search.task, search.states(), name="eight")
+    return StateGraph.from_states(search.task, search.states(), name="eight")
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_holds_every_edge_between_its_states_and_no_other(rules: Any, seed: int) -> None:
     oracle, clearance = rules.random(seed, 7)
-    task = Task.create(rules.ground(7), 1 + seed % 3, clearance=clearance if seed % 2 else None)
+    task = Task.from_rules(rules.ground(7), 1 + seed % 3, clearance=clearance if seed % 2 else None)
     enumeration = rules.enumeration(task, oracle)
     everything = sorted(enumeration.reachable())
     rng = np.random.default_rng(seed)
     chosen = [everything[row] for row in rng.permutation(len(everything))[: max(2, len(everything) // 2)]]
-    graph = StateGraph.build(task, np.array(chosen + chosen[:3], dtype=np.uint8))
+    graph = StateGraph.from_states(task, np.array(chosen + chosen[:3], dtype=np.uint8))
     assert sorted(map(tuple, graph.states.tolist())) == sorted(set(chosen))
     states = [tuple(state) for state in graph.states.tolist()]
     edges = {
@@ -59,11 +59,11 @@ def test_holds_every_edge_between_its_states_and_no_other(rules: Any, seed: int)
 @pytest.mark.parametrize("seed", range(20))
 def test_counts_and_reachability(rules: Any, seed: int) -> None:
     oracle, _ = rules.random(seed, 6)
-    task = Task.create(rules.ground(6), 2)
+    task = Task.from_rules(rules.ground(6), 2)
     graph = ExhaustiveSearch(task, oracle).run().graph
     counts = graph.routes_to_target()
     for row, state in enumerate(graph.states):
-        rest = Task.create(rules.ground(6), 2, start=state)
+        rest = Task.from_rules(rules.ground(6), 2, start=state)
         assert counts[row] == rules.enumeration(rest, oracle).count()
     assert np.array_equal(graph.solvable, counts > 0)
     assert graph.reachable.all()
@@ -106,7 +106,7 @@ def test_a_file_names_its_criterion(graph: StateGraph, tmp_path: Path, criterion
     """One from before there was a choice is of equilibrium."""
     task = replace(graph.task, holds_keep_stable=criterion == "equilibrium")
     path = tmp_path / "graph.npz"
-    save_state_graph(StateGraph.build(task, graph.states), path)
+    save_state_graph(StateGraph.from_states(task, graph.states), path)
     loaded = load_state_graph(path)
     assert loaded.criterion == criterion
     assert loaded.task.holds_keep_stable == task.holds_keep_stable

@@ -21,7 +21,7 @@ def random_task(rules: Any, seed: int, parts: int = 6) -> Task:
         robots = int(rng.integers(1, 4))
         ordered = all(STAGE[a] <= STAGE[b] for a, b in zip(start.tolist(), target.tolist(), strict=True))
         if ordered and max((start[1:] == 2).sum(), (target[1:] == 2).sum()) <= robots:
-            return Task.create(rules.ground(parts), robots, start=start, target=target)
+            return Task.from_rules(rules.ground(parts), robots, start=start, target=target)
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -61,8 +61,8 @@ def test_all_plans_have_the_same_length(rules: Any, seed: int) -> None:
 def test_postponed_parts_are_late_in_both_directions(rules: Any, seed: int) -> None:
     """Moves that respect `postponed`, followed from either end, give exactly the plans that keep to it."""
     oracle, _ = rules.random(seed, 5)
-    task = Task.create(rules.ground(5), 2, missing=[1, 3]).postpone([3, 5])
-    plain = Task.create(rules.ground(5), 2)
+    task = Task.from_rules(rules.ground(5), 2, missing=[1, 3]).postpone([3, 5])
+    plain = Task.from_rules(rules.ground(5), 2)
 
     def late(route: tuple[tuple[int, ...], ...]) -> bool:
         assembly = route[::-1]
@@ -96,7 +96,7 @@ def walk(task: Task, oracle: Any, direction: Direction) -> set[tuple[tuple[int, 
 def test_which_moves_need_a_verdict(rules: Any) -> None:
     """Where holds keep stable states stable, removals do, and releases when putting together; else all moves."""
     hold, remove = np.array([1, 2]), np.array([5, 6])
-    asked = Task.create(rules.ground(4), 2)
+    asked = Task.from_rules(rules.ground(4), 2)
     task = asked.judged_by(rules.blocks(4))
     for direction in Direction:
         assert asked.needs_verdict(np.concatenate([hold, remove]), direction).all()
@@ -110,7 +110,7 @@ def test_which_moves_need_a_verdict(rules: Any) -> None:
 def test_dead_ends_of_clearance_are_dead(rules: Any, seed: int) -> None:
     """No assembly of any kind leads from a dead end to the complete structure."""
     _, clearance = rules.random(seed, 6)
-    task = Task.create(rules.ground(6), 2, clearance=clearance)
+    task = Task.from_rules(rules.ground(6), 2, clearance=clearance)
     states = rules.all_states(6)
     states = states[task.contains(states)]
     dead = states[task.dead_ends(states, Direction.ASSEMBLY)]
@@ -120,9 +120,9 @@ def test_dead_ends_of_clearance_are_dead(rules: Any, seed: int) -> None:
 
 
 def test_fixed_parts_stay_as_they_are(rules: Any) -> None:
-    task = Task.create(rules.ground(4), 2, fixed=[2])
+    task = Task.from_rules(rules.ground(4), 2, fixed=[2])
     assert task.target.tolist() == [2, 0, 1, 0]
-    held = Task.create(rules.ground(4), 2, start=[2, 1, 2, 1], fixed=[2])
+    held = Task.from_rules(rules.ground(4), 2, start=[2, 1, 2, 1], fixed=[2])
     assert held.target.tolist() == [2, 0, 2, 0]
     assert not task.moves(np.array([[2, 1, 1, 1]], dtype=np.uint8), Direction.DISASSEMBLY)[0, [2, 6]].any()
 
@@ -149,11 +149,11 @@ def test_fixed_parts_stay_as_they_are(rules: Any) -> None:
 )
 def test_bad_tasks_get_one_line(rules: Any, arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as caught:
-        Task.create(rules.ground(4), arguments.pop("robots", 2), **arguments)
+        Task.from_rules(rules.ground(4), arguments.pop("robots", 2), **arguments)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_states_are_checked_as_states(rules: Any) -> None:
     with pytest.raises(StateError, match="use 0"):
-        Task.create(rules.ground(3), start=[2, 7, 1])
+        Task.from_rules(rules.ground(3), start=[2, 7, 1])

@@ -14,7 +14,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state, empty_state
 from falsework.errors import InputError
 from falsework.geometry import TriangleMesh
-from falsework.stability import Proof, Stability, StabilitySettings, Verdict, verify_certificates
+from falsework.stability import Proof, StabilityOracle, StabilitySettings, Verdict, verify_certificates
 from falsework.stability.certificate import forces_of_displacement, residual_of_displacement
 from falsework.stability.judges import settle
 from falsework.stability.settings import EQUILIBRIUM
@@ -27,7 +27,7 @@ RATIOS = (0.4, 0.7, 1.0)
 def verdict_of(assembly: Assembly, state: Any = None, settings: StabilitySettings = StabilitySettings()) -> Verdict:
     """Verdict of one state, by default the complete structure, whose certificate the checker accepts."""
     states = np.asarray(complete_state(assembly.boundary) if state is None else state, np.uint8)[None]
-    verdicts = Stability(assembly, settings).verdicts(states, require_certificate=True)
+    verdicts = StabilityOracle(assembly, settings).verdicts(states, require_certificate=True)
     assert not verdicts.undecided.any()
     assert verify_certificates(assembly, states, verdicts, settings.claim).all()
     return Verdict(int(verdicts.verdict[0]))
@@ -111,7 +111,7 @@ def test_holding_a_part_can_take_force_away_from_its_neighbour() -> None:
     rng = np.random.default_rng(0)
     for name in ("arch:blocks=7", "dome"):
         assembly = library.build(name)
-        oracle = Stability(assembly)
+        oracle = StabilityOracle(assembly)
         states = np.where(assembly.boundary, 2, rng.choice([0, 1, 2], (300, assembly.part_count), p=[0.3, 0.5, 0.2]))
         states = states.astype(np.uint8)
         stable = states[oracle.verdicts(states).stable]
@@ -131,8 +131,8 @@ def test_verdicts_do_not_depend_on_size_density_or_gravity(scale: float) -> None
     scaled = Assembly.from_meshes(meshes, boundary=base.boundary, density=base.density * 7.0, friction=base.friction)
     rng = np.random.default_rng(1)
     states = np.where(base.boundary, 2, rng.choice([0, 1, 2], (80, base.part_count), p=[0.25, 0.6, 0.15]))
-    expected = Stability(base).verdicts(states.astype(np.uint8))
-    found = Stability(scaled, StabilitySettings(gravity=1.6)).verdicts(states.astype(np.uint8))
+    expected = StabilityOracle(base).verdicts(states.astype(np.uint8))
+    found = StabilityOracle(scaled, StabilitySettings(gravity=1.6)).verdicts(states.astype(np.uint8))
     np.testing.assert_array_equal(found.verdict, expected.verdict)
     assert set(expected.verdict.tolist()) >= {-1, 1}
 
@@ -144,8 +144,8 @@ def test_a_stable_state_is_in_equilibrium_and_an_unstable_one_does_not_stand(rat
     rng = np.random.default_rng(2)
     states = np.where(assembly.boundary, 2, rng.choice([0, 1, 2], (150, assembly.part_count), p=[0.25, 0.6, 0.15]))
     states = states.astype(np.uint8)
-    contact = Stability(assembly, StabilitySettings(stiffness_ratio=ratio)).verdicts(states)
-    statics = Stability(assembly, dataclasses.replace(EQUILIBRIUM, cone="quadratic")).verdicts(states)
+    contact = StabilityOracle(assembly, StabilitySettings(stiffness_ratio=ratio)).verdicts(states)
+    statics = StabilityOracle(assembly, dataclasses.replace(EQUILIBRIUM, cone="quadratic")).verdicts(states)
     assert statics.stable[contact.stable | contact.slides].all()
     np.testing.assert_array_equal(contact.unstable, statics.unstable)
 
@@ -184,9 +184,9 @@ def test_models_of_coupled_rigid_block_analysis(
 
 def test_the_proofs_are_named_by_their_kind(scenes: Any) -> None:
     arch, clamp = library.build("arch:blocks=7"), scenes.clamp(friction=0.55)
-    standing = Stability(arch).verdicts(complete_state(arch.boundary), require_certificate=True)
+    standing = StabilityOracle(arch).verdicts(complete_state(arch.boundary), require_certificate=True)
     assert standing.proof[0] == Proof.DISPLACEMENT
-    sliding = Stability(clamp).verdicts(complete_state(clamp.boundary), require_certificate=True)
+    sliding = StabilityOracle(clamp).verdicts(complete_state(clamp.boundary), require_certificate=True)
     assert sliding.proof[0] == Proof.FORCES
 
 
@@ -195,7 +195,7 @@ def proven() -> tuple[Assembly, np.ndarray, Verdicts, StabilitySettings]:
     """A standing arch with its displacement."""
     arch, settings = library.build("arch:blocks=9"), StabilitySettings()
     states = complete_state(arch.boundary)[None]
-    return arch, states, Stability(arch, settings).verdicts(states, require_certificate=True), settings
+    return arch, states, StabilityOracle(arch, settings).verdicts(states, require_certificate=True), settings
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.9, 1.1, -1.0, 1e3, np.nan, np.inf])
@@ -210,7 +210,7 @@ def test_other_displacements_are_rejected(proven: Any, factor: float) -> None:
 def test_the_forces_of_a_displacement_balance_by_another_formula(proven: Any) -> None:
     """The wrenches of `Problem`, which the checker does not use, agree that the forces hold every part."""
     arch, states, verdicts, settings = proven
-    problem = Stability(arch, settings).problem
+    problem = StabilityOracle(arch, settings).problem
     forces = forces_of_displacement(arch, states, verdicts.displacement, settings.claim)[0]
     np.testing.assert_allclose(forces, verdicts.forces[0], atol=1e-6 * problem.weight)
     net = problem.gravity_wrench.copy()
@@ -260,13 +260,13 @@ def test_two_blocks_with_leaning_joints_turned_in_steps(public_structure: Callab
 def test_a_step_from_the_displacement_before_takes_few_iterations_and_says_the_same() -> None:
     vault = load_structure("vault:parts=250")
     state, parts = complete_state(vault.boundary), np.argsort(-vault.mass.center[:, 2])[:4]
-    oracle = Stability(vault)
+    oracle = StabilityOracle(vault)
     oracle.verdicts(state[None], near=state[None])
     iterations = np.zeros(2, dtype=int)
     for part, value in [(part, value) for part in parts for value in (2, 0)]:
         before, state = state, np.where(np.arange(len(state)) == part, value, state).astype(np.uint8)
         beside = oracle.verdicts(state[None], near=before[None])
-        rest = Stability(vault).verdicts(state[None], near=before[None])
+        rest = StabilityOracle(vault).verdicts(state[None], near=before[None])
         assert beside.verdict[0] == rest.verdict[0] == Verdict.STABLE
         iterations += beside.iterations[0], rest.iterations[0]
     assert 3 * iterations[0] < 2 * iterations[1]  # both with those that look for what falls
@@ -277,7 +277,7 @@ def test_a_state_beside_known_ones_is_checked_from_their_displacements() -> None
     state = complete_state(arch.boundary)
     held = state.copy()
     held[np.flatnonzero(state == 1)[0]] = 2
-    oracle = Stability(arch)
+    oracle = StabilityOracle(arch)
     assert oracle.verdicts(state, require_certificate=True).stable.all()
     verdict = oracle.verdicts(held, near=state, require_certificate=True)
     assert verdict.stable.all()

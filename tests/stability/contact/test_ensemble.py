@@ -10,7 +10,7 @@ import pytest
 
 from falsework.assembly import Assembly, load_structure
 from falsework.search import Plan, PlannerSettings, find_plans
-from falsework.stability import Replayer, Stability, StabilitySettings
+from falsework.stability import Replayer, StabilityOracle, StabilitySettings
 from falsework.stability.contact.varied_replay import GROUPS, EnsembleReplayer, changed, variations
 from falsework.stability.holds import Press
 
@@ -85,7 +85,7 @@ def test_a_reserve_asks_for_an_ensemble() -> None:
     """So every default plan stands under changed settings, and says so."""
     assembly = load_structure("vault:parts=40")
     for reserve in (1.0, 1.1):
-        replayer = Stability(assembly, replace(CONTACT, reserve=reserve)).replayer
+        replayer = StabilityOracle(assembly, replace(CONTACT, reserve=reserve)).replayer
         assert replayer is not None
         assert replayer.varies == (reserve > 1.0)
         replay = planned(assembly, 0, reserve).replay

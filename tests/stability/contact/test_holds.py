@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
-from falsework.stability import Replayer, Stability, StabilitySettings
+from falsework.stability import Replayer, StabilityOracle, StabilitySettings
 from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate, StepProof
 from falsework.stability.contact.newton import MOVES_AWAY, OVERLOADS, RESTS
 from falsework.stability.contact.press_kernel import press_responses
@@ -244,7 +244,7 @@ def test_a_reserve_divides_friction(scenes: Any, reserve: float) -> None:
     for offset, rests in ((-3e-3, True), (3e-3, False)):
         slope = scenes.slope(np.arctan(0.55 / reserve) + offset, friction=0.55)
         of, last = settings(HoldSettings(), reserve), complete_state(slope.boundary)
-        assert Stability(slope, of).verdicts(last, require_certificate=True).stable[0] == rests
+        assert StabilityOracle(slope, of).verdicts(last, require_certificate=True).stable[0] == rests
         states = np.stack([np.where(last == 1, k, last) for k in (0, 2, 1)])
         assert Replayer(slope, of).replay(states).good == rests
 

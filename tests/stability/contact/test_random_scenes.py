@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from falsework.assembly.state import HELD, complete_state
-from falsework.stability import CpuSettings, Stability, StabilitySettings, Verdict
+from falsework.stability import CpuSettings, StabilityOracle, StabilitySettings, Verdict
 from falsework.stability.judges import settle
 
 
@@ -29,7 +29,7 @@ def compare(random_scenes: Any, seeds: range) -> tuple[int, int, int]:
             warnings.simplefilter("ignore")
             assembly = (random_scenes.row, random_scenes.slope)[seed % 2](rng)
         state = complete_state(assembly.boundary)[None]
-        oracle = Stability(assembly, settings)
+        oracle = StabilityOracle(assembly, settings)
         verdict = oracle.verdicts(state, require_certificate=True).verdict[0]
         assert oracle.replayer is not None
         replay = oracle.replayer.replay(np.concatenate([np.full_like(state, HELD), state])).stands[-1]

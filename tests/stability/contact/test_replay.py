@@ -16,9 +16,9 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
 from falsework.search import Plan, find_plans
-from falsework.search.find import task_of
+from falsework.search.find import make_task
 from falsework.search.plans.plan_replay import PlanReplay
-from falsework.stability import Replayer, ReplaySettings, Stability, StabilitySettings
+from falsework.stability import Replayer, ReplaySettings, StabilityOracle, StabilitySettings
 from falsework.stability.contact.replay import replay_plans
 from falsework.stability.contact.varied_replay import replay_varied
 from falsework.stability.judges import replay_by_discrete_elements
@@ -26,7 +26,7 @@ from falsework.stability.judges import replay_by_discrete_elements
 
 def plan_states(assembly: Assembly, robots: int = 2) -> NDArray[np.uint8]:
     """States of a plan in the order of assembly; the search has replayed it."""
-    planning = find_plans(assembly, task_of(assembly, robots))
+    planning = find_plans(assembly, make_task(assembly, robots))
     assert planning.found
     return planning.plans[0].states
 
@@ -35,10 +35,10 @@ def replayed(assembly: Assembly, plan: Plan) -> PlanReplay:
     """Replay of a plan with its reserve and the robots and presses that it names."""
     settings = StabilitySettings(reserve=plan.claim.reserve, holds=plan.claim.holds)
     found = Replayer(assembly, settings).replay(plan.states, presses=plan.presses_before)
-    return replace(PlanReplay.of(found), varied=plan.claim.reserve > 1)
+    return replace(PlanReplay.from_replay(found), varied=plan.claim.reserve > 1)
 
 
-class Forgetful(Stability):
+class Forgetful(StabilityOracle):
     """The criterion state by state, without history."""
 
     @property
@@ -112,7 +112,7 @@ def test_discrete_elements_agree_on_a_plan(dome: Assembly, dome_states: NDArray)
 @pytest.mark.parametrize("name", ["arch:blocks=9", "wall:bricks=3,courses=4", "corbel", "bottle", "dome"])
 def test_plans_are_delivered_only_where_their_replay_stands(name: str) -> None:
     assembly = library.build(name)
-    planning = find_plans(assembly, task_of(assembly, 2))
+    planning = find_plans(assembly, make_task(assembly, 2))
     assert planning.found
     (plan,) = planning.plans
     assert plan.replay is not None
@@ -125,7 +125,7 @@ def test_a_search_that_forgets_histories_finds_the_same_plan(
 ) -> None:
     """Only the histories of a few levels fit into memory; the others are computed anew."""
     monkeypatch.setattr("falsework.search.beam.histories._HISTORY_BYTES", 1 << 16)
-    (plan,) = find_plans(dome, task_of(dome, 2)).plans
+    (plan,) = find_plans(dome, make_task(dome, 2)).plans
     assert (plan.states == dome_states).all()
     assert plan.replay == replayed(dome, plan)
 
@@ -133,7 +133,7 @@ def test_a_search_that_forgets_histories_finds_the_same_plan(
 def test_history_fells_a_plan_whose_states_all_stand() -> None:
     """The vault's plan without history: every state stands from rest, and the replay falls; discrete elements agree."""
     vault = library.build("vault")
-    planning = find_plans(vault, task_of(vault, 2), oracle=Forgetful(vault))
+    planning = find_plans(vault, make_task(vault, 2), oracle=Forgetful(vault))
     states = planning.plans[0].states
     replay = Replayer(vault).replay(states)
     assert not replay.good

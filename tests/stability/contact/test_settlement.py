@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from falsework.assembly.model import Assembly
-from falsework.stability import Stability, StabilitySettings, Verdict, verify_certificates
+from falsework.stability import StabilityOracle, StabilitySettings, Verdict, verify_certificates
 from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.gpu.solver import GpuSolver
@@ -75,7 +75,7 @@ STAND = (stone_on_shims, stones_on_shims, stone_beside_a_wall)
 def test_stands_on_bearings_of_any_size(scenes: Any, scene: Callable[..., Assembly], width: float) -> None:
     assembly = scene(scenes, width)
     state = complete(assembly)
-    verdicts = Stability(assembly).verdicts(state, require_certificate=True)
+    verdicts = StabilityOracle(assembly).verdicts(state, require_certificate=True)
     assert verdicts.stable.all()
     assert verify_certificates(assembly, state, verdicts, CONTACT.claim).all()
 
@@ -83,7 +83,7 @@ def test_stands_on_bearings_of_any_size(scenes: Any, scene: Callable[..., Assemb
 @pytest.mark.parametrize("width", [0.005, 0.1])
 def test_slides_on_bearings_of_any_size(scenes: Any, width: float) -> None:
     assembly = stone_on_slope(scenes, width)
-    assert Stability(assembly).verdicts(complete(assembly), require_certificate=True).verdict[0] in (
+    assert StabilityOracle(assembly).verdicts(complete(assembly), require_certificate=True).verdict[0] in (
         Verdict.SLIDES,
         Verdict.UNSTABLE,
     )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.joints import Joints
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
-from falsework.stability import Stability, Verdict, Verdicts, verify_certificates
+from falsework.stability import StabilityOracle, Verdict, Verdicts, verify_certificates
 from falsework.stability.cpu import solver as cpu_solver
 from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.solver import CpuSolver, kernel_options
@@ -31,7 +31,7 @@ def _centre(solver: CpuSolver, states: NDArray, parents: NDArray, forces: NDArra
 
 
 def _with_forces(vault: Assembly, states: NDArray, forces: NDArray) -> Verdicts:
-    checked = Stability(vault, EQUILIBRIUM).verdicts(states, require_certificate=True)
+    checked = StabilityOracle(vault, EQUILIBRIUM).verdicts(states, require_certificate=True)
     assert checked.forces is not None
     checked.forces[:] = forces
     return checked
@@ -64,7 +64,7 @@ def test_centred_forces_prove_the_state_and_the_next(
     stands, moved = _centre(solver, after, parents, start)
     assert stands.any()
     assert (
-        Stability(vault, EQUILIBRIUM).verdicts(after, require_certificate=True).verdict[stands] == Verdict.STABLE
+        StabilityOracle(vault, EQUILIBRIUM).verdicts(after, require_certificate=True).verdict[stands] == Verdict.STABLE
     ).all()
     assert ((moved != start).any(axis=2)[stands].mean(axis=1) < 0.5).any()
 
@@ -73,9 +73,9 @@ def test_centred_forces_prove_the_state_and_the_next(
 @pytest.mark.parametrize("glued", [True, False])
 def test_verdicts_along_random_orders_are_the_same(vault: Assembly, cone: Cone, glued: bool) -> None:
     """Also where contacts pull, so that forces are not kept inside their cones."""
-    vault = vault.replace(joints=Joints.of(vault.contacts, tension=1.0)) if glued else vault
+    vault = vault.replace(joints=Joints.from_arrays(vault.contacts, tension=1.0)) if glued else vault
     settings = replace(EQUILIBRIUM, cone=cone)
-    plain, centred = Stability(vault, settings), Stability(vault, settings)
+    plain, centred = StabilityOracle(vault, settings), StabilityOracle(vault, settings)
     rng = np.random.default_rng(0)
     seen = []
     for _ in range(3):
@@ -97,7 +97,7 @@ def test_verdicts_along_random_orders_are_the_same(vault: Assembly, cone: Cone, 
 
 
 def test_what_repairs_leave_open_is_decided_on_the_whole(vault: Assembly, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cpu_solver, "fall_range", lambda *arguments: len(arguments[1]))
+    monkeypatch.setattr(cpu_solver, "local_instability_range", lambda *arguments: len(arguments[1]))
     monkeypatch.setattr(cpu_solver, "repair_range", lambda *arguments: len(arguments[1]))
     parent = complete_state(vault.boundary)
     states = np.repeat(parent[None], 2, axis=0)

@@ -9,7 +9,7 @@ import pytest
 
 from falsework.assembly.model import Assembly, ContactWarning
 from falsework.geometry import TriangleMesh
-from falsework.stability import ExactSolver, Stability, Verdict
+from falsework.stability import ExactSolver, StabilityOracle, Verdict
 from falsework.stability.settings import EQUILIBRIUM
 
 ROOF = [(0, 1, 2), (3, 5, 4), (0, 3, 4), (0, 4, 1), (1, 4, 5), (1, 5, 2), (2, 5, 3), (2, 3, 0)]
@@ -34,7 +34,7 @@ def verdict(parts: list[TriangleMesh], boundary: list[int], **options: Any) -> V
     with pytest.warns(ContactWarning):
         assembly = Assembly.from_meshes(parts, boundary=boundary, **options)
     state = np.where(assembly.boundary, 2, 1)
-    found = Stability(assembly, EQUILIBRIUM).verdicts(state, require_certificate=True)
+    found = StabilityOracle(assembly, EQUILIBRIUM).verdicts(state, require_certificate=True)
     exact = ExactSolver(assembly).check(state)
     assert int(found.verdict[0]) == int(exact.verdict[0]) != Verdict.UNDECIDED
     return Verdict(int(found.verdict[0]))

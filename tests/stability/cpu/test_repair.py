@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
-from falsework.stability import Stability, Verdict, verify_certificates
-from falsework.stability.cpu.neighbourhood import extend_region, hold_beside_corridor
+from falsework.stability import StabilityOracle, Verdict, verify_certificates
+from falsework.stability.cpu.neighbourhood import extend_region, freeze_outside_corridor
 from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.solver import CpuSolver, kernel_options
 from falsework.stability.problem import build_problem
@@ -58,7 +58,7 @@ def test_corridors_lead_from_the_change_to_a_support(vault: Assembly, released: 
         links[a].add(b)
         links[b].add(a)
     for state, parent in zip(states, before, strict=True):
-        kept, free = hold_beside_corridor(structure, state, parent, 0, near)
+        kept, free = freeze_outside_corridor(structure, state, parent, 0, near)
         assert free == (state == INSTALLED).sum()
         corridor = set(np.flatnonzero(near == INSTALLED).tolist())
         assert len(corridor) == kept
@@ -79,7 +79,7 @@ def test_regions_are_extended_where_they_press(vault: Assembly, released: tuple[
     velocity = np.zeros((len(structure.elimination.order), 6))
     velocity[:, 2] = -1.0
     for state, parent, force in zip(states, before, forces, strict=True):
-        kept, _ = hold_beside_corridor(structure, state, parent, 0, region)
+        kept, _ = freeze_outside_corridor(structure, state, parent, 0, region)
         near[:], wider[:] = region, region
         more = extend_region(structure, state, near, velocity, force, 1)
         assert more == (near == INSTALLED).sum() >= kept
@@ -105,7 +105,7 @@ def test_corridors_lead_to_a_held_part_where_none_leads_to_a_support(vault: Asse
     parent[[carried, held]] = HELD
     state = parent.copy()
     state[carried] = INSTALLED
-    kept, free = hold_beside_corridor(structure, state, parent, 0, near)
+    kept, free = freeze_outside_corridor(structure, state, parent, 0, near)
     assert 0 < kept < free
     pairs = structure.pair_parts
     inside = near[pairs] == INSTALLED
@@ -114,15 +114,17 @@ def test_corridors_lead_to_a_held_part_where_none_leads_to_a_support(vault: Asse
 
 def test_forces_of_another_state_do_not_mislead(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
     states, before = released
-    oracle = Stability(vault, EQUILIBRIUM)
+    oracle = StabilityOracle(vault, EQUILIBRIUM)
     oracle.verdicts(before, require_certificate=True)
     found = oracle.verdicts(states, near=before[::-1].copy(), require_certificate=True)
-    assert (found.verdict == Stability(vault, EQUILIBRIUM).verdicts(states, require_certificate=True).verdict).all()
+    assert (
+        found.verdict == StabilityOracle(vault, EQUILIBRIUM).verdicts(states, require_certificate=True).verdict
+    ).all()
     assert verify_certificates(vault, states, found, EQUILIBRIUM.claim).all()
 
 
 def test_forces_are_passed_on_by_holds(vault: Assembly) -> None:
-    oracle, complete = Stability(vault, EQUILIBRIUM), complete_state(vault.boundary)
+    oracle, complete = StabilityOracle(vault, EQUILIBRIUM), complete_state(vault.boundary)
     held = np.repeat(complete[None], 3, axis=0)
     parts = np.flatnonzero(complete == INSTALLED)[[0, 5, 9]]
     for row in range(3):
@@ -134,7 +136,7 @@ def test_forces_are_passed_on_by_holds(vault: Assembly) -> None:
 
 
 def test_forces_are_kept_as_they_were_accepted(vault: Assembly) -> None:
-    oracle, complete = Stability(vault, EQUILIBRIUM), complete_state(vault.boundary)
+    oracle, complete = StabilityOracle(vault, EQUILIBRIUM), complete_state(vault.boundary)
     assert oracle.verdicts(complete[None], near=complete[None]).stable.all()
     kept = oracle._guesses._memory.get(complete.tobytes())
     assert kept is not None
@@ -157,4 +159,4 @@ def test_parts_that_touch_nothing_present_are_left_open(vault: Assembly) -> None
     parent = np.where(state == INSTALLED, HELD, state).astype(np.uint8)
     found = solver.check(state[None], certificates=False, parents=parent[None], guess=guess)
     assert not found.stable[0]
-    assert Stability(vault, EQUILIBRIUM).verdicts(state, require_certificate=True).unstable[0]
+    assert StabilityOracle(vault, EQUILIBRIUM).verdicts(state, require_certificate=True).unstable[0]

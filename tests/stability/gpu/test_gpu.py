@@ -16,7 +16,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
 from falsework.stability import (
     Solver,
-    Stability,
+    StabilityOracle,
     StabilitySettings,
     Verdict,
     build_problem,
@@ -257,16 +257,16 @@ def test_oracle_sends_large_batches_to_the_gpu_and_small_ones_to_the_processor(m
     states = rng.integers(0, 3, (60, assembly.part_count)).astype(np.uint8)
     states[:, assembly.boundary] = 2
     states = np.unique(states, axis=0)
-    auto = Stability(assembly, StabilitySettings(criterion, solver="auto"))
-    expected = Stability(assembly, StabilitySettings(criterion)).verdicts(states, require_certificate=True)
+    auto = StabilityOracle(assembly, StabilitySettings(criterion, solver="auto"))
+    expected = StabilityOracle(assembly, StabilitySettings(criterion)).verdicts(states, require_certificate=True)
     np.testing.assert_array_equal(auto.verdicts(states).verdict, expected.verdict)
     assert auto.counters.gpu == len(states)
-    fresh = Stability(assembly, StabilitySettings(criterion, solver="auto"))
+    fresh = StabilityOracle(assembly, StabilitySettings(criterion, solver="auto"))
     np.testing.assert_array_equal(fresh.verdicts(states[:2]).verdict, expected.verdict[:2])
     assert (fresh.counters.gpu, fresh.counters.cpu) == (0, 2)
     np.testing.assert_array_equal(fresh.verdicts(states, require_certificate=True).verdict, expected.verdict)
     parents = np.where(assembly.boundary, 2, 1).astype(np.uint8)[None].repeat(len(states), axis=0)
-    only = Stability(assembly, StabilitySettings(criterion, solver="gpu"))
+    only = StabilityOracle(assembly, StabilitySettings(criterion, solver="gpu"))
     np.testing.assert_array_equal(only.verdicts(states, near=parents).stable, expected.stable)
     assert only.counters.cpu == 0
 
@@ -278,8 +278,8 @@ def test_oracle_without_a_gpu_says_so_or_takes_the_processor(monkeypatch):
     monkeypatch.setattr(solvers, "GpuSolver", missing)
     assembly = library.build("arch:blocks=5")
     state = np.where(assembly.boundary, 2, 1).astype(np.uint8)[None].repeat(9, axis=0)
-    auto = Stability(assembly, StabilitySettings(solver="auto"))
+    auto = StabilityOracle(assembly, StabilitySettings(solver="auto"))
     assert auto.verdicts(state).stable.all()
     assert auto.counters.gpu == 0
     with pytest.raises(DependencyError, match=r"falsework\[gpu\]"):
-        Stability(assembly, StabilitySettings(solver="gpu"))
+        StabilityOracle(assembly, StabilitySettings(solver="gpu"))

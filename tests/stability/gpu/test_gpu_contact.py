@@ -13,7 +13,7 @@ import pytest
 from falsework.assembly import library, load_structure
 from falsework.assembly.model import Assembly
 from falsework.search.device.oracle import DeviceOracle
-from falsework.stability import Proof, Stability, StabilitySettings, Verdict, build_problem, verify_certificates
+from falsework.stability import Proof, StabilityOracle, StabilitySettings, Verdict, build_problem, verify_certificates
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
@@ -150,10 +150,10 @@ def test_what_the_gpu_leaves_open_is_settled_on_the_processor(scenes: Any, on_ho
             return tuple(torch.from_numpy(each) for each in on_host(assembly, tired).check_tensor(given.numpy()))
 
     oracle = DeviceOracle.__new__(DeviceOracle)
-    oracle._solver, oracle._fallback = OnTensors(), Stability(assembly, tired)  # type: ignore[assignment]
+    oracle._solver, oracle._fallback = OnTensors(), StabilityOracle(assembly, tired)  # type: ignore[assignment]
     given = torch.from_numpy(states)
     alone = oracle.without_fallback()(given, given).numpy()
-    expected = Stability(assembly).verdicts(states, require_certificate=True).verdict
+    expected = StabilityOracle(assembly).verdicts(states, require_certificate=True).verdict
     assert (alone == Verdict.UNDECIDED).any()
     assert not (alone == Verdict.SLIDES).any()
     np.testing.assert_array_equal(oracle(given, given).numpy(), expected)

@@ -17,7 +17,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError, StateError
 from falsework.search import find_plans
-from falsework.stability import Stability, StabilitySettings, Verdict
+from falsework.stability import StabilityOracle, StabilitySettings, Verdict
 from falsework.stability.holds import HoldMode, HoldSettings, Press
 from falsework.stability.judges import (
     BuildJudge,
@@ -70,7 +70,7 @@ def test_nothing_makes_two_walls_press_a_block(scenes: Any) -> None:
     clamp = scenes.clamp(friction=0.55)
     state = complete_state(clamp.boundary)
     assert (
-        Stability(clamp, StabilitySettings(criterion="equilibrium"))
+        StabilityOracle(clamp, StabilitySettings(criterion="equilibrium"))
         .verdicts(state, require_certificate=True)
         .verdict[0]
         == Verdict.STABLE
@@ -283,7 +283,7 @@ def test_what_rests_is_in_equilibrium(scenes: Any, name: str) -> None:
     assembly = library.build(name)
     states = scenes.random_states(assembly, 30, seed=5, shares=(0.05, 0.85, 0.1))
     settling = settle(assembly, states)
-    verdicts = Stability(assembly).verdicts(states, require_certificate=True).verdict
+    verdicts = StabilityOracle(assembly).verdicts(states, require_certificate=True).verdict
     assert (settling.stands != OPEN).all()
     assert (verdicts[settling.stands == STANDS] == Verdict.STABLE).all()
     assert (settling.stands == STANDS).any()
@@ -316,7 +316,7 @@ def test_a_state_rests_with_the_forces_that_prove_it(shared_assembly: Callable[[
     """Also where gravity on the unstressed structure makes parts slide far before they stop."""
     assembly = load_structure(str(shared_assembly("dome-37")))
     states = find_plans(assembly, forces=False).plans[0].states[::9]
-    verdicts = Stability(assembly).verdicts(states, require_certificate=True)
+    verdicts = StabilityOracle(assembly).verdicts(states, require_certificate=True)
     assert verdicts.stable.all()
     found = settle(assembly, states, forces=verdicts.forces)
     assert (found.stands == 1).all()

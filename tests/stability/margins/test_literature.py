@@ -11,7 +11,7 @@ from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.state import complete_state
 from falsework.geometry import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 
 _DEPTH = 40.0
 """Across the span, m: so wide that the structure fails in its plane."""
@@ -58,7 +58,7 @@ def test_the_arch_of_oppenheim(settings: StabilitySettings) -> None:
     Dynamics 21 (1992) 1005-1017; taken up by De Lorenzis, DeJong and Ochsendorf, ibid. 36 (2007) 2119-2136.
     """
     arch = circular_arch(10.0, 1.5, 157.5, 7)
-    (found,) = Stability(arch, settings).margins(complete_state(arch.boundary), ("horizontal",))
+    (found,) = StabilityOracle(arch, settings).margins(complete_state(arch.boundary), ("horizontal",))
     assert found.horizontal is not None
     assert found.horizontal.proven
     assert found.horizontal.value == pytest.approx(0.37, rel=0.01)
@@ -113,7 +113,7 @@ def test_the_walls_of_ferris_and_tin_loi(name: str) -> None:
     courses, factor = _WALLS[name]
     wall = block_wall(courses)
     limit, without = (
-        Stability(wall, settings).margins(complete_state(wall.boundary), ("horizontal",))[0].horizontal
+        StabilityOracle(wall, settings).margins(complete_state(wall.boundary), ("horizontal",))[0].horizontal
         for settings in (StabilitySettings(criterion="equilibrium", cone="quadratic"), StabilitySettings())
     )
     assert limit is not None

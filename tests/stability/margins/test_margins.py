@@ -10,7 +10,7 @@ import pytest
 from falsework.assembly import Joints, Loads, load_structure
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
-from falsework.stability import Bound, Stability, StabilitySettings, StateMargins, verify_certificates
+from falsework.stability import Bound, StabilityOracle, StabilitySettings, StateMargins, verify_certificates
 
 CRITERIA = (StabilitySettings(), StabilitySettings(criterion="equilibrium", cone="quadratic"))
 WITHIN = 0.011
@@ -20,7 +20,7 @@ WITHIN = 0.011
 def margins(assembly: Any, settings: StabilitySettings, *kinds: Any, state: Any = None) -> StateMargins:
     """Margins of one state, by default the complete structure, with both ends of every bound checked."""
     state = complete_state(assembly.boundary) if state is None else np.array(state, np.uint8)
-    (found,) = Stability(assembly, settings).margins(state, kinds or None)
+    (found,) = StabilityOracle(assembly, settings).margins(state, kinds or None)
     for bound in (found.friction, found.tilt, found.horizontal, found.load_factor, found.push):
         if bound is not None:
             prove(assembly, settings, state, bound)
@@ -29,7 +29,7 @@ def margins(assembly: Any, settings: StabilitySettings, *kinds: Any, state: Any 
 
 def prove(assembly: Any, settings: StabilitySettings, state: Any, bound: Bound) -> None:
     """Both proofs hold for the structure under the conditions of the bound, which lie within 1 % of each other."""
-    inside = bound.inside_condition.of(assembly)
+    inside = bound.inside_condition.applied_to(assembly)
     assert bound.inside_proof.stable[0]
     assert verify_certificates(inside, state[None], bound.inside_proof, settings.claim)[0]
     if bound.outside is not None and bound.value is not None:
@@ -37,7 +37,7 @@ def prove(assembly: Any, settings: StabilitySettings, state: Any, bound: Bound) 
         assert bound.outside_proof is not None
         assert not bound.outside_proof.stable[0]
         assert verify_certificates(
-            bound.outside_condition.of(assembly), state[None], bound.outside_proof, settings.claim
+            bound.outside_condition.applied_to(assembly), state[None], bound.outside_proof, settings.claim
         )[0]
         assert abs(bound.outside - bound.value) <= WITHIN * abs(bound.value)
     assert bound.proven
@@ -70,12 +70,12 @@ def test_a_block_on_a_slope(scenes: Any, settings: StabilitySettings, slope: flo
 def test_friction_of_joints_decreases_in_proportion(scenes: Any, settings: StabilitySettings) -> None:
     """A block on a slope whose joint has half of the structure's friction needs twice tan a of the structure."""
     block = scenes.slope(0.2, friction=1.0)
-    glued = block.replace(joints=Joints.of(block.contacts, friction=0.5))
+    glued = block.replace(joints=Joints.from_arrays(block.contacts, friction=0.5))
     found = margins(glued, settings, "friction", "tilt")
     assert near(found.friction, 2 * np.tan(0.2))
     assert near(found.tilt, np.arctan(0.5) - 0.2)
     alone = scenes.slope(0.2, friction=0.0)
-    alone = alone.replace(joints=Joints.of(alone.contacts, friction=0.5))
+    alone = alone.replace(joints=Joints.from_arrays(alone.contacts, friction=0.5))
     assert margins(alone, settings, "friction").friction is None  # no coefficient to compare with
 
 
@@ -104,17 +104,17 @@ def test_an_overhang_bears_so_much_more_weight(scenes: Any) -> None:
     weight = 9.81 * plain.mass.mass[1]
     wrench = np.zeros((3, 6))
     wrench[1, 2], wrench[1, 4] = -0.05 * weight, 0.05 * weight * 0.4  # 0.4 m from the middle, outwards
-    loaded = plain.replace(loads=Loads.of(3, wrench=wrench))
+    loaded = plain.replace(loads=Loads.from_arrays(3, wrench=wrench))
     for settings in CRITERIA:
         assert margins(plain, settings, "load_factor").load_factor.value is None  # type: ignore[union-attr]
-        (found,) = Stability(loaded, settings).margins([[1, 1, 2]], ("load_factor",))
+        (found,) = StabilityOracle(loaded, settings).margins([[1, 1, 2]], ("load_factor",))
         assert found.stands
     # The middle of the slab lies 0.1 m inside the edge: a load at 0.3 m outside it may be a third of the weight.
     for share, stands in ((0.33, True), (0.34, False)):
         wrench = np.zeros((3, 6))
         wrench[1, 2], wrench[1, 4] = -share * weight, share * weight * 0.4
-        heavy = plain.replace(loads=Loads.of(3, wrench=wrench))
-        assert Stability(heavy).margins([[1, 1, 2]], ("friction",))[0].stands == stands
+        heavy = plain.replace(loads=Loads.from_arrays(3, wrench=wrench))
+        assert StabilityOracle(heavy).margins([[1, 1, 2]], ("friction",))[0].stands == stands
 
 
 def test_an_arch_of_least_thickness_has_no_margin() -> None:
@@ -168,7 +168,7 @@ def test_a_held_block_carries_a_moment(scenes: Any) -> None:
 
 def test_the_polygon_of_a_slope(scenes: Any) -> None:
     """Downhill a block bears least, uphill most, and across it what the circle of friction leaves."""
-    (found,) = Stability(scenes.slope(0.2, friction=0.5)).margins([[1, 2]], ("polygon", "tilt"))
+    (found,) = StabilityOracle(scenes.slope(0.2, friction=0.5)).margins([[1, 2]], ("polygon", "tilt"))
     assert found.polygon is not None
     assert found.tilt is not None
     limit = np.arctan(0.5)
@@ -182,7 +182,7 @@ def test_supports_sink_as_far_as_parts_can_follow(scenes: Any) -> None:
     """A beam on three piers: an outer pier may sink until the beam lies on the other two, a middle one at once."""
     piers = [scenes.box([x, 0, -1], [x + 1, 1, 0], f"pier-{x}") for x in (0, 2, 4)]
     beam = scenes.make([scenes.box([0, 0, 0], [5, 1, 0.5], "beam"), *piers], [1, 2, 3])
-    (found,) = Stability(beam).margins([[1, 2, 2, 2]], ("settlement",))
+    (found,) = StabilityOracle(beam).margins([[1, 2, 2, 2]], ("settlement",))
     depths = dict(found.settlement)
     assert set(depths) == {1, 2, 3}
     assert depths[2] is None
@@ -190,7 +190,7 @@ def test_supports_sink_as_far_as_parts_can_follow(scenes: Any) -> None:
 
 def test_states_of_a_batch_have_margins_of_their_own(scenes: Any) -> None:
     tower = scenes.tower(2, friction=0.9)
-    both = Stability(tower).margins([[1, 1, 2], [1, 0, 2], [2, 2, 2]], ("tilt",))
+    both = StabilityOracle(tower).margins([[1, 1, 2], [1, 0, 2], [2, 2, 2]], ("tilt",))
     assert near(both[0].tilt, np.arctan(0.5))
     assert near(both[1].tilt, np.arctan(0.9))
     assert both[2].tilt is not None
@@ -199,9 +199,9 @@ def test_states_of_a_batch_have_margins_of_their_own(scenes: Any) -> None:
 
 def test_wrong_kinds(scenes: Any) -> None:
     with pytest.raises(InputError, match="unknown margin 'wind'; choose among friction"):
-        Stability(scenes.tower(1)).margins([[1, 2]], ("wind",))
+        StabilityOracle(scenes.tower(1)).margins([[1, 2]], ("wind",))
     with pytest.raises(InputError, match="equilibrium has no displacements"):
-        Stability(scenes.tower(1), CRITERIA[1]).margins([[1, 2]], ("settlement",))
+        StabilityOracle(scenes.tower(1), CRITERIA[1]).margins([[1, 2]], ("settlement",))
 
 
 @pytest.mark.parametrize("settings", CRITERIA, ids=lambda settings: settings.criterion)
@@ -223,7 +223,7 @@ def test_large_loads_need_no_exact_solver(monkeypatch: pytest.MonkeyPatch) -> No
     state = complete_state(arch.boundary)
     state[[2, 4, 6]] = 2
     settings = StabilitySettings(criterion="equilibrium")
-    oracle = Stability(arch, settings)
+    oracle = StabilityOracle(arch, settings)
     asked: list[Any] = []
     exact = type(oracle.prober)._exact
     monkeypatch.setattr(type(oracle.prober), "_exact", lambda *given: (asked.append(given[2]), exact(*given))[1])
@@ -235,13 +235,13 @@ def test_large_loads_need_no_exact_solver(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_iterations_that_end_undecided_are_continued(monkeypatch: pytest.MonkeyPatch) -> None:
     arch = load_structure("arch:blocks=7")
-    state, prober = complete_state(arch.boundary), Stability(arch).prober
+    state, prober = complete_state(arch.boundary), StabilityOracle(arch).prober
     assert prober.ask(state, prober.own()).stands
     monkeypatch.setattr(prober, "_contact_options", prober._contact_options._replace(steps=2))
     continued = prober.ask(state, prober.own())
     assert continued.stands
     assert prober.certify(state, continued).stable[0]
-    assert prober.go_on(state, continued) is continued
+    assert prober.refine(state, continued) is continued
     monkeypatch.setattr(prober, "_further_options", prober._further_options._replace(warm_steps=0))
     undecided = prober.ask(state, prober.own())
     assert not undecided.stands
@@ -252,7 +252,7 @@ def test_iterations_that_end_undecided_are_continued(monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize("settings", CRITERIA, ids=lambda settings: settings.criterion)
 def test_a_deadline_leaves_what_has_been_proven(settings: StabilitySettings) -> None:
     dome = load_structure("dome")
-    oracle, state = Stability(dome, settings), complete_state(dome.boundary)
+    oracle, state = StabilityOracle(dome, settings), complete_state(dome.boundary)
     (found,) = oracle.margins(state, ("friction", "tilt", "push"), deadline=1e-9)
     assert found.stands
     assert set(found.unfinished) == {"friction", "tilt", "push"}
@@ -270,11 +270,11 @@ def test_a_deadline_leaves_what_has_been_proven(settings: StabilitySettings) -> 
 
 
 def test_a_deadline_that_is_kept_cuts_nothing(scenes: Any) -> None:
-    (found,) = Stability(scenes.tower(2, friction=0.9)).margins([[1, 1, 2]], deadline=600.0)
+    (found,) = StabilityOracle(scenes.tower(2, friction=0.9)).margins([[1, 1, 2]], deadline=600.0)
     assert found.unfinished == ()
     assert near(found.tilt, np.arctan(0.5))
 
 
 def test_a_deadline_of_nothing(scenes: Any) -> None:
     with pytest.raises(InputError, match="a deadline of 0 s leaves no time"):
-        Stability(scenes.tower(1)).margins([[1, 2]], deadline=0.0)
+        StabilityOracle(scenes.tower(1)).margins([[1, 2]], deadline=0.0)

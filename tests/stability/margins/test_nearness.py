@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from falsework.assembly.state import complete_state
-from falsework.stability import Stability, StabilitySettings
+from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.stability.margins.nearness import nearness_to_limit
 
 
 def nearness(assembly: Any) -> np.ndarray:
     state = complete_state(assembly.boundary)
-    verdicts = Stability(assembly, StabilitySettings(criterion="equilibrium", cone="quadratic")).verdicts(
+    verdicts = StabilityOracle(assembly, StabilitySettings(criterion="equilibrium", cone="quadratic")).verdicts(
         state, require_certificate=True
     )
     assert verdicts.stable[0]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from falsework.assembly import load_structure
-from falsework.stability import Replayer, Stability, StabilitySettings
+from falsework.stability import Replayer, StabilityOracle, StabilitySettings
 from falsework.stability.holds import HoldSettings
 from falsework.stability.margins.conditions import Condition
 
@@ -22,7 +22,7 @@ def test_replays_come_to_rest_inside_and_fall_outside(name: str, kind: str) -> N
     """Parts are removed and held at random; the same answer must come of a replay in which loads grow slowly."""
     random = np.random.default_rng(sum(map(ord, name + kind)))
     assembly, looked_at = load_structure(name, friction=0.6), 0
-    oracle = Stability(assembly)
+    oracle = StabilityOracle(assembly)
     for _ in range(8):
         state = random.choice(3, assembly.part_count, p=(0.15, 0.75, 0.1)).astype(np.uint8)
         state[assembly.boundary] = 2
@@ -34,7 +34,7 @@ def test_replays_come_to_rest_inside_and_fall_outside(name: str, kind: str) -> N
         for at, sign, rests in ((bound.inside_condition, -1, True), (bound.outside_condition, 1, False)):
             share = 1 + sign * BESIDE
             friction = at.friction / share if kind == "friction" else at.friction
-            changed = Condition(friction, (1.0 if kind == "friction" else share) * at.extra).of(assembly)
+            changed = Condition(friction, (1.0 if kind == "friction" else share) * at.extra).applied_to(assembly)
             assert (Replayer(changed, RIGID).replay(state[None]).stands[0] == 1) == rests, (state, bound.value)
         looked_at += 1
     assert looked_at or kind == "friction"

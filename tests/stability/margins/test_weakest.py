@@ -39,7 +39,7 @@ class Families:
             self.probes[row] += 1
             stands = value < min(self.bounds[row], self.hidden.get(row, np.inf))
             self.fails[row] += not stands
-            answers.append(Answer(CONDITION, stands, quick=True))
+            answers.append(Answer(CONDITION, stands, coarse=True))
         return answers
 
     def confirm(self, row: int, value: float, _failed: Answer) -> tuple[float, Answer]:
@@ -70,7 +70,7 @@ class Families:
             assert bracket.inside == CAP
             return None
         assert bracket.fails is not None
-        assert not bracket.fails.quick  # confirmed
+        assert not bracket.fails.coarse  # confirmed
         return row, bracket.inside, bracket.outside
 
 

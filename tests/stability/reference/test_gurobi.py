@@ -11,7 +11,14 @@ import pytest
 from falsework.assembly import library
 from falsework.assembly.state import complete_state
 from falsework.errors import DependencyError, InputError
-from falsework.stability import ExactSolver, GurobiSolver, Solver, Stability, StabilitySettings, verify_certificates
+from falsework.stability import (
+    ExactSolver,
+    GurobiSolver,
+    Solver,
+    StabilityOracle,
+    StabilitySettings,
+    verify_certificates,
+)
 
 
 @pytest.fixture
@@ -32,7 +39,7 @@ def test_it_agrees_with_clarabel(scenes: Any, structure: str, cone: str) -> None
     assembly = library.build(structure)
     settings = StabilitySettings(criterion="equilibrium", cone=cone, solver="gurobi")  # type: ignore[arg-type]
     states = np.unique(scenes.few_changes(assembly, 12, seed=31), axis=0)
-    stability = Stability(assembly, settings)
+    stability = StabilityOracle(assembly, settings)
     verdicts = stability.verdicts(states, require_certificate=True)
     np.testing.assert_array_equal(verdicts.verdict, ExactSolver(assembly, settings).check(states).verdict)
     assert verify_certificates(assembly, states, verdicts, settings.claim).all()
@@ -60,4 +67,4 @@ def test_a_licence_that_is_too_small_is_named(cone: str) -> None:
 def test_a_missing_package_is_named(scenes: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gurobipy", None)
     with pytest.raises(DependencyError, match=r"pip install falsework\[gurobi\]"):
-        Stability(scenes.tower(1), StabilitySettings(criterion="equilibrium", solver="gurobi"))
+        StabilityOracle(scenes.tower(1), StabilitySettings(criterion="equilibrium", solver="gurobi"))

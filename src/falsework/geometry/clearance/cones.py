@@ -50,7 +50,7 @@ class Cones:
         return len(self.part)
 
     @classmethod
-    def half_spaces(cls, normals: Array, offset: float, parts: Sequence[int] | NDArray[np.integer]) -> Cones:
+    def from_half_spaces(cls, normals: Array, offset: float, parts: Sequence[int] | NDArray[np.integer]) -> Cones:
         """Return cones of one facet each: all directions with more than `offset` along a normal, shape (cones, 3)."""
         count = len(normals)
         return cls(
@@ -61,7 +61,7 @@ class Cones:
         )
 
     @classmethod
-    def joined(cls, several: Sequence[Cones]) -> Cones:
+    def concatenate(cls, several: Sequence[Cones]) -> Cones:
         """Return all cones of several sets."""
         sizes = np.concatenate([np.zeros(0, np.int64), *(np.diff(cones.start) for cones in several)])
         return cls(
@@ -71,7 +71,7 @@ class Cones:
             np.concatenate([np.zeros(0, np.int64), *(cones.part for cones in several)]),
         )
 
-    def of(self, parts: NDArray[np.integer]) -> Cones:
+    def take(self, parts: NDArray[np.integer]) -> Cones:
         """Return the cones of some parts only."""
         kept = np.isin(self.part, parts)
         rows = np.repeat(kept, np.diff(self.start))
@@ -93,7 +93,7 @@ class Pieces:
     """Directions of edges, as many for each piece, shape (pieces, edges, 3)."""
 
     @classmethod
-    def of(cls, mesh: TriangleMesh, vertices: Array, depth: float) -> Pieces:
+    def from_mesh(cls, mesh: TriangleMesh, vertices: Array, depth: float) -> Pieces:
         """Cover a shrunken part by convex pieces that lie inside the part.
 
         Where all vertices lie at least `depth` behind the planes of all faces, so does their convex hull, which is

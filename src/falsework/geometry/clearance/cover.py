@@ -62,7 +62,7 @@ class Triangles:
 
 
 def uncovered(
-    triangles: Triangles, cones: Cones, ways: NDArray[np.bool_], limit: int
+    triangles: Triangles, cones: Cones, exits: NDArray[np.bool_], limit: int
 ) -> tuple[Triangles, NDArray[np.bool_]] | None:
     """Return triangles in which a direction may be better than the known exit directions.
 
@@ -73,17 +73,17 @@ def uncovered(
     Args:
         triangles: triangles to be covered.
         cones: directions that parts block.
-        ways: blockers of each known exit direction, shape (ways, parts), with at most 64 blockers in all.
+        exits: blockers of each known exit direction, shape (exits, parts), with at most 64 blockers in all.
         limit: how often the sphere may be cut.
 
     Returns:
         The triangles that are not settled, and which of them have a centre that is not, shape (triangles,); None
         if that is too much work.
     """
-    named = np.flatnonzero(ways.any(axis=0))
-    bit = np.zeros(ways.shape[1], dtype=np.uint64)
+    named = np.flatnonzero(exits.any(axis=0))
+    bit = np.zeros(exits.shape[1], dtype=np.uint64)
     bit[named] = np.uint64(1) << np.arange(len(named), dtype=np.uint64)
-    masks = (ways * bit).sum(axis=1, dtype=np.uint64)
+    masks = (exits * bit).sum(axis=1, dtype=np.uint64)
     corners, cut, doubtful, whole = _uncovered(
         triangles.corners, triangles.cut, cones.facets, cones.offset, cones.start, bit[cones.part], masks, limit
     )
@@ -108,10 +108,10 @@ def _place(corners: Array, facets: Array, offset: Array) -> int:  # pragma: no c
 
 
 @njit(cache=True)
-def _explained(mask: np.uint64, ways: NDArray[np.uint64]) -> bool:  # pragma: no cover - compiled
+def _explained(mask: np.uint64, exits: NDArray[np.uint64]) -> bool:  # pragma: no cover - compiled
     found = False
-    for way in ways:
-        found |= way & ~mask == np.uint64(0)
+    for blockers in exits:
+        found |= blockers & ~mask == np.uint64(0)
     return found
 
 
@@ -123,7 +123,7 @@ def _uncovered(
     offset: Array,
     start: NDArray[np.int64],
     bits: NDArray[np.uint64],
-    ways: NDArray[np.uint64],
+    exits: NDArray[np.uint64],
     limit: int,
 ) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_], bool]:  # pragma: no cover - compiled
     """Return corners and cuts of the rest, whether its centres are not settled, and whether the work was completed."""
@@ -160,7 +160,7 @@ def _uncovered(
                     live[depth + 1, kept] = cone
                     kept += 1
             tests += lives[depth]
-            if _explained(mask, ways):
+            if _explained(mask, exits):
                 continue
             lives[depth + 1], held[depth + 1] = kept, mask
             centre = corners[0] + corners[1] + corners[2]
@@ -176,7 +176,7 @@ def _uncovered(
                         break
                 if inside:
                     mask |= bits[cone]
-            settled = _explained(mask, ways)
+            settled = _explained(mask, exits)
             if not settled or cut[root] + depth >= limit:
                 left.append(corners)
                 left_cut.append(cut[root] + depth)

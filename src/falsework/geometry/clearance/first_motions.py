@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.clearance.apart import feasible_velocities
 from falsework.geometry.clearance.locked import PartSet
+from falsework.geometry.clearance.relative_motions import feasible_velocities
 from falsework.geometry.contact.interfaces import Contacts
 
 Array = NDArray[np.float64]

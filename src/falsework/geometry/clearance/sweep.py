@@ -33,13 +33,13 @@ _BATCH = 125
 
 
 @dataclass(frozen=True, eq=False)
-class Ways:
+class Exits:
     """Exit directions of one part, or of several that move together, with the parts that block them."""
 
     directions: Array
-    """Unit vectors, shape (ways, 3)."""
+    """Unit vectors, shape (exits, 3)."""
     blockers: Mask
-    """Shape (ways, parts)."""
+    """Shape (exits, parts)."""
 
 
 class Sweeper:
@@ -85,13 +85,13 @@ class Sweeper:
         free, hit = self._known_together(moving, directions)
         if others is not None:
             free |= ~(hit | others)
-        for way in np.flatnonzero((~free & ~hit).any(axis=1)).tolist():
+        for ray in np.flatnonzero((~free & ~hit).any(axis=1)).tolist():
             walls: dict[tuple[int, int], Body] = {}
-            for other in np.flatnonzero(~free[way] & ~hit[way]).tolist():
-                hit[way, other] = self._meets(moving, other, directions[way], walls)
+            for other in np.flatnonzero(~free[ray] & ~hit[ray]).tolist():
+                hit[ray, other] = self._meets(moving, other, directions[ray], walls)
         return hit
 
-    def least_blocked(self, part: int | Sequence[int], directions: Array, known: Ways | None = None) -> Ways:
+    def least_blocked(self, part: int | Sequence[int], directions: Array, known: Exits | None = None) -> Exits:
         """Return the directions that no other beats: those whose blockers do not include all blockers of another.
 
         A direction is discarded as soon as its known blockers include those of one already found, so that most sweeps
@@ -105,36 +105,36 @@ class Sweeper:
         Returns:
             The remaining known exit directions, then the new ones, in the given order.
         """
-        found = Ways(np.zeros((0, 3)), np.zeros((0, len(self._meshes)), dtype=bool)) if known is None else known
+        found = Exits(np.zeros((0, 3)), np.zeros((0, len(self._meshes)), dtype=bool)) if known is None else known
         moving = _members(part)
         rank = np.arange(-len(found.directions), 0)
         rows = found.blockers
-        ways = found.directions
+        exits = found.directions
         for start in range(0, len(directions), _BATCH):
             batch = directions[start : start + _BATCH]
             free, hit = self._known_together(moving, batch)
-            for way in np.argsort(hit.sum(axis=1), kind="stable").tolist():
-                row = hit[way]
+            for ray in np.argsort(hit.sum(axis=1), kind="stable").tolist():
+                row = hit[ray]
                 walls: dict[tuple[int, int], Body] = {}
                 beaten = includes_one(row, rows)
-                others = np.flatnonzero(~free[way] & ~row)
+                others = np.flatnonzero(~free[ray] & ~row)
                 # First the blockers of the exits already found: they most likely show that this one is no better.
                 for other in others[np.argsort(-rows.sum(axis=0)[others], kind="stable")].tolist():
                     if beaten:
                         break
-                    if self._meets(moving, other, batch[way], walls):
+                    if self._meets(moving, other, batch[ray], walls):
                         row[other] = True
                         beaten = includes_one(row, rows)
                 if beaten:
                     continue
                 kept = ~(rows | ~row).all(axis=1)
-                rank = np.append(rank[kept], start + way)
-                ways = np.concatenate([ways[kept], batch[way, None]])
+                rank = np.append(rank[kept], start + ray)
+                exits = np.concatenate([exits[kept], batch[ray, None]])
                 rows = np.concatenate([rows[kept], row[None]])
                 if not row.any():
-                    return Ways(ways, rows)
+                    return Exits(exits, rows)
         order = np.argsort(rank)
-        return Ways(ways[order], rows[order])
+        return Exits(exits[order], rows[order])
 
     def cones(self, part: int | Sequence[int], others: NDArray[np.integer]) -> Cones:
         """Return cones of directions in which the part, or one of several, is blocked by some of the other parts.
@@ -149,9 +149,9 @@ class Sweeper:
                     (self._contacts.parts[:, side] == member) & np.isin(self._contacts.parts[:, 1 - side], others)
                 )
                 neighbours = self._contacts.parts[mine, 1 - side]
-                several.append(Cones.half_spaces(sign * self._contacts.normals[mine], INTO, neighbours))
+                several.append(Cones.from_half_spaces(sign * self._contacts.normals[mine], INTO, neighbours))
             several += [self._cones_between(member, other) for other in others.tolist()]
-        return Cones.joined(several)
+        return Cones.concatenate(several)
 
     def _cones_between(self, part: int, other: int) -> Cones:
         """Return the cones between two parts; those of the last pairs are kept, since sets share them."""
@@ -166,7 +166,7 @@ class Sweeper:
     def _pieces(self, part: int, level: int) -> Pieces:
         if (part, level) not in self._convex:
             vertices = self._shape(part, level).vertices
-            self._convex[part, level] = Pieces.of(self._meshes[part], vertices, 0.5 * self._tolerance)
+            self._convex[part, level] = Pieces.from_mesh(self._meshes[part], vertices, 0.5 * self._tolerance)
         return self._convex[part, level]
 
     def _known_together(self, moving: Sequence[int], directions: Array) -> tuple[Mask, Mask]:

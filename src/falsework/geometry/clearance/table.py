@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.geometry.clearance.directions import exit_directions
-from falsework.geometry.clearance.exhaustion import all_ways
+from falsework.geometry.clearance.exhaustive_directions import all_exits
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -32,9 +32,9 @@ class ClearanceTable:
     """
 
     directions: Array
-    """Exit directions, unit vectors, shape (ways, 3)."""
+    """Exit directions, unit vectors, shape (exits, 3)."""
     blockers: NDArray[np.uint64]
-    """Parts that block each direction, one bit per part, lowest bit first, shape (ways, words)."""
+    """Parts that block each direction, one bit per part, lowest bit first, shape (exits, words)."""
     start: NDArray[np.int32]
     """Part `i` has the directions `start[i]:start[i + 1]`, shape (parts + 1,)."""
     exact: NDArray[np.bool_]
@@ -54,14 +54,14 @@ class ClearanceTable:
         Raises:
             InputError: states of another number of parts.
         """
-        return self._ways_out(states) >= 0
+        return self._first_exits(states) >= 0
 
     def exit_direction(self, state: NDArray[np.uint8], part: int) -> Array | None:
         """Return a unit vector along which the part leaves in a straight line, or None. `state` has shape (parts,)."""
-        way = self._ways_out(np.asarray(state)[None])[0, part]
-        return None if way < 0 else self.directions[way].copy()
+        row_of_exit = self._first_exits(np.asarray(state)[None])[0, part]
+        return None if row_of_exit < 0 else self.directions[row_of_exit].copy()
 
-    def doubt(self, parts: NDArray[np.bool_]) -> str:
+    def caveat(self, parts: NDArray[np.bool_]) -> str:
         """Explain why some of the parts, shape (parts,), may have unlisted exit directions; empty if all are exact."""
         unsure = np.flatnonzero(parts & ~self.exact)
         if not len(unsure):
@@ -71,12 +71,12 @@ class ClearanceTable:
             "and none was found that other parts do not block; another direction may be free"
         )
 
-    def _ways_out(self, states: NDArray[np.uint8]) -> NDArray[np.int32]:
+    def _first_exits(self, states: NDArray[np.uint8]) -> NDArray[np.int32]:
         parts = len(self.start) - 1
         if states.ndim != 2 or states.shape[1] != parts:
             raise InputError(f"states have shape {states.shape}; expected (batch, {parts}), one value a part")
         found = np.empty(states.shape, dtype=np.int32)
-        _ways_out(pack(states > 0), self.blockers, self.start, found)
+        _first_exits(pack(states > 0), self.blockers, self.start, found)
         return found
 
 
@@ -86,7 +86,7 @@ def clearance_table(
     """Sweep every part along straight lines to infinity and record the parts that block it.
 
     The first directions are those of `exit_directions`. More follow until all others are proved to be no
-    better than a known one (`all_ways`); a part for which that fails is not `exact`. For the sweep of a pair, parts
+    better than a known one (`all_exits`); a part for which that fails is not `exact`. For the sweep of a pair, parts
     are shrunk by a little more than the tolerance, so that touching parts can slide along each other.
 
     Args:
@@ -101,15 +101,15 @@ def clearance_table(
     if directions < 1:
         raise InputError(f"{directions} directions lead nowhere; give at least 1")
     sweeper = Sweeper(meshes, contacts, tolerance)
-    ways, exact = [], np.zeros(len(meshes), dtype=bool)
+    exits, exact = [], np.zeros(len(meshes), dtype=bool)
     for part in range(len(meshes)):
         sampled = sweeper.least_blocked(part, exit_directions(contacts, part, directions))
-        found, exact[part] = all_ways(sweeper, part, sampled)
-        ways.append(found)
+        found, exact[part] = all_exits(sweeper, part, sampled)
+        exits.append(found)
     arrays = (
-        np.concatenate([found.directions for found in ways]),
-        np.concatenate([pack(found.blockers) for found in ways]),
-        np.concatenate([[0], np.cumsum([len(found.directions) for found in ways])]).astype(np.int32),
+        np.concatenate([found.directions for found in exits]),
+        np.concatenate([pack(found.blockers) for found in exits]),
+        np.concatenate([[0], np.cumsum([len(found.directions) for found in exits])]).astype(np.int32),
         exact,
     )
     for array in arrays:
@@ -118,7 +118,7 @@ def clearance_table(
 
 
 @njit(cache=True)
-def _ways_out(
+def _first_exits(
     present: NDArray[np.uint64], blockers: NDArray[np.uint64], start: NDArray[np.int32], found: NDArray[np.int32]
 ) -> None:  # pragma: no cover - compiled
     """Write the first way of each part that no present part blocks, or -1, to `found`, shape (batch, parts)."""
@@ -127,12 +127,12 @@ def _ways_out(
     for row in range(batch):
         for part in range(parts):
             found[row, part] = -1
-            for way in range(start[part], start[part + 1]):
+            for row_of_exit in range(start[part], start[part + 1]):
                 free = True
                 for word in range(words):
-                    if blockers[way, word] & present[row, word]:
+                    if blockers[row_of_exit, word] & present[row, word]:
                         free = False
                         break
                 if free:
-                    found[row, part] = way
+                    found[row, part] = row_of_exit
                     break

@@ -32,7 +32,7 @@ class Surface:
     """Shape (faces, 3)."""
 
     @staticmethod
-    def of(meshes: Sequence[TriangleMesh]) -> Surface:
+    def from_meshes(meshes: Sequence[TriangleMesh]) -> Surface:
         """Collect the faces of all parts."""
         first = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
         points = np.concatenate([mesh.vertices for mesh in meshes])
@@ -82,7 +82,7 @@ class Creases:
     """Whether the tail and the head are ends: no convex edge goes straight on from there; shape (edges, 2)."""
 
     @staticmethod
-    def of(surface: Surface, least: float) -> Creases:
+    def from_surface(surface: Surface, least: float) -> Creases:
         """Find the convex edges whose faces differ by more than `least` degrees.
 
         Edges that more than two faces share are left out: which of them bound one solid wedge is not known.

@@ -160,7 +160,7 @@ def _with_joints(
     fitted, thin, _ = _contacts(joints.patches, joints.group, tolerance)
     fitted = _with_thin(fitted, thin, settings.angle, tolerance)
     both = contacts.take(np.flatnonzero(~chosen[tuple(contacts.parts.T)])).join(fitted)
-    return replace(both.take(np.lexsort(both.parts.T[::-1])), report=JointReport.of(joints.patches))
+    return replace(both.take(np.lexsort(both.parts.T[::-1])), report=JointReport.from_patches(joints.patches))
 
 
 def _contacts(

@@ -51,7 +51,7 @@ class JointReport:
         return JointReport(np.zeros((0, 2), dtype=np.int32), np.zeros(0), np.zeros(0))
 
     @staticmethod
-    def of(patches: Patches) -> JointReport:
+    def from_patches(patches: Patches) -> JointReport:
         """Sum up patches by pairs of parts."""
         parts, joint = np.unique(patches.parts, axis=0, return_inverse=True)
         distance = np.zeros((2, len(parts)))
@@ -135,7 +135,7 @@ def find_joints(
         angle: largest angle between the normals of patches of one contact, degrees.
         narrowest: width below which a contact is left out, metres.
     """
-    faces = Faces.of(meshes)
+    faces = Faces.from_meshes(meshes)
     extent = np.concatenate(
         [_extents(mesh.vertices, faces.normals[faces.part == part]) for part, mesh in enumerate(meshes)]
     )

@@ -90,8 +90,8 @@ def narrow_places(meshes: Sequence[TriangleMesh], limits: ContactTolerances, sli
     Returns:
         Pieces of lines, which may adjoin, and points, some of which may occur twice.
     """
-    surface = Surface.of(meshes)
-    every = Creases.of(surface, 0.1)
+    surface = Surface.from_meshes(meshes)
+    every = Creases.from_surface(surface, 0.1)
     # Both faces have to rise by more than the angle, so that less of a turn than twice the angle is no edge.
     sharp = every.take(every.turn > np.radians(2 * limits.angle))
     rims = every.take(every.turn > np.radians(limits.angle))

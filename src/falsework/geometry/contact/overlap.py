@@ -91,7 +91,7 @@ def _have_layer(
     """Return whether faces of pairs of parts that should touch overlap by more than the tolerance, shape (pairs,)."""
     if not len(pairs):
         return np.zeros(0, dtype=bool)
-    faces = Faces.of(meshes)
+    faces = Faces.from_meshes(meshes)
     row = np.full((len(meshes), len(meshes)), -1)
     row[pairs[:, 0], pairs[:, 1]] = np.arange(len(pairs))
     reach = np.full(len(faces.part), limit.max())

@@ -85,7 +85,7 @@ class Faces:
     """Outwards, unit length, shape (faces, 3)."""
 
     @staticmethod
-    def of(meshes: Sequence[TriangleMesh]) -> Faces:
+    def from_meshes(meshes: Sequence[TriangleMesh]) -> Faces:
         """Collect the faces of all parts."""
         corners = np.concatenate([mesh.triangles for mesh in meshes])
         part = np.repeat(np.arange(len(meshes), dtype=np.int32), [len(mesh.faces) for mesh in meshes])
@@ -110,7 +110,7 @@ def face_patches(
         angle: degrees.
         least: side of a square whose area is rounding, metres; None: a thousandth of the larger of gap and overlap.
     """
-    faces = Faces.of(meshes)
+    faces = Faces.from_meshes(meshes)
     reach = np.full(len(faces.part), max(abs(gap), overlap))
     least = max(gap, overlap) / 1000 if least is None else least
     return Patches.join(

@@ -89,7 +89,7 @@ def read_obj(file: Path) -> list[PartSurface]:
 def _objects(file: Path, points: NDArray[np.float64], sections: list[_Section]) -> list[PartSurface]:
     """Return the objects that sections make."""
     pieces = [
-        PartSurface.of_faces("", points, triangles_of(str(file), points, section.polygons)) for section in sections
+        PartSurface.from_faces("", points, triangles_of(str(file), points, section.polygons)) for section in sections
     ]
     names = list(dict.fromkeys(section.group or "(none)" for section in sections))
     if len({section.place for section in sections}) < 2 and len(names) > 1:

@@ -104,7 +104,7 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
         points, corners = _mend(name, points, corners, done)
     else:
         corners = _drop_copies(corners, done)
-    shells = Shells.of(points, corners)
+    shells = Shells.from_mesh(points, corners)
     turned = shells.outward_faces(corners)
     if (turned != corners).any():
         done.append("turned surfaces inside out")

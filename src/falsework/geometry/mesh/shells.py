@@ -33,7 +33,7 @@ class Shells:
     solids: tuple[TriangleMesh, ...]
 
     @staticmethod
-    def of(points: Array, corners: Faces) -> Shells:
+    def from_mesh(points: Array, corners: Faces) -> Shells:
         """Split a closed mesh, shapes (vertices, 3) and (faces, 3)."""
         surface = _surfaces(points, corners)
         local = points[corners] - points.mean(axis=0)

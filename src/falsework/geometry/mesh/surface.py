@@ -54,7 +54,7 @@ class PartSurface:
     """Why the part cannot be read; the arrays are then empty."""
 
     @staticmethod
-    def of_faces(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> PartSurface:
+    def from_faces(name: str, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> PartSurface:
         """Make a surface of some faces of a file, with the vertices that they use."""
         used, index = np.unique(faces, return_inverse=True)
         return PartSurface(name, vertices[used], index.reshape(-1, 3).astype(np.int64))
@@ -179,7 +179,7 @@ def separated(file: Path, surfaces: Sequence[PartSurface]) -> list[PartSurface]:
                 f"{names[-1]}; if they are one rigid part, put each part into a file of its own in a folder",
             )
         for name, faces in zip(names, solids, strict=True):
-            part = PartSurface.of_faces(name, surface.vertices, faces)
+            part = PartSurface.from_faces(name, surface.vertices, faces)
             found.append(replace(surface, name=name, vertices=part.vertices, faces=part.faces))
     return found
 

@@ -37,7 +37,7 @@ class Oracle(Protocol):
         ...
 
 
-class WaysOut:
+class ExitTable:
     """Ways out of parts in up to some number of moves; each is searched for when first asked for, and kept.
 
     A part that has a straight way out takes that (`ClearanceTable`). Otherwise it may leave in several moves, and other
@@ -84,12 +84,12 @@ class WaysOut:
         self._stands: dict[bytes, bool] = {}
         self._undecided = 0
 
-    def __reduce__(self) -> tuple[type[WaysOut], tuple[Any, ...]]:
+    def __reduce__(self) -> tuple[type[ExitTable], tuple[Any, ...]]:
         """Pickle what it is made of; what was found is found again."""
         given = self._meshes, self._contacts, self._straight, self._motions, self._fixed, self.moves, self.turns
-        return WaysOut, (*given, self._oracle)
+        return ExitTable, (*given, self._oracle)
 
-    def judged_by(self, oracle: Oracle) -> WaysOut:
+    def judged_by(self, oracle: Oracle) -> ExitTable:
         """Return the same ways out, where parts may move aside only if an oracle says that the rest stands."""
         if self._oracle is oracle:
             return self
@@ -104,7 +104,7 @@ class WaysOut:
             found[row, part] = self._search(states[row], part) is not None
         return found
 
-    def way_out(self, state: States, part: int) -> Way | None:
+    def exit_direction_of(self, state: States, part: int) -> Way | None:
         """Return the moves in which a part leaves a state, shape (parts,); none of them where it leaves straight.
 
         Returns:

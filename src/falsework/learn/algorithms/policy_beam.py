@@ -73,8 +73,10 @@ def policy_beam_search(
         found = found.index_fill(0, kept.owner[there], True)
         ends.append(there.nonzero()[:, 0])
         going = (~found[kept.owner]).nonzero()[:, 0]
-    ways = with_ancestors(levels, ends)[::-1]
-    return PolicyBeamResult(found, torch.cat([way.states for way in ways]), torch.cat([way.owner for way in ways]))
+    paths = with_ancestors(levels, ends)[::-1]
+    return PolicyBeamResult(
+        found, torch.cat([path.states for path in paths]), torch.cat([path.owner for path in paths])
+    )
 
 
 def _best_of_rows(score: torch.Tensor, mask: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor]:

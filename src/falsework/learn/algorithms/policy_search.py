@@ -117,7 +117,7 @@ def solve_all(
 def _plain(environment: Environment, start: torch.Tensor, target: torch.Tensor | None) -> bool:
     """Return whether a search without a policy finds a plan."""
     rules = environment.rules
-    task = Task.create(
+    task = Task.from_rules(
         rules.task.boundary,
         rules.task.robots,
         start=start.cpu().numpy(),

@@ -139,7 +139,7 @@ def load_dataset(path: Path | str, assembly: Assembly) -> Dataset:
     if header["identity"] != assembly.identity:
         raise InputError(f"{path} is a data set of {header['name']}, not of {assembly.name}; make one for it")
     with blamed_on(path, "make it anew"):
-        task = task_for(assembly, header["robots"], header["removable_only_if_clear"], header["fixed"])
+        task = training_task(assembly, header["robots"], header["removable_only_if_clear"], header["fixed"])
         task = replace(task, holds_keep_stable=criterion == "equilibrium")
         found = {name: arrays[name] for name in _SETS}
         check_states(path, found, task.part_count, "make it anew")
@@ -165,7 +165,7 @@ def check_states(path: Path | str, arrays: Mapping[str, NDArray[Any]], parts: in
             raise InputError(f"{path} is damaged ({name} contains no states of {parts} parts); {remedy}")
 
 
-def task_for(assembly: Assembly, robots: int = 2, clearance: bool = False, fixed: Sequence[int] = ()) -> Task:
+def training_task(assembly: Assembly, robots: int = 2, clearance: bool = False, fixed: Sequence[int] = ()) -> Task:
     """Return the task of complete disassembly that data sets and policies use.
 
     Args:
@@ -178,7 +178,7 @@ def task_for(assembly: Assembly, robots: int = 2, clearance: bool = False, fixed
         InputError: fewer than one robot, or parts that do not exist.
     """
     table = assembly.clearance if clearance else None
-    return Task.create(assembly.boundary, robots, fixed=tuple(fixed), clearance=table, identity=assembly.identity)
+    return Task.from_rules(assembly.boundary, robots, fixed=tuple(fixed), clearance=table, identity=assembly.identity)
 
 
 def search_states(
@@ -284,7 +284,7 @@ def build_dataset(
 
     Args:
         assembly: the structure.
-        task: task to learn, as of `task_for`.
+        task: task to learn, as of `training_task`.
         settings: widths and seed.
         oracle: verdicts, whose criterion the data set then names; made if not given.
         device: `auto`, `cpu` or `cuda`.
@@ -297,10 +297,10 @@ def build_dataset(
         DependencyError: torch is not installed.
         InputError: no such device, or no path leads from the empty structure to the complete one.
     """
-    from falsework.stability import Stability
+    from falsework.stability import StabilityOracle
 
     where = choose_device(device)
-    asked = tensor_oracle(Stability(assembly), where) if oracle is None else oracle
+    asked = tensor_oracle(StabilityOracle(assembly), where) if oracle is None else oracle
     task = task.judged_by(asked)
     seconds: dict[str, float] = {}
     found: list[States] = []

@@ -201,7 +201,7 @@ def build_goal_dataset(
 
     Args:
         assembly: the structure.
-        task: complete disassembly, as of `falsework.learn.data.dataset.task_for`.
+        task: complete disassembly, as of `falsework.learn.data.dataset.training_task`.
         settings: widths, numbers of pairs and seed.
         oracle: verdicts; made if not given.
         device: `auto`, `cpu` or `cuda`.
@@ -212,15 +212,15 @@ def build_goal_dataset(
         DependencyError: torch is not installed.
         InputError: no such device, or a structure so small that the wider search finds no new pair.
     """
-    from falsework.stability import Stability
+    from falsework.stability import StabilityOracle
 
     where = choose_device(device)
-    asked = tensor_oracle(Stability(assembly), where) if oracle is None else oracle
+    asked = tensor_oracle(StabilityOracle(assembly), where) if oracle is None else oracle
     task = task.judged_by(asked)
     if searched is None:
         searched = SearchStates.find(task, settings, asked, device=where, shards=shards)
-    graph = StateGraph.build(task, searched.train, name=assembly.name)
-    wider = StateGraph.build(task, searched.test, name=assembly.name)
+    graph = StateGraph.from_states(task, searched.train, name=assembly.name)
+    wider = StateGraph.from_states(task, searched.test, name=assembly.name)
     rng = np.random.default_rng(settings.seed)
     train = PairSource(graph).draw(settings.pairs, rng)
     wanted = settings.test_pairs + -(-settings.test_pairs // _VALIDATION)
@@ -235,7 +235,7 @@ def build_goal_dataset(
         )
     wide = graph
     if len(searched.more):
-        wide = StateGraph.build(task, np.concatenate([searched.train, searched.more]), name=assembly.name)
+        wide = StateGraph.from_states(task, np.concatenate([searched.train, searched.more]), name=assembly.name)
     return GoalDataset(train, test, validation, graph, wide, task, assembly.name, settings)
 
 

@@ -32,7 +32,7 @@ from falsework.search.problem.hashing import StateIndex
 from falsework.search.problem.result import Stop
 from falsework.search.problem.task import Direction
 from falsework.search.settings import PlannerSettings
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import CpuSettings, StabilitySettings
 from falsework.stability.verdict import Criterion
 from falsework.utils.archive import read_archive, write_archive
@@ -107,7 +107,7 @@ def label_states(
     def late() -> bool:
         return time.perf_counter() > end
 
-    oracle = Stability(assembly, StabilitySettings(criterion=criterion, cpu=CpuSettings(threads=1)))
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion, cpu=CpuSettings(threads=1)))
     environment = Environment(assembly, robots, oracle=oracle, device="cpu")
     solved, generator = SolvableStates(environment.rules), environment.generator(seed)
     if known is not None:
@@ -130,12 +130,12 @@ def label_states(
         rows = StateIndex(known.states).find(chosen.numpy())
         old = torch.from_numpy(known.valid[np.maximum(rows, 0)] & (rows >= 0)[:, None])
         valid |= old & environment.rules.moves(chosen)
-    graph = ContactGraph.of(assembly)
+    graph = ContactGraph.from_assembly(assembly)
     return LabelledStructure(assembly.name, family, robots, criterion, graph, chosen.numpy(), valid.numpy(), success)
 
 
 def _search(
-    solved: SolvableStates, assembly: Assembly, oracle: Stability, settings: LabelSettings, seed: int, late: Stop
+    solved: SolvableStates, assembly: Assembly, oracle: StabilityOracle, settings: LabelSettings, seed: int, late: Stop
 ) -> bool:
     """Add the states of searches, and return whether one of them reached the complete structure."""
     task, reached = solved.rules.task, False

@@ -16,7 +16,7 @@ from falsework.search.device.oracle import HostOracle, TensorOracle, tensor_orac
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Task
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.utils.tensors import choose_device, put
 
 
@@ -127,7 +127,7 @@ class Environment:
         Args:
             assembly: the structure.
             robots: number of parts that may be held at once.
-            oracle: decides stability; pass an existing `Stability` to reuse its cache.
+            oracle: decides stability; pass an existing `StabilityOracle` to reuse its cache.
             device: where states, rules and verdicts live: `auto`, `cpu`, `cuda`, `cuda:1`.
             clearance: remove a part only if it has a free exit direction.
             fixed: parts that are never touched.
@@ -138,9 +138,9 @@ class Environment:
         """
         self.assembly = assembly
         self.device = choose_device(device) if isinstance(device, str) else torch.device(device)
-        self.oracle: Oracle = Stability(assembly) if oracle is None else oracle
+        self.oracle: Oracle = StabilityOracle(assembly) if oracle is None else oracle
         table = assembly.clearance if clearance else None
-        task = Task.create(assembly.boundary, robots, fixed=fixed, clearance=table, identity=assembly.identity)
+        task = Task.from_rules(assembly.boundary, robots, fixed=fixed, clearance=table, identity=assembly.identity)
         self.rules = TensorRules(task.judged_by(self.oracle), self.device)
         self.counters = EnvironmentCounters()
         self.measure = False
@@ -256,6 +256,10 @@ def _tensor_oracle(oracle: Oracle, device: torch.device) -> TensorOracle:
     An oracle for the processor, which is the default, says nothing about where rollouts are to be judged: states would
     leave the device at every step, and a GPU would wait for two cores.
     """
-    if device.type == "cuda" and isinstance(oracle, Stability) and oracle.settings.solver in ("auto", "cpu", "gpu"):
+    if (
+        device.type == "cuda"
+        and isinstance(oracle, StabilityOracle)
+        and oracle.settings.solver in ("auto", "cpu", "gpu")
+    ):
         return tensor_oracle(oracle, device)
     return HostOracle(oracle)

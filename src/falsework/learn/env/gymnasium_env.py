@@ -21,7 +21,7 @@ from falsework.errors import DependencyError, InputError, StateError
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.frame import frame_of
 
@@ -89,10 +89,10 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         self._illegal = illegal
         if oracle is None:
             known = StabilitySettings(criterion=starts.criterion) if isinstance(starts, StateGraph) else None
-            oracle = Stability(self.assembly, known or StabilitySettings())
+            oracle = StabilityOracle(self.assembly, known or StabilitySettings())
         self._oracle: Oracle = oracle
         table = self.assembly.clearance if clearance else None
-        whole = Task.create(self.assembly.boundary, robots, target=target, fixed=fixed, clearance=table)
+        whole = Task.from_rules(self.assembly.boundary, robots, target=target, fixed=fixed, clearance=table)
         whole = whole.judged_by(oracle)
         self._starts = self._check_starts(starts, whole, target, fixed)
         # Legal moves do not depend on the start, so that one task serves all episodes.

@@ -58,13 +58,13 @@ class ContactGraph:
         return len(self.part)
 
     @staticmethod
-    def of(assembly: Assembly) -> ContactGraph:
+    def from_assembly(assembly: Assembly) -> ContactGraph:
         """Compute the graph of a structure."""
         fixed, centre, mass = assembly.boundary, assembly.mass.center, assembly.mass.mass
         movable = ~fixed if not fixed.all() else fixed
         spread = _spreads(assembly)
         length = float(np.median(np.sqrt((spread**2).sum(axis=1))[movable]))
-        pairs = _Pairs.of(assembly)
+        pairs = _Pairs.from_assembly(assembly)
         own, other, area = pairs.own, pairs.other, pairs.area
         parts = assembly.part_count
 
@@ -140,7 +140,7 @@ class _Pairs:
     count: NDArray[np.int64]
 
     @staticmethod
-    def of(assembly: Assembly) -> _Pairs:
+    def from_assembly(assembly: Assembly) -> _Pairs:
         contacts = assembly.contacts
         points = np.maximum(np.diff(contacts.start), 1)
         owner = contacts.contact_of_point

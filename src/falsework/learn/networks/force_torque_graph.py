@@ -52,7 +52,7 @@ class ForceTorqueGraph:
     """From the centres of `a` and `b` to each contact point, shape (points, 2, 3)."""
 
     @staticmethod
-    def of(assembly: Assembly) -> ForceTorqueGraph:
+    def from_assembly(assembly: Assembly) -> ForceTorqueGraph:
         """Build the graph of a structure; contacts between two boundary parts carry nothing and are left out."""
         contacts = assembly.contacts
         fixed = assembly.boundary

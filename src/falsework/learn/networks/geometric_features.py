@@ -39,7 +39,7 @@ class PartFeatures:
     """Shape (parts,)."""
 
     @staticmethod
-    def of(assembly: Assembly) -> PartFeatures:
+    def from_assembly(assembly: Assembly) -> PartFeatures:
         """Compute the features of a structure."""
         parts = assembly.part_count
         fixed = assembly.boundary

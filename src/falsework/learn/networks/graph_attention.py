@@ -40,7 +40,7 @@ class GraphAttentionPolicy(Policy):
         """Build the graph of an assembly and make the network."""
         super().__init__(assembly, settings)
         sizes = self.settings
-        graph = ForceTorqueGraph.of(assembly)
+        graph = ForceTorqueGraph.from_assembly(assembly)
         self.topology = _Topology(graph)
         self.keep("mass", torch.tensor(graph.mass))
         self.keep("normals", torch.tensor(graph.normals))

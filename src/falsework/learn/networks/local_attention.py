@@ -64,7 +64,7 @@ class GraphTensors:
     """Shape (structures,)."""
 
     @staticmethod
-    def of(graph: ContactGraph) -> GraphTensors:
+    def from_graph(graph: ContactGraph) -> GraphTensors:
         """Put one graph into tensors, for two robots and the criterion `contact`."""
         tensors = [torch.tensor(getattr(graph, entry.name))[None] for entry in fields(graph)]
         part, neighbour, taken, pair, lever, whole, fixed = tensors
@@ -93,7 +93,7 @@ class LocalAttentionPolicy(Policy):
     def __init__(self, assembly: Assembly, settings: PolicySettings) -> None:
         """Make the network and keep the graph of an assembly."""
         super().__init__(assembly, settings)
-        graph = GraphTensors.of(ContactGraph.of(assembly))
+        graph = GraphTensors.from_graph(ContactGraph.from_assembly(assembly))
         self._names = [entry.name for entry in fields(graph)]
         for name in self._names:
             self.keep(f"graph_{name}", getattr(graph, name))

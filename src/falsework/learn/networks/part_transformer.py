@@ -44,7 +44,7 @@ class PartTransformerPolicy(Policy):
         super().__init__(assembly, settings)
         sizes = self.settings
         channels = sizes.channels
-        features = PartFeatures.of(assembly)
+        features = PartFeatures.from_assembly(assembly)
         self.keep("part_features", torch.tensor(features.part))
         self.keep("pair_features", torch.tensor(features.pair))
         self.keep("ports", torch.tensor(features.ports))

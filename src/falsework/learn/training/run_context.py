@@ -11,7 +11,7 @@ import torch
 
 from falsework.assembly.model import Assembly
 from falsework.learn.config.train import TrainSettings
-from falsework.learn.data.dataset import task_for
+from falsework.learn.data.dataset import training_task
 from falsework.search.device.oracle import TensorOracle
 from falsework.search.problem.task import Task
 from falsework.utils.distributed import ProcessGroup
@@ -40,5 +40,5 @@ class RunContext:
     @cached_property
     def task(self) -> Task:
         """Disassembly of the whole structure, under the criterion of the oracle."""
-        task = task_for(self.assembly, self.settings.robots, self.settings.removable_only_if_clear)
+        task = training_task(self.assembly, self.settings.robots, self.settings.removable_only_if_clear)
         return task.judged_by(self.oracle)

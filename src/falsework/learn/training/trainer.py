@@ -38,7 +38,7 @@ from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.selection import BestWeights
 from falsework.learn.training.training_data import collect_training_data
 from falsework.search.device.oracle import tensor_oracle
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.collectives import decided, same_weights
 from falsework.utils.distributed import ProcessGroup
@@ -81,7 +81,7 @@ class Trainer:
         self._checkpoint = None if folder is None else CheckpointFile(folder)
         self._curve: list[dict[str, float]] = []
         self._saved = time.perf_counter()
-        oracle = Stability(assembly, StabilitySettings(criterion=settings.criterion))
+        oracle = StabilityOracle(assembly, StabilitySettings(criterion=settings.criterion))
         self._run = RunContext(
             assembly,
             settings,

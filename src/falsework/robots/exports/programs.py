@@ -87,7 +87,7 @@ def rapid_modules(
                     body.append("    GripLoad load0;")
                     carried = ""
             elif isinstance(command, Pressing):
-                body.append(f"    ! {_press_in_words(plan, command)}")
+                body.append(f"    ! {_describe_press(plan, command)}")
                 if command.begins:
                     offset = offset + command.press.offset
                     target = f"{name}_p{len(targets) + 1}"
@@ -218,7 +218,7 @@ def ur_scripts(
                     lines.append(f"  {own_load}")
                     carried = own_load
             elif isinstance(command, Pressing):
-                lines.append(f"  # {_press_in_words(plan, command)}")
+                lines.append(f"  # {_describe_press(plan, command)}")
                 lines += _ur_press(command.press) if command.begins else ["  end_force_mode()"]
             else:
                 load, motion = None if loads is None else loads.get((step, motion)), motion + 1
@@ -264,7 +264,7 @@ def _address(robot: CellRobot, name: str) -> str:
     return _text(robot.signals.address or f"{name}.local")
 
 
-def _press_in_words(plan: RobotPlan, command: Pressing) -> str:
+def _describe_press(plan: RobotPlan, command: Pressing) -> str:
     press, part = command.press, _ascii(plan.plan.part_names[command.press.part])
     if not command.begins:
         return f"stay where the press of {part} has ended"

@@ -174,7 +174,7 @@ def clear_grasps(
         limit: largest number of returned grasps.
     """
     found: list[Grasp] = []
-    open_ways = _open_ways(parts, part, there, gripper)
+    open_ways = _free_approaches(parts, part, there, gripper)
     while tried and len(found) < limit:
         some, tried = tried[:_BATCH], tried[_BATCH:]
         found += [some[row] for row in np.flatnonzero(open_ways(some)).tolist()]
@@ -288,7 +288,7 @@ def _tools(point: Array, z: Array, x: Array, turns: Array) -> Array:
     return made
 
 
-def _open_ways(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper):
+def _free_approaches(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper):
     """Return a test which grasps leave the gripper alone clear of all other parts, there and on the approach."""
     obstacles, _ = make_obstacles([parts.pieces[other] for other in np.flatnonzero(there).tolist() if other != part])
     # The gripper as the last link of a chain that reaches every pose: three slides along x, y, z, turns about z, y, x.

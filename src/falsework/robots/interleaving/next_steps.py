@@ -14,7 +14,7 @@ from falsework.robots.keyframes.keyframes import Edge, Node, state_after
 from falsework.robots.keyframes.trajectory_assembly import STANDSTILL
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import CellRobot
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ class NextSteps:
     """Next steps of the orders of one plan, each with what is known of it."""
 
     def __init__(
-        self, work: Work, oracle: Stability, units: Sequence[Unit], legal: Callable[[States], Sequence[int]]
+        self, work: Work, oracle: StabilityOracle, units: Sequence[Unit], legal: Callable[[States], Sequence[int]]
     ) -> None:
         """Know no steps but those of the plan.
 
@@ -134,13 +134,13 @@ class NextSteps:
         if key not in self._rules:
             releases = action < self.parts and state[action] == HELD
             legal = releases or action in self.legal(state)
-            self._rules[key] = legal and (action < self.parts or self.comes_out(state, edge))
+            self._rules[key] = legal and (action < self.parts or self.is_removable(state, edge))
         return self._rules[key]
 
-    def comes_out(self, state: States, edge: Edge) -> bool:
+    def is_removable(self, state: States, edge: Edge) -> bool:
         """Return whether the direction of a removal is a free exit."""
         if edge not in self._ways:
-            self._ways[edge] = way_out(self.graph.cell.robots[edge.robot], edge)
+            self._ways[edge] = exit_direction_of(self.graph.cell.robots[edge.robot], edge)
         return self.graph.exits.allows(edge.action - self.parts, state, self._ways[edge])
 
     def _is_free(self, partial: Partial, unit: Unit, leg: Leg) -> bool:
@@ -167,7 +167,7 @@ def grippers_allow(node: Node, edge: Edge) -> bool:
     return edge.action < len(node.state) and edge.hands_over == (part in node.held)
 
 
-def way_out(robot: CellRobot, edge: Edge) -> Array:
+def exit_direction_of(robot: CellRobot, edge: Edge) -> Array:
     """Return the direction in which a robot withdraws a part."""
     path = edge.segments[0].path
     ends = tool_pose(robot, path[[0, -1]])[:, :3, 3]

@@ -32,14 +32,14 @@ from falsework.robots.motion.collision_world import (
 from falsework.robots.motion.path_planner import plan_free, resolution_of
 from falsework.robots.plans.loads import Load
 from falsework.robots.plans.robot_plan import Trajectory
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 
 Array = NDArray[np.float64]
 
 
 def reorder(
     graph: KeyframeGraph,
-    oracle: Stability,
+    oracle: StabilityOracle,
     root: Node,
     chain: Sequence[Edge],
     timed: dict[PathSegment, Trajectory | None],

@@ -24,7 +24,7 @@ from falsework.robots.interleaving.partial_order import Partial, UnitStep, begin
 from falsework.robots.interleaving.work import Unit, Work
 from falsework.robots.keyframes.keyframes import Edge, Node, state_after
 from falsework.search.plans.plan_replay import Acceptance
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 
 _WIDTH = 4
 """Beam width for each arm."""
@@ -55,7 +55,7 @@ class OrderSearch:
     def __init__(
         self,
         work: Work,
-        oracle: Stability,
+        oracle: StabilityOracle,
         root: Node,
         chain: Sequence[Edge],
         *,
@@ -185,7 +185,7 @@ class OrderSearch:
             unit = step.unit
             if step.place or not unit.movable or seen[unit.robot] >= _CHOICES:
                 continue
-            if unit.part in self.legal(node.state) and self.next.comes_out(node.state, unit.edges[1]):
+            if unit.part in self.legal(node.state) and self.next.is_removable(node.state, unit.edges[1]):
                 found.append(unit)
                 seen[unit.robot] += 1
         return found

@@ -95,7 +95,7 @@ class Explanation:
         }
 
 
-def fall_in_words(what: str, route: Route, row: int, names: Sequence[str], plans: int = 0) -> str:
+def describe_failure(what: str, route: Route, row: int, names: Sequence[str], plans: int = 0) -> str:
     """Return in words where the structure collapses in the replay of a plan.
 
     Args:

@@ -47,7 +47,7 @@ class GraspConfigurations:
         self._candidates: dict[tuple[int, str, float, float, float], list[Grasp]] = {}
         self._faults: dict[tuple[int, str, float, float, float], str] = {}
 
-    def of(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
+    def get(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
         """Return all grasps of a part by a robot among the parts of a state; other robots are ignored."""
         if part in self.given:
             return [self.given[part]] if self.given[part].robot == robot else []

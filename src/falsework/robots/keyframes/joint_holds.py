@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.robots.kernels.coordination import Swept, conflicts
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.verdict import Verdicts
 
 Array = NDArray[np.float64]
@@ -106,7 +106,7 @@ class JointHolds:
     def _together(self, group: Group, state: States) -> bool:
         """Return whether arms have usable grasps of some parts that do not collide."""
         robots = range(self.cell.robot_count)
-        grips = {(robot, part): _some(self.grips.of(robot, part, state)) for robot in robots for part in group}
+        grips = {(robot, part): _some(self.grips.get(robot, part, state)) for robot in robots for part in group}
         usable = {key: np.ones(len(found), dtype=bool) for key, found in grips.items()}
         clear: dict[tuple[tuple[int, int], tuple[int, int]], Mask] = {}
         for chosen in itertools.permutations(robots, len(group)):
@@ -141,7 +141,7 @@ class JointHolds:
 class HoldingOracle:
     """Stability oracle that leaves states undecided whose held parts no arms can hold together."""
 
-    def __init__(self, oracle: Stability, joint: JointHolds) -> None:
+    def __init__(self, oracle: StabilityOracle, joint: JointHolds) -> None:
         """Query `oracle` for the states that `joint` does not exclude."""
         self._oracle, self._joint = oracle, joint
         self.holds_keep_stable, self.replayer = oracle.holds_keep_stable, oracle.replayer
@@ -152,13 +152,13 @@ class HoldingOracle:
         rows = np.flatnonzero(self._joint.possible(states))
         if len(rows) == len(states):
             return self._oracle.verdicts(states, near=near, require_certificate=require_certificate)
-        verdicts = Verdicts.blank(len(states))
+        verdicts = Verdicts.all_undecided(len(states))
         if len(rows):
             verdicts.put(rows, self._oracle.verdicts(states[rows], near=None if near is None else near[rows]))
         return verdicts
 
     def plausible(self, states: States, parents: States) -> Mask:
-        """Return which states a replay may find at rest, see `Stability.plausible`, and can be held; shape (batch,)."""
+        """Return which states can be held, and may be at rest: `StabilityOracle.plausible`. Shape (batch,)."""
         found = self._joint.possible(states)
         found[found] = self._oracle.plausible(states[found], parents[found])
         return found

@@ -82,7 +82,7 @@ class KeyframeGraph:
             leaving: parts that are ever removed, all by default, shape (parts,).
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
-        self.support = False
+        self.allow_regrasp = False
         """Whether parts may be held again, handed over or put down; from the second turn of a search on."""
         self.parts = parts or place_parts(assembly, cell.placement)
         self.world = CollisionWorld(cell, self.parts)
@@ -155,9 +155,9 @@ class KeyframeGraph:
 
     def grips(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
         """Return all grasps of a part by a robot among the parts of a state; other robots are ignored."""
-        return self._grips.of(robot, part, state)
+        return self._grips.get(robot, part, state)
 
-    def way_out(self, part: int, state: States) -> tuple[States, Array]:
+    def exit_direction_of(self, part: int, state: States) -> tuple[States, Array]:
         """Return the state in which the least blocked exit of a part is free, and its free exit directions, (n, 3)."""
         blockers = self.exits.blockers(part) & (state != REMOVED)
         count = blockers.sum(axis=1) + 1000 * (blockers & self.assembly.boundary).any(axis=1)
@@ -200,7 +200,7 @@ class KeyframeGraph:
     def _hold(self, node: Node, part: int) -> Iterator[Edge]:
         free, found = self._nearest_free(node, part), False
         # Where a part may be held again, a grasp with which it cannot leave later is better than none.
-        for lasting in (True, False) if self.support and not node.was_released(part) else (True,):
+        for lasting in (True, False) if self.allow_regrasp and not node.was_released(part) else (True,):
             # One grasp with each robot before another with the first: which robot holds a part matters more than how.
             turns = [self.holds(node, part, robot, lasting) for robot in free]
             while turns:
@@ -249,7 +249,7 @@ class KeyframeGraph:
             self.reasons.add("hold", part, robot, "a robot blocks every grasp", view.pair(int(hits[row])))
         open_grips = [grips[row] for row in np.flatnonzero(hits < 0)]
         for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates):
-            if not self.support and self.dead.repeated(node, part, robot):
+            if not self.allow_regrasp and self.dead.repeated(node, part, robot):
                 return
             edge = self._try_grip(node, part, grip, view, lasting)
             if edge is not None:
@@ -296,21 +296,21 @@ class KeyframeGraph:
 
         With releases it need not be able to leave.
         """
-        key = (grip.robot, part, grip.configuration.tobytes(), state.tobytes(), self.support, part in self.given)
+        key = (grip.robot, part, grip.configuration.tobytes(), state.tobytes(), self.allow_regrasp, part in self.given)
         if key not in self._alone:
             alone = self.start(state, self.cell.homes, (None,) * self.cell.robot_count)
             view = self.cache.view(alone.scene, grip.robot, grasp_contact(part), self.cell.margins.line)
             clear = self.cache.view(alone.scene, grip.robot, NO_CONTACT, self.cell.margins.free)
             here, way = grip.configuration, -grip.grasp.approach
             self._alone[key] = self.retreat("hold", part, grip.robot, here, way, view, clear) is not None and (
-                self.support or self._can_leave_later(alone, part, grip)
+                self.allow_regrasp or self._can_leave_later(alone, part, grip)
             )
         return self._alone[key]
 
     def _can_leave_later(self, node: Node, part: int, grip: GraspConfiguration) -> bool:
         if part in self.given:  # held to the end
             return True
-        later, ways = self.way_out(part, node.state)
+        later, ways = self.exit_direction_of(part, node.state)
         values = tuple(
             np.asarray(grip.configuration)
             if robot == grip.robot
@@ -343,7 +343,7 @@ class KeyframeGraph:
 
     def _remove(self, node: Node, part: int) -> Iterator[Edge]:
         robot = node.held.index(part)
-        if not self.support and self.dead.repeated(node, part + self.assembly.part_count, robot):
+        if not self.allow_regrasp and self.dead.repeated(node, part + self.assembly.part_count, robot):
             return
         here = node.configurations[robot]
         ways = self.exits.free(part, node.state)
@@ -359,7 +359,7 @@ class KeyframeGraph:
             else:
                 delivered = True
                 yield edge
-        for paths, scene in stuck[:_MAX_DETOURS] if self.support and not delivered else ():
+        for paths, scene in stuck[:_MAX_DETOURS] if self.allow_regrasp and not delivered else ():
             detour = self.putting_down.detour(part, robot, here, paths[-1][-1], scene)
             if detour is not None:
                 lines = tuple(PathSegment("line", path, part=part) for path in paths)

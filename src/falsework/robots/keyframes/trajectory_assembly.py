@@ -16,9 +16,9 @@ from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.motion.timing import time_path
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
 from falsework.robots.plans.robot_record import records_of
-from falsework.search.find import plan_of
+from falsework.search.find import prove_route
 from falsework.search.problem.task import Direction, Task
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ def make_robot_plan(
     assembly: Assembly,
     cell: Cell,
     task: Task,
-    oracle: Stability,
+    oracle: StabilityOracle,
     root: Node,
     chain: Sequence[Edge],
     *,
@@ -54,7 +54,7 @@ def make_robot_plan(
     Raises:
         PlanError: a state that cannot be proved stable.
     """
-    abstract = plan_of(route_along(root, chain), assembly, task, oracle, forces=forces)
+    abstract = prove_route(route_along(root, chain), assembly, task, oracle, forces=forces)
     timed = {} if timed is None else timed
     steps = []
     nodes = (root, *(edge.node for edge in chain))

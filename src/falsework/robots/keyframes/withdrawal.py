@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _ROOM = 2.0
 """Margin at the end of such a line, in margins of free motions, below which a longer line is tried first: between other
 bodies hardly any motion is free."""
-_MAX_WAYS = 16
+_MAX_DIRECTIONS = 16
 """Exit directions that are tried for a part."""
 
 
@@ -34,7 +34,7 @@ class Withdrawal:
         self.cell, self.cache, self.reasons = cache.world.cell, cache, reasons
 
     def lines(
-        self, scene: Scene, part: int, robot: int, here: Array, ways: Array, what: str
+        self, scene: Scene, part: int, robot: int, here: Array, directions: Array, what: str
     ) -> Iterator[tuple[tuple[Array, ...], Scene]]:
         """Yield withdrawal paths of a part, each with the scene in which it is carried; computed on demand.
 
@@ -43,7 +43,7 @@ class Withdrawal:
             part: the part to withdraw.
             robot: the robot that holds it.
             here: its configuration, shape (joints,).
-            ways: free exit directions in the world, shape (n, 3).
+            directions: free exit directions in the world, shape (n, 3).
             what: name of the motion in logged reasons.
         """
         tool = tool_pose(self.cell.robots[robot], here)
@@ -51,7 +51,7 @@ class Withdrawal:
         line = self.cache.view(scene, robot, withdrawal_contact(scene), self.cell.margins.line)
         free: CollisionQuery | None = None
         roomy: CollisionQuery | None = None
-        for way in self._ordered(ways, tool):
+        for way in self._ordered(directions, tool):
             tight: Array | None = None
             for times in self.lengths:
                 out = follow_line(line, here, way, times * self.cell.margins.approach)
@@ -90,7 +90,7 @@ class Withdrawal:
             return None
         return up.path
 
-    def _ordered(self, ways: Array, tool: Array) -> Array:
+    def _ordered(self, directions: Array, tool: Array) -> Array:
         """Return the exit directions to try, best first: away from the gripper's pointing direction, then upwards."""
-        score = ways @ -tool[:3, 2] + 0.5 * ways[:, 2]
-        return ways[np.argsort(-score, kind="stable")][:_MAX_WAYS]
+        score = directions @ -tool[:3, 2] + 0.5 * directions[:, 2]
+        return directions[np.argsort(-score, kind="stable")][:_MAX_DIRECTIONS]

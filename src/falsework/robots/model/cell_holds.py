@@ -23,7 +23,7 @@ class CellScale:
     force: float
 
     @classmethod
-    def of(cls, assembly: Assembly, cell: Cell) -> CellScale:
+    def from_cell(cls, assembly: Assembly, cell: Cell) -> CellScale:
         """Return the factors for a structure; of parts that become heavier by different factors the largest counts."""
         placement, own = cell.placement, assembly.mass.mass
         placed = own if placement.density is None else assembly.replace(density=placement.density).mass.mass
@@ -54,7 +54,7 @@ def stability_in(cell: Cell, assembly: Assembly, settings: StabilitySettings) ->
     Raises:
         CellError: a gripper bears less than the weight of a part.
     """
-    scale, holds = CellScale.of(assembly, cell), settings.holds
+    scale, holds = CellScale.from_cell(assembly, cell), settings.holds
     weight = scale.force * settings.gravity * assembly.mass.mass * ~assembly.immovable
     heaviest = int(weight.argmax())
     weakest = min(cell.robots, key=lambda robot: robot.gripper.force)

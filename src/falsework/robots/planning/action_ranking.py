@@ -168,7 +168,7 @@ class FailedActions:
 
         Parts that cannot leave come first.
         """
-        if not self.graph.support:
+        if not self.graph.allow_regrasp:
             return []
         robots = Counter(robot for action in self.of(node) for robot in self._robots[node.key, action])
         held, allowed = [node.held[robot] for robot, _ in robots.most_common()], self.solvability.releasable(node.state)

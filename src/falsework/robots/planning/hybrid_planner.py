@@ -19,7 +19,7 @@ from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.cell_holds import stability_in
-from falsework.robots.planning.end_motions import Ends, inserted_first, parts_of
+from falsework.robots.planning.boundary_motions import BoundaryMotions, leading_insertions, parts_of
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.hybrid_search import HybridSearch
 from falsework.robots.planning.initial_keyframe import given_keyframe, task_in_cell
@@ -28,7 +28,7 @@ from falsework.search.find import PLANS
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Direction, Task
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import or_notebook
 
@@ -44,7 +44,7 @@ def plan_robots(
     configurations: Sequence[ArrayLike] | None = None,
     held: Sequence[int | None] | None = None,
     gripped: Sequence[ArrayLike | None] | None = None,
-    oracle: Stability | None = None,
+    oracle: StabilityOracle | None = None,
     stability: StabilitySettings = PLANS,
     guide: Guide | None = None,
     settings: HybridSettings = HybridSettings(),
@@ -109,8 +109,8 @@ def plan_robots(
         first = given_keyframe(graph, within.start, *((None,) * 3 if continues else now))
         last = given_keyframe(graph, within.target, *now) if continues else None
         result: HybridResult | None = None
-        for insert in inserted_first(last):
-            ends = Ends(graph)
+        for insert in leading_insertions(last):
+            ends = BoundaryMotions(graph)
             root = first if continues or configurations is None else ends.begin(first)
             ends.end_at(last, insert)
             result = HybridSearch(graph, ends.reached(within), oracle, guide, limits, progress, ends, clock).run(root)
@@ -124,7 +124,7 @@ def plan_robots(
 
 
 def _keeping_reserve(
-    search: Callable[[Stability, HybridSettings], HybridResult],
+    search: Callable[[StabilityOracle, HybridSettings], HybridResult],
     assembly: Assembly,
     cell: Cell,
     stability: StabilitySettings,
@@ -137,11 +137,11 @@ def _keeping_reserve(
         assembly, cell, stability, settings: as in `plan_robots`; the limits are those of both searches together.
     """
     clock = Deadline(settings.deadline)
-    result = search(Stability(assembly, stability_in(cell, assembly, stability)), settings)
+    result = search(StabilityOracle(assembly, stability_in(cell, assembly, stability)), settings)
     if not result.no_order or stability.reserve <= 1.0 or clock.passed:
         return result
     plain = stability_in(cell, assembly, replace(stability, reserve=1.0))
-    return search(Stability(assembly, plain), replace(settings, deadline=clock.left if clock.limited else None))
+    return search(StabilityOracle(assembly, plain), replace(settings, deadline=clock.left if clock.limited else None))
 
 
 def _together(

@@ -16,20 +16,20 @@ from typing import Any
 import numpy as np
 
 from falsework.assembly.state import REMOVED
-from falsework.robots.keyframes.failure_report import Explanation, explain, fall_in_words
+from falsework.robots.keyframes.failure_report import Explanation, describe_failure, explain
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, route_along
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic, FailedActions
-from falsework.robots.planning.end_motions import Ends
+from falsework.robots.planning.boundary_motions import BoundaryMotions
 from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
-from falsework.robots.planning.plan_maker import PlanMaker
+from falsework.robots.planning.plan_builder import PlanBuilder
 from falsework.robots.planning.solvability import MAX_FALLEN_REPLAYS, SolvabilityCheck
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide, MemoizedGuide
 from falsework.search.problem.result import Outcome, SearchResult
 from falsework.search.problem.task import Task
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 
 _EDGES_PER_ACTION = 3
 """Motions per action that are tried at a keyframe."""
@@ -54,11 +54,11 @@ class HybridSearch:
         self,
         graph: KeyframeGraph,
         task: Task,
-        oracle: Stability,
+        oracle: StabilityOracle,
         guide: Guide | None,
         settings: HybridSettings,
         progress: Progress | None,
-        ends: Ends,
+        ends: BoundaryMotions,
         clock: Deadline,
     ) -> None:
         self.graph, self.task, self.oracle, self.ends, self.clock = graph, task, oracle, ends, clock
@@ -74,7 +74,7 @@ class HybridSearch:
         self.tried: Counter[tuple[str, int]] = Counter()
         self.dead = self.graph.dead = DeadEnds()
         self.failures = FailedActions(self.graph, self.solvability)
-        self.maker = PlanMaker(self.graph, oracle, self.solvability, ends, settings, self.deadline_passed)
+        self.maker = PlanBuilder(self.graph, oracle, self.solvability, ends, settings, self.deadline_passed)
         self.counts: Counter[str] = Counter()
         self.attempt = 0
         self.unreachable: list[int] | None = None
@@ -86,7 +86,7 @@ class HybridSearch:
         self.abstract = self.solvability.prepare(self.deadline_passed)
         if not self.abstract.found:
             if self.solvability.fallen is not None:
-                self.fallen = fall_in_words("plan", *self.solvability.fallen, self.assembly.names)
+                self.fallen = describe_failure("plan", *self.solvability.fallen, self.assembly.names)
             proven, late = self.abstract.outcome is Outcome.PROVED_IMPOSSIBLE, self.deadline_passed()
             outcome = "proved_impossible" if proven else "interrupted" if late else "not_found"
             return self.failed(root, outcome, self.fallen or (_LATE if outcome == "interrupted" else ""))
@@ -99,8 +99,8 @@ class HybridSearch:
             self.solvability.relax(share)
             self.dead.clear()
             for turn in range(self.settings.attempts if share == shares[-1] else 1):
-                self.graph.support = self.task.support and self.attempt > 0
-                if self.graph.support and self.attempt == 1:  # what failed without releases may succeed with them
+                self.graph.allow_regrasp = self.task.allow_regrasp and self.attempt > 0
+                if self.graph.allow_regrasp and self.attempt == 1:  # what failed without releases may succeed with them
                     self.dead.clear()
                     self.graph.joint.forget()
                     self.failures = FailedActions(self.graph, self.solvability)
@@ -108,7 +108,7 @@ class HybridSearch:
                     self.solvability.perturb(self.attempt + again * self.settings.attempts)
                     if self.solvability.stays(root.state):
                         break
-                chain = self.depth_first_pass(root, np.random.default_rng([self.settings.seed, self.attempt]))
+                chain = self.depth_first_search(root, np.random.default_rng([self.settings.seed, self.attempt]))
                 self.attempt += 1
                 if chain is not None:
                     return self.solved(root, chain)
@@ -121,7 +121,7 @@ class HybridSearch:
                 limit = f"{self.attempt} searches failed{f'; {self.fallen}' if self.fallen else ''}"
         return self.failed(root, "not_found", limit)
 
-    def depth_first_pass(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
+    def depth_first_search(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
         """Return the edges of a plan with a stable replay by one depth-first search; None after too many dead ends.
 
         Args:
@@ -135,7 +135,7 @@ class HybridSearch:
         stuck: set[bytes] = set()  # states at which the search went no further, with any grasps
         newest, allowed = root, self.settings.dead_ends * (1 + self.attempt // 3)
 
-        def begin_again(keep: int) -> None:
+        def restart(keep: int) -> None:
             """Go on from the last of the first keyframes."""
             del nodes[keep:], options[max(keep - 1, 0) :], causes[keep:], chain[max(keep - 1, 0) :]
             options.extend(self._options(node, rng) for node in nodes[-1:])
@@ -163,7 +163,7 @@ class HybridSearch:
                 if len(stuck) > allowed:
                     return None
                 if nodes and self.graph.joint.excluded and not self.solvability.stays(nodes[-1].state):
-                    begin_again(self._keyframes_that_lead_on(nodes))
+                    restart(self._extendable_keyframes(nodes))
                 continue
             chain.append(edge)
             if self._done(chain) > self._done(self.best):
@@ -172,10 +172,10 @@ class HybridSearch:
                 stuck.clear()  # beyond them: another search would have to come here first
             self._report(len(stuck))
             if np.array_equal(edge.node.state, self.task.target):
-                keep = self._keyframes_before_fall(root, chain)
+                keep = self._keyframes_before_failure(root, chain)
                 if keep is None:
                     return chain
-                begin_again(keep)  # the plan up to the forbidden state remains valid: only its continuation changes
+                restart(keep)  # the plan up to the forbidden state remains valid: only its continuation changes
                 continue
             newest = edge.node
             nodes.append(newest)
@@ -183,7 +183,7 @@ class HybridSearch:
             causes.append(set())
         return None
 
-    def _keyframes_that_lead_on(self, nodes: Sequence[Node]) -> int:
+    def _extendable_keyframes(self, nodes: Sequence[Node]) -> int:
         """Return how many keyframes of a chain to keep once its last state may no longer lead to the target.
 
         The steps back grow: to find no path takes a second or more, and tens in succession may have none.
@@ -194,7 +194,7 @@ class HybridSearch:
                 return keep
         return 0
 
-    def _keyframes_before_fall(self, root: Node, chain: list[Edge]) -> int | None:
+    def _keyframes_before_failure(self, root: Node, chain: list[Edge]) -> int | None:
         """Replay a plan with motions and forbid the state in which the structure collapses.
 
         Returns:
@@ -205,7 +205,9 @@ class HybridSearch:
         if row is None:
             return None
         self.counts["replays_fallen"] += 1
-        self.fallen = fall_in_words("plan with motions", route, row, self.assembly.names, self.counts["replays_fallen"])
+        self.fallen = describe_failure(
+            "plan with motions", route, row, self.assembly.names, self.counts["replays_fallen"]
+        )
         self.best = []  # a plan that collapses is not returned as a partial plan either
         self.dead.clear()
         forbidden = self.solvability.forbid(route, row)
@@ -326,5 +328,5 @@ class HybridSearch:
             "free_motions": self.graph.cache.motions,
             "free_motions_used_again": self.graph.cache.motions_kept,
             "verdicts": self.oracle.counters.asked,
-            **({key: self.counts[key] for key in ("releases", "hand_overs")} if self.task.support else {}),
+            **({key: self.counts[key] for key in ("releases", "hand_overs")} if self.task.allow_regrasp else {}),
         }

@@ -29,7 +29,7 @@ def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitD
         InputError: props, or steps of several parts.
         StateError: more parts held at start or target than there are robots, or a part that ends up released.
     """
-    given = task or Task.create(assembly.boundary, cell.robot_count, identity=assembly.identity)
+    given = task or Task.from_rules(assembly.boundary, cell.robot_count, identity=assembly.identity)
     if given.props:
         raise InputError("robot plans have no props; plan for the structure without them")
     if given.together is not None:
@@ -38,7 +38,7 @@ def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitD
     if len(freed):
         name = assembly.names[int(freed[0])]
         raise StateError(f"part {name} is held in the start and installed in the target; hold it in the target too")
-    return Task.create(
+    return Task.from_rules(
         assembly.boundary,
         cell.robot_count,
         start=given.start,
@@ -47,7 +47,7 @@ def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitD
         missing=given.missing,
         clearance=exits.table,
         identity=assembly.identity,
-        support=given.support,
+        allow_regrasp=given.allow_regrasp,
     )
 
 

@@ -21,7 +21,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, Mask, States
 from falsework.robots.keyframes.joint_holds import HoldingOracle, JointHolds
 from falsework.robots.keyframes.keyframes import state_after
-from falsework.robots.planning.joining_search import JoiningSearch
+from falsework.robots.planning.connecting_search import ConnectingSearch
 from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_replay import Acceptance
@@ -30,7 +30,7 @@ from falsework.search.problem.result import Route, SearchResult, Stop, barred_ro
 from falsework.search.problem.rollout import roll_out
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 
 ActionScore = Callable[[States, Mask], NDArray[np.floating]]
 """Score of the actions out of states, like a `falsework.search.problem.guide.Guide` in disassembly."""
@@ -52,7 +52,7 @@ class SolvabilityCheck:
         self,
         assembly: Assembly,
         task: Task,
-        oracle: Stability,
+        oracle: StabilityOracle,
         *,
         guide: Guide | None = None,
         score: ActionScore | None = None,
@@ -79,7 +79,7 @@ class SolvabilityCheck:
         self.postponed: tuple[int, ...] = ()
         self.fallen: tuple[Route, int] | None = None
         """Where `prepare` finds nothing: the plan that got farthest in its replay, and the state of its collapse."""
-        self.joining = JoiningSearch(self.oracle, self._guide)
+        self.joining = ConnectingSearch(self.oracle, self._guide)
         """Searches for paths to solvable states."""
         self._preferred: dict[bytes, int] = {}  # states of the plan to follow, with their places in it
         self._solvable: set[bytes] = {task.target.tobytes()}
@@ -95,7 +95,7 @@ class SolvabilityCheck:
         """Find one abstract plan, with releases where no other is found; of missing parts the latest step of each."""
         self._stop = stop or self._stop  # what is searched later ends with it too
         settings = PlannerSettings(width=_FIRST_BEAM_WIDTH, seed=self._seed)
-        planner = Planner(replace(self.task, support=False), self.oracle, settings, guide=self._guide)
+        planner = Planner(replace(self.task, allow_regrasp=False), self.oracle, settings, guide=self._guide)
         route = self.roll_out(None, stop) or self.roll_out(np.random.default_rng(self._seed), stop)
         if route is not None:
             planner.begin_with(route)
@@ -105,7 +105,7 @@ class SolvabilityCheck:
             self.postponed = planner.postponed
             self.task = self.task.postpone(planner.postponed)
             self._follow(planner.routes)
-        elif self.task.support:
+        elif self.task.allow_regrasp:
             again = Planner(self.task, self.oracle, settings, guide=self._guide)
             if again.regrasps:
                 result, self.fallen = again.run(stop=stop).unless_interrupted(stop), again.tests.fallen
@@ -234,7 +234,7 @@ class SolvabilityCheck:
                 next_best=True,
                 stop=None if stop is None else lambda _: stop(),
             )
-            route = next((Route.through(rollout.states) for rollout in rollouts if rollout.reached), None)
+            route = next((Route.from_states(rollout.states) for rollout in rollouts if rollout.reached), None)
             row = None if route is None else self.falls(route)
             if route is None or row is None:
                 return route
@@ -284,7 +284,7 @@ class SolvabilityCheck:
 
     def releasable(self, states: States) -> Mask:
         """Return which parts robots hold and may release, stability aside. Shape that of the states."""
-        return (states == HELD) & self._touched & self.task.support
+        return (states == HELD) & self._touched & self.task.allow_regrasp
 
     def known(self, state: States, action: int) -> bool:
         """Return whether the state after an action is known to be solvable."""
@@ -309,8 +309,8 @@ class SolvabilityCheck:
 
     def _join(self, start: States) -> bool:
         """Search forwards from a stable state until a solvable one is reached; all on the path then are."""
-        way = self.joining.way(self.task, start, self._solvable, self._forbidden)
-        if way is None:
+        path = self.joining.path(self.task, start, self._solvable, self._forbidden)
+        if path is None:
             return False
-        self._solvable |= {state.tobytes() for state in way}
+        self._solvable |= {state.tobytes() for state in path}
         return True

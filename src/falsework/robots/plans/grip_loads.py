@@ -19,7 +19,7 @@ from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.plans.plan import Plan
 from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.quantity import format_quantity
 
@@ -78,7 +78,7 @@ def grip_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[GripLoad
         PlanError: the plan is for another structure or cell.
     """
     plan.check_identity(assembly, cell)
-    placement, scale = cell.placement, CellScale.of(assembly, cell)
+    placement, scale = cell.placement, CellScale.from_cell(assembly, cell)
     turn, center = placement.pose[:3, :3], move(placement.pose, placement.scale * assembly.mass.center)
 
     def load(keyframe: int, robot: int, part: int, wrench: Array, **more: bool) -> GripLoad:
@@ -104,7 +104,7 @@ def _borne(plan: Plan, assembly: Assembly) -> list[dict[int, Array]]:
     """
     states, settings = plan.states, StabilitySettings(criterion=plan.claim.criterion)
     if settings.criterion == "equilibrium":
-        found = Stability(assembly, settings).margins(states, ("held",))
+        found = StabilityOracle(assembly, settings).margins(states, ("held",))
         return [{load.part: np.concatenate([load.force, load.moment]) for load in state.held} for state in found]
     settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
     verifier, borne = BuildVerifier(assembly, settings.claim), [dict[int, Array]() for _ in states]

@@ -116,7 +116,7 @@ def timed_presses(plan: RobotPlan, assembly: Assembly, cell: Cell, graph: Tempor
     if not has_presses(plan):
         return ()
     plan.check_identity(assembly, cell)
-    scale, placement, holds = CellScale.of(assembly, cell), cell.placement, plan.plan.claim.holds
+    scale, placement, holds = CellScale.from_cell(assembly, cell), cell.placement, plan.plan.claim.holds
     turn, centers = placement.pose[:3, :3], move(placement.pose, placement.scale * assembly.mass.center)
     stiffness = scale.stiffness * min(holds.stiffness, PRESS_STIFFNESS)
     starts, released = graph.starts(), event_times(plan, graph)

@@ -26,7 +26,7 @@ class Choice:
     """Conflict of two arms: either the first or the second goes first."""
 
     robots: tuple[int, int]
-    ways: tuple[tuple[Precedence, ...] | None, tuple[Precedence, ...] | None]
+    orders: tuple[tuple[Precedence, ...] | None, tuple[Precedence, ...] | None]
     """Precedences if the first arm goes first, and if the second does; None where that is impossible."""
     planned: int
     """Option in the sequential plan."""
@@ -83,10 +83,10 @@ def _of_pair(rows: Itineraries, one: int, other: int) -> list[Choice]:
     found = []
     for label, box in enumerate(ndimage.find_objects(labels, count), 1):
         cells = np.argwhere(labels[box] == label) + [box[0].start, box[1].start]
-        ways = (_goes_first(rows, one, other, cells), _goes_first(rows, other, one, cells[:, ::-1]))
+        orders = (_goes_first(rows, one, other, cells), _goes_first(rows, other, one, cells[:, ::-1]))
         i, j = cells[0].tolist()
         planned = int(_node_after(rows, one, i) > _node_after(rows, other, j))
-        found.append(Choice((one, other), ways, planned))
+        found.append(Choice((one, other), orders, planned))
     return found
 
 

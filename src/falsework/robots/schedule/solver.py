@@ -74,7 +74,7 @@ def solve(
     for choice in choices:
         second = model.new_bool_var("")
         flags.append(second)
-        for edges, literal in zip(choice.ways, (second.negated(), second), strict=True):
+        for edges, literal in zip(choice.orders, (second.negated(), second), strict=True):
             if edges is None:
                 model.add_bool_or([literal.negated()])
                 continue
@@ -102,13 +102,13 @@ def _chosen(
     nodes: Sequence[MotionNode],
     fixed: Sequence[Precedence],
     choices: Sequence[Choice],
-    ways: Sequence[int],
+    orders: Sequence[int],
     robots: int,
     bound: float,
 ) -> TemporalPlanGraph:
     edges = list(fixed)
-    for choice, way in zip(choices, ways, strict=True):
-        edges += choice.ways[way] or ()
+    for choice, order in zip(choices, orders, strict=True):
+        edges += choice.orders[order] or ()
     graph = TemporalPlanGraph(tuple(nodes), tuple(_needed(edges)), robots, 0.0)
     return TemporalPlanGraph(graph.nodes, graph.edges, robots, min(bound, graph.makespan))
 

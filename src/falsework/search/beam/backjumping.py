@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.search.beam.beam import BeamSearch
-from falsework.search.beam.conflicts import luby
 from falsework.search.beam.histories import ReplaySummary
+from falsework.search.beam.nogoods import luby
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle

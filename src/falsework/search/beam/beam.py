@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, States, held_count
 from falsework.errors import InputError
-from falsework.search.beam.conflicts import Conflicts
-from falsework.search.beam.failures import FailureMemory
+from falsework.search.beam.failed_moves import FailedMoves
 from falsework.search.beam.frontier import Frontier, Level, expand, pack
 from falsework.search.beam.histories import ReplaySummary
 from falsework.search.beam.level_search import LevelSearch
+from falsework.search.beam.nogoods import Nogoods
+from falsework.search.beam.paths import BeamPaths
 from falsework.search.beam.scores import Scores
 from falsework.search.beam.selection import Selector
 from falsework.search.beam.settings import BeamSettings
-from falsework.search.beam.ways import BeamWays
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.oracle import CountingOracle, Oracle
@@ -52,12 +52,12 @@ class BeamSearch(LevelSearch):
         self._whole: list[bool] = []
         """For each level after the first, and for the attempt at the next if dead: no stable state was left out."""
         self._judge = CountingOracle(oracle)
-        if replayer is not None:  # candidates are replayed: see `Selector.most_promising`
+        if replayer is not None:  # candidates are replayed: see `Selector.select_lazily`
             self._judge.screen = getattr(oracle, "plausible", None)
-        self._ways = BeamWays(self.levels, self._judge, replayer)
-        self._failures = None if task.neighbours is None else FailureMemory(task.neighbours)
+        self._paths = BeamPaths(self.levels, self._judge, replayer)
+        self._failures = None if task.neighbours is None else FailedMoves(task.neighbours)
         self._guide = guide
-        self.conflicts = Conflicts()
+        self.conflicts = Nogoods()
         """Dead ends, which a search that jumps back adds to."""
         self._hash = StateHash.for_parts(task.part_count)
         self._candidates = 0
@@ -102,18 +102,18 @@ class BeamSearch(LevelSearch):
         scores = self._scores(frontier, level.score)
         rng = np.random.default_rng((settings.seed, settings.number, len(self.levels)))
         how = settings.diversity == "k-means", settings.pool, rng
-        selector = Selector(frontier, scores, *how, self._ways.stable_before(), self._failures)
-        confirmed, sliding = self._ways.confirmation(frontier), self._judge.sliding
+        selector = Selector(frontier, scores, *how, self._paths.stable_ancestors(), self._failures)
+        verifier, sliding = self._paths.verifier(frontier), self._judge.sliding
         if settings.lookahead > 0:
-            choice = selector.most_promising(
+            choice = selector.select_lazily(
                 self._judge,
                 settings.width,
                 settings.lookahead,
-                confirmed,
+                verifier,
                 commit=settings.commit,
             )
         else:
-            choice = selector.all_judged(self._judge, settings.width)
+            choice = selector.select_from_all(self._judge, settings.width)
         self._candidates += len(frontier)
         self._dead = len(choice.kept) == 0
         if self._dead and len(self.levels) > self._farthest:
@@ -123,7 +123,7 @@ class BeamSearch(LevelSearch):
         # A state refused because of the way to it may be reached by another, which was merged with this one, unless it
         # is unstable however it is reached.
         whole = choice.exhaustive and not refuted and all(self._whole[: len(self.levels) - 1])
-        if whole and confirmed.refused:
+        if whole and verifier.refused:
             rejected = choice.rejected
             whole = self._judge.unstable(frontier.states(rejected), level.states[frontier.parent(rejected)])
             if whole:
@@ -136,12 +136,12 @@ class BeamSearch(LevelSearch):
         columns = (frontier.states(kept), frontier.parent(kept), frontier.action(kept), scores.of(kept))
         self.levels[-1] = pack(level)
         self.levels.append(Level(*columns, np.where(waits, 0, 1).astype(np.int8)))
-        if self.found and not self._ways.stable(np.arange(len(kept))).any():
+        if self.found and not self._paths.stable(np.arange(len(kept))).any():
             self.levels.pop()
             self._dead = True
             return False
-        if self._ways.replays is not None:
-            self._ways.replays.keep(kept)
+        if self._paths.replays is not None:
+            self._paths.replays.keep(kept)
         return True
 
     def _scores(self, frontier: Frontier, before: NDArray[np.float64]) -> Scores:
@@ -155,7 +155,7 @@ class BeamSearch(LevelSearch):
 
     def replay_summary(self) -> ReplaySummary | None:
         """Return the replay of the route found, see `Histories.summary`; None where no histories are kept."""
-        replays = self._ways.replays
+        replays = self._paths.replays
         return None if replays is None or not self.found else replays.histories.summary(0)
 
     def choices(self) -> Iterator[tuple[int, int]]:
@@ -167,7 +167,7 @@ class BeamSearch(LevelSearch):
         """
         bound = (self.levels[-1].states == HELD).all(axis=0) & (self.task.origin(self.settings.direction) != HELD)
         fewest, held_after, action = self.task.robots, 0, -1
-        for number, row in self._way_back():
+        for number, row in self._backtrace():
             state = self.levels[number].states[row]
             held = int(held_count(state[None], self.task.boundary)[0])
             bound, binds = bound & (state == HELD), (bound & (state != HELD)).any()
@@ -179,10 +179,10 @@ class BeamSearch(LevelSearch):
 
     def before(self, number: int) -> States:
         """Return the state at a level on the way to the best scored one, shape (parts,)."""
-        row = next(row for level, row in self._way_back() if level == number)
+        row = next(row for level, row in self._backtrace() if level == number)
         return self.levels[number].states[row]
 
-    def _way_back(self) -> Iterator[tuple[int, int]]:
+    def _backtrace(self) -> Iterator[tuple[int, int]]:
         """Yield levels and rows of the way to the best scored state of the last level, that state first."""
         row = 0
         for number in range(len(self.levels) - 1, -1, -1):
@@ -197,8 +197,8 @@ class BeamSearch(LevelSearch):
         """
         if settings.direction is not self.settings.direction or not 0 <= level < len(self.levels):
             raise InputError(f"cannot rewind a beam search of {len(self.levels)} levels to level {level}")
-        if self._ways.replays is not None:
-            self._ways.replays.rewind(level)
+        if self._paths.replays is not None:
+            self._paths.replays.rewind(level)
         del self.levels[level + 1 :]
         self.settings = settings
         del self._whole[level:]
@@ -297,7 +297,7 @@ class BeamSearch(LevelSearch):
         sliding = self._judge.sliding + self._sliding
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:
-            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided, sliding, self.task.doubt)
+            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided, sliding, self.task.caveat)
         # A beam that was taken back may be less far now than where it died before.
         farther_now = len(self.levels) > self._farthest
         return SearchResult(

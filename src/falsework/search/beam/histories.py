@@ -42,7 +42,7 @@ class Histories:
         self._known_steps: list[dict[int, tuple[float, int, tuple[Press, ...]]]] = []
         """Of the states at rest: the largest movement of a part, that part, and the presses of the step."""
 
-    def of(self, level: int, row: int) -> History | None:
+    def get(self, level: int, row: int) -> History | None:
         """Return the history of a state of a level; None where the way to it does not stand.
 
         Args:
@@ -50,15 +50,15 @@ class Histories:
             row: of the state in the level.
         """
         replayer = self.replayer
-        way = self._way(level, row)
-        first = level + 1 - len(way)
-        history = self._known[first].get(way[-1])
-        if history is None and first == 0 and way[-1] not in self._known[0]:
-            start = replayer.replay(self._levels[0].states[way[-1]][None])
+        path = self._path(level, row)
+        first = level + 1 - len(path)
+        history = self._known[first].get(path[-1])
+        if history is None and first == 0 and path[-1] not in self._known[0]:
+            start = replayer.replay(self._levels[0].states[path[-1]][None])
             history = start.histories[0] if start.histories else None
-            self.put(0, way[-1], history)
+            self.put(0, path[-1], history)
         for at in range(first + 1, level + 1):
-            before, after = way[level + 1 - at], way[level - at]
+            before, after = path[level + 1 - at], path[level - at]
             if history is not None:
                 states = self._levels[at - 1].states[before], self._levels[at].states[after]
                 stands, history = replayer.step(history, *states)
@@ -95,7 +95,7 @@ class Histories:
             state, as `PlanReplay` takes them; None where a state on the way does not come to rest.
         """
         level = len(self._levels) - 1
-        if self.of(level, row) is None:
+        if self.get(level, row) is None:
             return None
         most, presses = (0.0, -1), list[tuple[Press, ...]]()
         for number in range(level, -1, -1):
@@ -105,13 +105,13 @@ class Histories:
             row = int(self._levels[number].parent[row])
         return most[0], most[1], None, tuple(presses[::-1])
 
-    def _way(self, level: int, row: int) -> list[int]:
+    def _path(self, level: int, row: int) -> list[int]:
         """Return the rows, level by level, from a state back to one whose history is known, or to the first level."""
         self._fit(len(self._levels))
-        way = [row]
-        while way[-1] not in self._known[level + 1 - len(way)] and len(way) <= level:
-            way.append(int(self._levels[level + 1 - len(way)].parent[way[-1]]))
-        return way
+        path = [row]
+        while path[-1] not in self._known[level + 1 - len(path)] and len(path) <= level:
+            path.append(int(self._levels[level + 1 - len(path)].parent[path[-1]]))
+        return path
 
     def _fit(self, count: int) -> None:
         """Make room for the histories of `count` levels."""

@@ -90,7 +90,7 @@ class LevelSearch(ABC):
             row = int(level.parent[row])
         if self.settings.direction is Direction.DISASSEMBLY:
             states.reverse()
-        return Route.through(np.array(states))
+        return Route.from_states(np.array(states))
 
     @abstractmethod
     def result(self, *, interrupted: bool = False) -> SearchResult:

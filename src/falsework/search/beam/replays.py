@@ -29,7 +29,7 @@ class Replays:
         self.histories, self._levels, self._replayer = Histories(replayer, levels), levels, replayer
         self._next: dict[int, History] = {}
 
-    def standing(self, rows: NDArray[np.int64], parent: NDArray[np.int64], states: States) -> Mask:
+    def comes_to_rest(self, rows: NDArray[np.int64], parent: NDArray[np.int64], states: States) -> Mask:
         """Return whether each candidate comes to rest when reached from its parent in the last level.
 
         Args:
@@ -42,7 +42,7 @@ class Replays:
         """
         stands, level = np.zeros(len(rows), dtype=bool), len(self._levels) - 1
         for i, (row, origin, state) in enumerate(zip(rows.tolist(), parent.tolist(), states, strict=True)):
-            history = self.histories.of(level, origin)
+            history = self.histories.get(level, origin)
             if history is not None:
                 stands[i], after = self._replayer.step(history, self._levels[level].states[origin], state)
                 if stands[i]:

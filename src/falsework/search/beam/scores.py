@@ -37,7 +37,7 @@ class Scores:
         return score
 
 
-class Promise:
+class Priorities:
     """Order in which candidates are tried: those that leave more robots free first, then the better scored."""
 
     def __init__(self, scores: Scores, rng: np.random.Generator) -> None:

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
-from falsework.search.beam.failures import FailureMemory
+from falsework.search.beam.failed_moves import FailedMoves
 from falsework.search.beam.frontier import Frontier, Rows
 from falsework.search.beam.k_means import k_means
-from falsework.search.beam.scores import Promise, Scores
+from falsework.search.beam.scores import Priorities, Scores
 from falsework.search.problem.oracle import CountingOracle
 
 
-class Confirmation(Protocol):
+class Verifier(Protocol):
     """Second test of candidates with a stable verdict."""
 
     def __call__(self, rows: Rows) -> Mask:
@@ -25,7 +25,7 @@ class Confirmation(Protocol):
         ...
 
 
-_TRIED_AGAIN = 16
+_RETRIES = 16
 """Moves that failed before which are tried again at a level, for each state wanted."""
 _VERDICT_BATCH = 2
 """Candidates asked for at once at least, once the first were not enough: enough to share two cores. The first mostly
@@ -56,9 +56,9 @@ class Selector:
     """Bound on candidates times parts that are clustered at once; beyond it, of a random sample only."""
     rng: np.random.Generator
     """Breaks ties and seeds the clusters."""
-    standing: States
+    stable_ancestors: States
     """For each state of the level one near it that is known to be stable, shape (level, parts)."""
-    failures: FailureMemory | None = None
+    failures: FailedMoves | None = None
     """Moves that failed before, which are tried last."""
 
     def order(self, rows: Rows, score: Callable[[Rows], NDArray[np.float64]], count: int) -> Rows:
@@ -81,22 +81,22 @@ class Selector:
         rank = np.arange(len(sample)) - np.repeat(begin, np.diff(np.append(begin, len(sample))))
         return np.concatenate([sample[order[np.argsort(rank, kind="stable")]], rows[room:]])
 
-    def all_judged(self, judge: CountingOracle, width: int) -> Selection:
-        """Ask for every candidate, then keep `width` stable ones; the way of the paper."""
+    def select_from_all(self, judge: CountingOracle, width: int) -> Selection:
+        """Ask for every candidate, then keep `width` stable ones, as in the paper."""
         frontier, rows = self.frontier, self.frontier.candidates()
         stable = frontier.free(rows)
         asked = rows[~stable]
         if len(asked):
-            stable[~stable] = judge.stable(frontier.states(asked), self.standing[frontier.parent(asked)])
+            stable[~stable] = judge.stable(frontier.states(asked), self.stable_ancestors[frontier.parent(asked)])
         kept = self.order(rows[stable], self.scores.of, width)[:width]
         return self._selection(kept, rows[~stable])
 
-    def most_promising(
+    def select_lazily(
         self,
         judge: CountingOracle,
         width: int,
         lookahead: int,
-        confirmed: Confirmation,
+        verifier: Verifier,
         *,
         commit: bool,
     ) -> Selection:
@@ -109,12 +109,12 @@ class Selector:
             width: states to keep among those that a removal, or in assembly a release, leads to.
             lookahead: states to keep among those that fixing a part leads to; their verdicts wait until a descendant is
                 kept.
-            confirmed: second test of candidates with a stable verdict.
+            verifier: second test of candidates with a stable verdict.
             commit: once `width` are found, drop states that keep more robots busy than these.
         """
-        frontier, promise = self.frontier, Promise(self.scores, self.rng)
+        frontier, promise = self.frontier, Priorities(self.scores, self.rng)
         loose = self.order(promise.loose, promise.of, width)
-        proven, rejected = self._likely_ones(judge, loose, width, confirmed)
+        proven, rejected = self._verify_untried_first(judge, loose, width, verifier)
         most_held = np.inf
         if commit and len(proven) >= width:
             most_held = float(frontier.held(proven).max())
@@ -125,26 +125,26 @@ class Selector:
             fixed = promise.best_fixing(lookahead, most_held)
         return self._selection(np.concatenate([proven, fixed]), rejected)
 
-    def _likely_ones(
-        self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmation
+    def _verify_untried_first(
+        self, judge: CountingOracle, waiting: Rows, wanted: int, verifier: Verifier
     ) -> tuple[Rows, Rows]:
-        """As `_stable_ones`; moves that failed before are tried last."""
+        """As `_verify_in_order`; moves that failed before are tried last."""
         if self.failures is None or not len(waiting):
-            return self._stable_ones(judge, waiting, wanted, confirmed)
+            return self._verify_in_order(judge, waiting, wanted, verifier)
         frontier = self.frontier
         keys = self.failures.keys(frontier.states(waiting), frontier.part(waiting))
         failed = self.failures.failed(keys)
-        again = np.flatnonzero(failed)[: _TRIED_AGAIN * wanted]
+        again = np.flatnonzero(failed)[: _RETRIES * wanted]
         order = np.concatenate([np.flatnonzero(~failed), again])
         waiting, keys = waiting[order], keys[order]
-        kept, rejected = self._stable_ones(judge, waiting, wanted, confirmed)
+        kept, rejected = self._verify_in_order(judge, waiting, wanted, verifier)
         for rows, stable in ((kept, True), (rejected, False)):
             place = np.isin(waiting, rows)
             self.failures.learn(keys[place], np.full(int(place.sum()), stable))
         return kept, rejected
 
-    def _stable_ones(
-        self, judge: CountingOracle, waiting: Rows, wanted: int, confirmed: Confirmation
+    def _verify_in_order(
+        self, judge: CountingOracle, waiting: Rows, wanted: int, verifier: Verifier
     ) -> tuple[Rows, Rows]:
         """The first stable candidates of a list, about `wanted` of them, and those found not stable on the way."""
         frontier = self.frontier
@@ -153,9 +153,9 @@ class Selector:
         position = 0
         while wanted > 0 and position < len(waiting):
             batch = waiting[position : position + (max(wanted, _VERDICT_BATCH) if position else wanted)]
-            stable = judge.stable(frontier.states(batch), self.standing[frontier.parent(batch)])
+            stable = judge.stable(frontier.states(batch), self.stable_ancestors[frontier.parent(batch)])
             if stable.any():
-                stable[stable] = confirmed(batch[stable])
+                stable[stable] = verifier(batch[stable])
             kept.append(batch[stable])
             rejected.append(batch[~stable])
             position += len(batch)

@@ -206,7 +206,7 @@ class DeviceBeam(LevelSearch):
         (_, undecided, sliding), limit = self._refused.tolist(), ""
         outcome = Outcome.FOUND if self.found else Outcome.NOT_FOUND
         if not self.found and not interrupted:
-            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided, sliding, self.task.doubt)
+            outcome, limit = beam_failure(self.settings.width, self.exhaustive, undecided, sliding, self.task.caveat)
         return SearchResult(
             outcome=outcome,
             routes=(self.route(),) if self.found else (),

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
     import torch
 
-    from falsework.stability.oracle import Stability
+    from falsework.stability.oracle import StabilityOracle
 
 
 class TensorOracle(Protocol):
     """Stability oracle for batches of states on a device.
 
-    If its attribute `holds_keep_stable` is true, as of `Stability`, holds are not checked.
+    If its attribute `holds_keep_stable` is true, as of `StabilityOracle`, holds are not checked.
     """
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
@@ -52,7 +52,7 @@ class HostOracle:
 class DeviceOracle:
     """GPU solver; states that it leaves undecided go to the CPU solvers."""
 
-    def __init__(self, oracle: Stability, device: torch.device) -> None:
+    def __init__(self, oracle: StabilityOracle, device: torch.device) -> None:
         """Copy the problem to the device.
 
         Args:
@@ -67,7 +67,7 @@ class DeviceOracle:
 
         self.holds_keep_stable = oracle.holds_keep_stable
         self._solver = GpuSolver(oracle.assembly, oracle.problem, oracle.settings, str(device))
-        self._fallback: Stability | None = oracle
+        self._fallback: StabilityOracle | None = oracle
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
         """See `TensorOracle`."""
@@ -104,7 +104,7 @@ def without_fallback(oracle: TensorOracle) -> TensorOracle:
     return oracle.without_fallback() if isinstance(oracle, DeviceOracle) else oracle
 
 
-def tensor_oracle(oracle: Stability, device: torch.device) -> TensorOracle:
+def tensor_oracle(oracle: StabilityOracle, device: torch.device) -> TensorOracle:
     """Return the oracle for states on a device: the GPU solver, or the CPU oracle behind copies."""
     return DeviceOracle(oracle, device) if device.type == "cuda" else HostOracle(oracle)
 

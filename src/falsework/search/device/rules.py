@@ -50,7 +50,7 @@ class TensorRules:
         self._to_come = put(task.start != REMOVED, device)
         self._words = put(StateHash.for_parts(task.part_count).words, device)
         self._values = put(np.array([INSTALLED, HELD] if backward else [HELD, REMOVED], dtype=np.uint8), device)
-        self._ways = WaysOut(task.clearance, task.part_count, device)
+        self._ways = ExitTable(task.clearance, task.part_count, device)
         can_leave = None if task.clearance is None else self._ways.can_leave
         self._legal = task.legal_moves("torch", lambda array: put(array, device), direction, can_leave)
         self._loose, self._touchable, self._goal = self._legal.loose, self._legal.touchable, self._legal.goal
@@ -99,7 +99,7 @@ class TensorRules:
         return (self._stage[goals.long()] - self._stage[states.long()]).sum(dim=1)
 
     def contains(self, states: torch.Tensor, goals: torch.Tensor | None = None) -> torch.Tensor:
-        """Return which states may lead to their goal under the rules, as `Task.create` checks. Shape (batch,).
+        """Return which states may lead to their goal under the rules, as `Task.from_rules` checks. Shape (batch,).
 
         No part has to reverse its order of conditions, no fixed part has to change, and robots suffice in both.
         """
@@ -196,7 +196,7 @@ class TensorRules:
         return parent, action, self.hashes_after(states, hashes, action, parent)
 
 
-class WaysOut:
+class ExitTable:
     """Exit directions of each part, as two matrix products of small integers, which are exact in any precision."""
 
     def __init__(self, clearance: Clearance | None, parts: int, device: torch.device) -> None:

@@ -20,7 +20,7 @@ from falsework.errors import InputError
 from falsework.stability.margins.conditions import Answer, Condition
 from falsework.stability.margins.placement import moved_assembly
 from falsework.stability.margins.pushes import Pushes
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdict, Verdicts
 from falsework.utils.models import FileModel
@@ -61,7 +61,7 @@ class Demands(FileModel, frozen=True):
     """Error of placement in m; states are stable in each of some random placements with contacts found anew."""
 
     @classmethod
-    def parse(cls, text: str, option: str = "--margin") -> Demands:
+    def from_text(cls, text: str, option: str = "--margin") -> Demands:
         """Read demands such as `friction=1.25,tilt=2deg,push=20N,placement=1mm`.
 
         Raises:
@@ -132,7 +132,7 @@ class Demands(FileModel, frozen=True):
         return found
 
 
-class DemandingStability(Stability):
+class MarginOracle(StabilityOracle):
     """Stability oracle for searches in which states must keep margins, which count from the true friction.
 
     `verdicts`, as searches ask, counts a state that does not keep them as sliding, or as unstable where a velocity
@@ -146,7 +146,7 @@ class DemandingStability(Stability):
         super().__init__(assembly, settings)
         self.demands = demands
         true = replace(settings, reserve=1.0)
-        self._variants = [(name, Stability(changed, true)) for name, changed in demands.variants(assembly)]
+        self._variants = [(name, StabilityOracle(changed, true)) for name, changed in demands.variants(assembly)]
         self._known: dict[bytes, int] = {}
         self._start: tuple[bytes, Answer] | None = None
         near = np.eye(assembly.part_count, dtype=bool)
@@ -156,14 +156,14 @@ class DemandingStability(Stability):
 
     @cached_property
     def _pushes(self) -> Pushes:
-        return Pushes.on(self.assembly)
+        return Pushes.from_assembly(self.assembly)
 
     def verdicts(
         self, states: ArrayLike, *, near: ArrayLike | None = None, require_certificate: bool = False
     ) -> Verdicts:
         """Return verdicts on states; without certificates, those that do not keep the margins do not count as stable.
 
-        Arguments and errors as for `Stability.verdicts`.
+        Arguments and errors as for `StabilityOracle.verdicts`.
         """
         batch = as_states(states, self.assembly.boundary)
         origins = None if near is None else as_states(near, self.assembly.boundary)
@@ -182,7 +182,7 @@ class DemandingStability(Stability):
         return verdicts
 
     def plausible(self, states: States, parents: States) -> NDArray[np.bool_]:
-        """Return which states a replay may find at rest, and keep the margins; see `Stability.plausible`."""
+        """Return which states a replay may find at rest, and keep the margins; see `StabilityOracle.plausible`."""
         found = super().plausible(states, parents)
         rows = np.flatnonzero(found)
         if self.demands and len(rows):
@@ -271,7 +271,7 @@ def _check_range(name: str, value: float, place: str) -> None:
 
 
 def _accelerated(assembly: Assembly, vector: NDArray[np.float64]) -> Assembly:
-    own = assembly.loads or Loads.of(assembly.part_count)
+    own = assembly.loads or Loads.from_arrays(assembly.part_count)
     return assembly.replace(
-        loads=Loads.of(assembly.part_count, wrench=own.wrench, acceleration=own.acceleration + vector)
+        loads=Loads.from_arrays(assembly.part_count, wrench=own.wrench, acceleration=own.acceleration + vector)
     )

@@ -12,7 +12,7 @@ from falsework.assembly.state import States
 from falsework.search.margins.demands import Demands
 from falsework.stability.margins.claims import MarginClaims
 from falsework.stability.margins.state_margins import StateMargins
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.utils.quantity import format_quantity
 
 Measured = Literal["friction", "tilt", "horizontal", "push"]
@@ -36,7 +36,9 @@ class PlanMargins:
     """No plan has a weakest step stronger than this, in the units of `measured`; None where none is known."""
 
     @classmethod
-    def of(cls, oracle: Stability, states: States, demands: Demands, also: Measured | None = None) -> PlanMargins:
+    def from_oracle(
+        cls, oracle: StabilityOracle, states: States, demands: Demands, also: Measured | None = None
+    ) -> PlanMargins:
         """Measure the required margins, and one more.
 
         Args:
@@ -100,7 +102,7 @@ class PlanMargins:
             record |= {"maximised": self.maximised, "bound": self.bound}
         return record
 
-    def overstated(self, oracle: Stability, states: States) -> tuple[int, str] | None:
+    def overstated(self, oracle: StabilityOracle, states: States) -> tuple[int, str] | None:
         """Return the first state that is not stable at a recorded margin, and the reason; None if all are.
 
         Args:

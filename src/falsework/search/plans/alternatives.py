@@ -30,7 +30,7 @@ class Alternatives:
     """Jaccard distance of the sets of states on the paths: 1 - common / all, (k, k)."""
 
     @classmethod
-    def of(cls, routes: Sequence[Route]) -> Alternatives:
+    def from_routes(cls, routes: Sequence[Route]) -> Alternatives:
         """Measure given routes of one task against each other."""
         order = np.zeros((len(routes), len(routes)))
         states = np.zeros_like(order)
@@ -115,7 +115,7 @@ def choose_alternatives(
     if not routes:
         random = graph.sample_route(rng)
         if random is None:
-            return Alternatives.of([])
+            return Alternatives.from_routes([])
         routes = [random]
     chooser = _Farthest(graph, rng)
     stop = stop or (lambda: False)
@@ -124,7 +124,7 @@ def choose_alternatives(
         if route is None:
             break
         routes.append(route)
-    best = Alternatives.of(routes)
+    best = Alternatives.from_routes(routes)
     improved = len(routes) > 1
     while improved:
         improved = False
@@ -135,7 +135,7 @@ def choose_alternatives(
             route = chooser.from_all(others)
             if route is None:
                 continue
-            trial = Alternatives.of([*routes[:place], route, *routes[place + 1 :]])
+            trial = Alternatives.from_routes([*routes[:place], route, *routes[place + 1 :]])
             if _spread(trial) > _spread(best):
                 routes[place], best, improved = route, trial, True
     return best

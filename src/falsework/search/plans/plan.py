@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from falsework.assembly.assembly_model import Count, Prop
 from falsework.assembly.state import HELD, INSTALLED, Mask, States
 from falsework.errors import PlanError
+from falsework.geometry.ways.exit_directions import ExitTable
 from falsework.geometry.ways.moves import Way
-from falsework.geometry.ways.ways_out import WaysOut
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.steps import PlanStep, holders, inserts_several, steps_of, undone
@@ -60,12 +60,12 @@ def needs_of(actions: NDArray[np.int64], parts: int, missing: tuple[int, ...]) -
     return tuple(sorted(needs, key=lambda need: need.after_steps))
 
 
-def _ways_out(route: Route, task: Task) -> tuple[Way, ...]:
+def _first_exits(route: Route, task: Task) -> tuple[Way, ...]:
     """Return the moves of each step of a route, in the order of assembly; none for steps without or straight ones."""
     clearance, found = task.clearance, []
     for state, action in zip(route.states[-2::-1], route.actions[::-1].tolist(), strict=True):
         part = action - route.states.shape[1]
-        way = clearance.way_out(state, part) if part >= 0 and isinstance(clearance, WaysOut) else ()
+        way = clearance.exit_direction_of(state, part) if part >= 0 and isinstance(clearance, ExitTable) else ()
         found.append(way or ())
     return tuple(found)
 
@@ -83,7 +83,7 @@ class Plan(Displayed):
     """State at first, and after each step; shape (steps + 1, parts)."""
     actions: NDArray[np.int64]
     """Steps as numbers, shape (steps,): `parts + i` inserts part `i`, held by a robot, and `i` releases it. With
-    `support`, `i` holds or releases part `i`, whichever it is not, and `parts + i` inserts or removes a prop. Where a
+    `allow_regrasp`, `i` holds or releases part `i`, whichever it is not; `parts + i` inserts or removes a prop. Where a
     step inserts several parts, `i` is the first that a robot holds; see `PlanStep.parts`."""
     verdicts: tuple[Verdict, ...]
     """One a state."""
@@ -108,7 +108,7 @@ class Plan(Displayed):
     """Parts that were not delivered yet when the plan was made."""
     removable_only_if_clear: bool = False
     """Whether every part that is removed has a free straight exit."""
-    support: bool = False
+    allow_regrasp: bool = False
     """Whether parts may be released without being removed, and held again."""
     props: tuple[Prop, ...] = ()
     """Props of the plan, which are the last parts."""
@@ -120,7 +120,7 @@ class Plan(Displayed):
     """Moves of a way out at most; 1 if every part leaves in one."""
     turns: bool = False
     """Whether parts turn on their ways out."""
-    ways_out: tuple[Way, ...] = ()
+    exit_directions: tuple[Way, ...] = ()
     """Moves in which the part of each step leaves, one entry a step; an entry is empty where it leaves in a straight
     line, and all is where every part does. Insertion undoes them, the last one first."""
     source: Mapping[str, Any] | None = None
@@ -145,7 +145,7 @@ class Plan(Displayed):
     """Margins that its states keep; None if none were required."""
 
     @classmethod
-    def of(
+    def from_route(
         cls,
         route: Route,
         assembly: Assembly,
@@ -169,14 +169,14 @@ class Plan(Displayed):
         bad = np.flatnonzero(~verdicts.stable)
         if len(bad):
             raise PlanError(f"state {bad[0]} of the plan is not proven stable; plan again")
-        return cls.unproven(route, assembly, task, verdicts, claim)
+        return cls.from_unproven_route(route, assembly, task, verdicts, claim)
 
     @classmethod
-    def unproven(
+    def from_unproven_route(
         cls, route: Route, assembly: Assembly, task: Task, verdicts: Verdicts, claim: StabilityCriterion
     ) -> Plan:
         """Plan as `of`, whatever the verdicts are."""
-        ways_out = _ways_out(route, task)
+        exit_directions = _first_exits(route, task)
         return cls(
             states=route.states[::-1].copy(),
             actions=route.actions[::-1].copy(),
@@ -193,13 +193,14 @@ class Plan(Displayed):
             fixed=task.fixed,
             missing=task.missing,
             removable_only_if_clear=task.clearance is not None,
-            support=bool(((route.states[:-1] == HELD) & (route.states[1:] == INSTALLED)).any()) or bool(assembly.props),
+            allow_regrasp=bool(((route.states[:-1] == HELD) & (route.states[1:] == INSTALLED)).any())
+            or bool(assembly.props),
             props=assembly.props,
             prop_limit=task.prop_limit if assembly.props else 0,
             parts_at_once=1 if task.together is None or not inserts_several(route.states) else task.together.largest,
-            moves=task.moves_out if any(ways_out) else 1,
-            turns=any(move.turns for way in ways_out for move in way),
-            ways_out=ways_out if any(ways_out) else (),
+            moves=task.moves_out if any(exit_directions) else 1,
+            turns=any(move.turns for way in exit_directions for move in way),
+            exit_directions=exit_directions if any(exit_directions) else (),
             forces=verdicts.forces,
         )
 

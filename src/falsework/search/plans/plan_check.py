@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError, PlanError
-from falsework.search.margins.demands import DemandingStability, Demands
-from falsework.search.plans.build import carried_steps, check_build
+from falsework.search.margins.demands import Demands, MarginOracle
+from falsework.search.plans.build_proofs import carried_steps, check_build
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_report import (
     PROOF_NAMES,
     CheckedPlan,
     PlanReport,
     comparable,
-    place_in_words,
-    unstable_in_words,
+    describe_place,
+    describe_unstable,
     unverified_claims,
     weaker_claim,
 )
@@ -29,7 +29,7 @@ from falsework.search.plans.plan_rules import broken_rule
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.stability.certificate import StabilityCriterion, residuals_in_order, verify_certificates
 from falsework.stability.contact.build_verifier import BuildVerifier
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_arrays import StateArrays
 
@@ -134,7 +134,7 @@ def validate_plan(
         report = _solve(report, plan, assembly, settings, count, proven, progress)
     weak = _weak(plan, assembly, settings, demands) if report.good and broken is None else None
     if weak is not None:
-        report = replace(report, checked=weak[0], reason=f"{weak[1]} {place_in_words(plan, weak[0])}")
+        report = replace(report, checked=weak[0], reason=f"{weak[1]} {describe_place(plan, weak[0])}")
     if report.good:
         report = replace(report, reason=misfit if broken is None else broken[1])
     return replace(report, seconds=time.perf_counter() - begun)
@@ -142,7 +142,7 @@ def validate_plan(
 
 def _blank(plan: Plan, assembly: Assembly, claim: StabilityCriterion, demands: Demands | None = None) -> PlanReport:
     """Return the report on a plan of which no state is checked yet, with the reason if none needs to be."""
-    about, unverified = CheckedPlan.of(plan, assembly), unverified_claims(plan, claim, demands)
+    about, unverified = CheckedPlan.from_plan(plan, assembly), unverified_claims(plan, claim, demands)
     # Where every part is boundary, no other plan exists.
     complete = len(plan) > 0 or assembly.boundary.all()
     empty = "" if complete else "the plan has no step and shows nothing; plan again"
@@ -176,7 +176,7 @@ def _solve(
         proven = residual <= claim.tolerance
         left = rows[~proven] if carried is None else rows[~proven][:1]  # which is bad, one way or the other
         if len(left):
-            oracle = oracle or Stability(assembly, settings)
+            oracle = oracle or StabilityOracle(assembly, settings)
             states, near = plan.states[left], plan.states[np.maximum(left - 1, 0)]
             found = oracle.verdicts(states, near=near, require_certificate=True)
             residual[np.isin(rows, left)] = found.residual
@@ -187,7 +187,7 @@ def _solve(
                 if carried is not None and accepted[at]:
                     report = replace(report, reason=_unproven(plan, count, float(carried[count]), claim))
                 else:
-                    report = replace(report, reason=unstable_in_words(plan, count, found[at]), verdict=found[at])
+                    report = replace(report, reason=describe_unstable(plan, count, found[at]), verdict=found[at])
         done = rows < count
         largest, certified = max(largest, residual[done].max(initial=0.0)), certified + int(proven[done].sum())
         if progress is not None and done.any():
@@ -232,7 +232,7 @@ def _residuals_of_proofs(plan: Plan, assembly: Assembly, claim: StabilityCriteri
 def _unproven(plan: Plan, row: int, residual: float, claim: StabilityCriterion) -> str:
     name = PROOF_NAMES[claim.criterion]
     return (
-        f"the {name} in the plan for the state {place_in_words(plan, row)} leave {residual:.3g} of gravity, above "
+        f"the {name} in the plan for the state {describe_place(plan, row)} leave {residual:.3g} of gravity, above "
         f"{claim.tolerance:g}, and prove nothing"
     )
 
@@ -245,7 +245,7 @@ def _weak(
         demands = plan.margins.demands
     if plan.margins is None and not demands:
         return None
-    oracle = DemandingStability(assembly, settings, demands or Demands())
+    oracle = MarginOracle(assembly, settings, demands or Demands())
     lost = np.flatnonzero(~oracle.keeps(plan.states)) if demands else []
     if len(lost):
         row = int(lost[0])

@@ -77,7 +77,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             "fixed": plan.fixed,
             "missing": plan.missing,
             "removable_only_if_clear": plan.removable_only_if_clear,
-            "support": plan.support,
+            "support": plan.allow_regrasp,
             "props": plan.prop_limit if plan.props else 0,
             "parts_at_once": plan.parts_at_once,
             "moves": plan.moves,
@@ -92,7 +92,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
                 "parts": step.parts if len(step.parts) > 1 else None,
                 "held": len(step.robots) if len(step.parts) > 1 else None,
                 **records[step.number],
-                "way_out": [
+                "exit_direction_of": [
                     {
                         "direction": move.direction,
                         "distance": move.distance,
@@ -100,7 +100,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
                         "point": move.point if move.turns else None,
                         "parts": None if move.parts == (step.part,) else move.parts,
                     }
-                    for move in (plan.ways_out[step.number - 1] if plan.ways_out else ())
+                    for move in (plan.exit_directions[step.number - 1] if plan.exit_directions else ())
                 ],
                 "presses": step.presses,
             }

@@ -100,7 +100,7 @@ class PlanReader:
         loads = [self._loads(record, number) for number, record in enumerate((file.start, *file.steps))]
         if any(loads) and claim.criterion != "contact":
             self._fail("it says what robots bear, which is not known under the criterion equilibrium")
-        ways_out = [self._way_out(step, number) for number, step in enumerate(file.steps, 1)]
+        exit_directions = [self._way_out(step, number) for number, step in enumerate(file.steps, 1)]
         presses = [self._presses(step, number) for number, step in enumerate(file.steps, 1)]
         return {
             "states": states,
@@ -118,13 +118,13 @@ class PlanReader:
             "fixed": rules.fixed,
             "missing": missing,
             "removable_only_if_clear": rules.removable_only_if_clear,
-            "support": rules.support,
+            "allow_regrasp": rules.support,
             "props": structure.props,
             "prop_limit": rules.props,
             "parts_at_once": rules.parts_at_once,
             "moves": rules.moves,
             "turns": rules.turns,
-            "ways_out": tuple(ways_out) if any(ways_out) else (),
+            "exit_directions": tuple(exit_directions) if any(exit_directions) else (),
             "source": None if structure.source is None else to_json_values(structure.source),
             "presses": tuple(presses) if any(presses) else (),
             "loads": tuple(loads) if any(loads) else (),
@@ -208,15 +208,15 @@ class PlanReader:
 
     def _way_out(self, step: StepEntry, number: int) -> Way:
         """Return the moves of a step; whether they lead out is for the check."""
-        if not step.way_out:
+        if not step.exit_direction_of:
             return ()
         place, most = f"step {number}", self._file.rules.moves
         if step.do != Action.INSERT or step.parts is not None:
-            self._fail(f"{place} has a way_out", "only a step that inserts one part has one")
-        if len(step.way_out) > most:
-            self._fail(f"{place} has {len(step.way_out)} moves", f"at most {most} with rules.moves")
-        for count, move in enumerate(step.way_out):
-            place = f"steps[{number - 1}].way_out[{count}]"
+            self._fail(f"{place} has a exit_direction_of", "only a step that inserts one part has one")
+        if len(step.exit_direction_of) > most:
+            self._fail(f"{place} has {len(step.exit_direction_of)} moves", f"at most {most} with rules.moves")
+        for count, move in enumerate(step.exit_direction_of):
+            place = f"steps[{number - 1}].exit_direction_of[{count}]"
             if abs(np.linalg.norm(move.direction) - 1.0) > 1e-6:
                 self._fail(f"{place}.direction is no unit vector")
             if move.distance == 0.0 and not move.angle:
@@ -231,7 +231,7 @@ class PlanReader:
                 self._fail(f"{place}.parts is empty")
         return tuple(
             Move(move.parts or (step.part,), move.direction, move.distance, move.angle or 0.0, move.point or (0.0,) * 3)
-            for move in step.way_out
+            for move in step.exit_direction_of
         )
 
     def _judged(self, record: StartEntry | StepEntry, place: str) -> float:

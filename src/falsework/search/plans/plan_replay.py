@@ -59,7 +59,7 @@ class PlanReplay:
         return plain if self.judgement is None else {**plain, "judgement": self.judgement.to_dict()}
 
     @classmethod
-    def of(cls, replay: Replay) -> PlanReplay:
+    def from_replay(cls, replay: Replay) -> PlanReplay:
         """Return the summary of a replay."""
         resting = np.flatnonzero(replay.stands == 1)
         most = int(resting[np.argmax(replay.moved[resting])]) if len(resting) else -1
@@ -166,5 +166,5 @@ class Acceptance:
         """
         if self._replayer is None:
             return None
-        found = PlanReplay.of(self._replayer.replay(states))
+        found = PlanReplay.from_replay(self._replayer.replay(states))
         return (self.tested(states, found) if found.stands else found).falls_at

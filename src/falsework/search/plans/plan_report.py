@@ -49,7 +49,7 @@ class CheckedPlan:
     """Last state."""
 
     @classmethod
-    def of(cls, plan: Plan, assembly: Assembly) -> CheckedPlan:
+    def from_plan(cls, plan: Plan, assembly: Assembly) -> CheckedPlan:
         """Return what a check of a plan for a structure is about."""
         return cls(
             structure=assembly.name,
@@ -60,7 +60,7 @@ class CheckedPlan:
             props=len(plan.props),
             prop_limit=plan.prop_limit,
             parts_at_once=int((plan.states[1:] != plan.states[:-1]).sum(axis=1).max(initial=1)),
-            moves=max((len(way) for way in plan.ways_out), default=1),
+            moves=max((len(way) for way in plan.exit_directions), default=1),
             start=tuple(plan.states[0].tolist()),
             end=tuple(plan.states[-1].tolist()),
         )
@@ -160,12 +160,12 @@ def comparable(claimed: StabilityCriterion, asked: StabilityCriterion) -> bool:
     return (claimed.criterion, claimed.cone) == (asked.criterion, asked.cone)
 
 
-def unstable_in_words(plan: Plan, row: int, verdict: Verdicts) -> str:
+def describe_unstable(plan: Plan, row: int, verdict: Verdicts) -> str:
     """Say why a state of a plan is not stable, and where it is in the plan."""
     hangs = ", which depends on the tolerance" if verdict.on_tolerance[0] else ""
-    return f"the structure {Verdict(verdict.verdict[0]).words} {place_in_words(plan, row)}{hangs}"
+    return f"the structure {Verdict(verdict.verdict[0]).words} {describe_place(plan, row)}{hangs}"
 
 
-def place_in_words(plan: Plan, row: int) -> str:
+def describe_place(plan: Plan, row: int) -> str:
     """Say where a state is in a plan."""
     return f"after step {row} ({plan.words(row)})" if row else "at the beginning"

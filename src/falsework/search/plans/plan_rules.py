@@ -10,10 +10,10 @@ from falsework.errors import AssemblyError
 from falsework.geometry.clearance.locked import LARGEST
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import moved_parts
-from falsework.search.problem.support_moves import SupportMoves
+from falsework.search.problem.regrasp_moves import RegraspMoves
 from falsework.search.problem.task import Direction, Task
 from falsework.search.together.carried_group import holds_together
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 
 
@@ -31,8 +31,8 @@ def broken_rule(
     held = int(held_count(states[:1], plan.immovable)[0])
     if held > plan.robots:
         return 0, f"{held} parts are held at first, with {plan.robots} robots"
-    if plan.support:
-        allowed = SupportMoves(_task_of(plan)).legal(states[:-1], Direction.ASSEMBLY)
+    if plan.allow_regrasp:
+        allowed = RegraspMoves(_task_of(plan)).legal(states[:-1], Direction.ASSEMBLY)
     else:
         allowed = undo_mask(states[:-1], boundary, plan.robots)
     led_to = _follow(plan)
@@ -67,7 +67,7 @@ def broken_rule(
 
 def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySettings | None) -> str:
     """Return what is wrong with how a step inserts a part that has no straight way, as the end of a sentence."""
-    moves = plan.ways_out[step] if plan.ways_out else ()
+    moves = plan.exit_directions[step] if plan.exit_directions else ()
     part, state = int(plan.actions[step]) - len(plan.boundary), plan.states[step + 1]
     if not moves:
         return "finds no straight way past the other parts"
@@ -87,7 +87,7 @@ def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySe
     if len(moved) > 1 and settings is not None:
         rest = state.copy()
         rest[moved] = REMOVED
-        if not Stability(assembly, settings).verdicts(rest[None]).stable[0]:
+        if not StabilityOracle(assembly, settings).verdicts(rest[None]).stable[0]:
             names = ", ".join(plan.part_names[one] for one in moved)
             return f"is against the rules: while {names} move, the other parts do not stand"
     return ""
@@ -130,21 +130,21 @@ def broken_together(plan: Plan, step: int, assembly: Assembly | None, settings: 
 
 def _follow(plan: Plan) -> States:
     """Return the states that the actions of a plan lead to, each from the state before."""
-    if plan.support:
-        return SupportMoves(_task_of(plan)).follow(plan.states[:-1], plan.actions)
+    if plan.allow_regrasp:
+        return RegraspMoves(_task_of(plan)).follow(plan.states[:-1], plan.actions)
     return undo_actions(plan.states[:-1], plan.actions)
 
 
 def _task_of(plan: Plan) -> Task:
     """Return the task of a plan with repeated holds, without a rule on exits."""
     start, target = plan.states[[-1, 0]]
-    return Task.create(
+    return Task.from_rules(
         plan.boundary,
         plan.robots,
         start=start,
         target=target,
         fixed=plan.fixed,
-        support=True,
+        allow_regrasp=True,
         props=[prop.part for prop in plan.props],
         prop_limit=plan.prop_limit,
     )
@@ -172,7 +172,7 @@ def _why(plan: Plan, step: int) -> str:
         return f"{plan.prop_limit} props may stand at a time, each under a part that is there"
     if action >= parts and any(prop.part == part and state[k - len(plan.props)] for k, prop in enumerate(plan.props)):
         return "a prop stands under it"
-    takes_robot = plan.support or action >= parts
+    takes_robot = plan.allow_regrasp or action >= parts
     if takes_robot and held >= plan.robots and state[part] != HELD:
         return f"all {plan.robots} robots are holding"
     return f"the part is {('removed', 'installed', 'held')[int(state[part])]}"

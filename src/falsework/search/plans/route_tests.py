@@ -67,7 +67,7 @@ class RouteTests:
         if self.replayer is None:
             return True
         states = route.states[::-1]
-        found = PlanReplay(True, *known) if known else PlanReplay.of(self.replayer.replay(states))
+        found = PlanReplay(True, *known) if known else PlanReplay.from_replay(self.replayer.replay(states))
         if found.stands:
             found = self._acceptance.tested(states, found)
         if found.stands:

@@ -27,7 +27,7 @@ _ROW, _STRICT_ROW = 0.3, 3.0
 for what is behind it, and with many, which would hold the ends of all these rows."""
 _MANY_ROBOTS = 5
 """Robots from which on rows are closed strictly in order."""
-_BESIDE_HELD = 0.15
+_NEXT_TO_HELD = 0.15
 """Shares of support that a place beside a held part counts as."""
 
 
@@ -99,14 +99,14 @@ class SupportGuide:
         rows, strict = self._rows, task.holds_keep_stable or task.robots >= _MANY_ROBOTS
         return None if rows is None else EdgeGuide(self, rows, _STRICT_ROW if strict else _ROW)
 
-    def beside_held(self, task: Task) -> BesideHeldGuide | None:
+    def held_neighbours(self, task: Task) -> HeldNeighbourGuide | None:
         """Return a heuristic that prefers parts beside held ones; None where it is of no use for a task.
 
         It is meant for contact histories, and rows behind free edges have an order of their own.
         """
         if task.neighbours is None or task.holds_keep_stable or self._rows is not None:
             return None
-        return BesideHeldGuide(self, task.neighbours)
+        return HeldNeighbourGuide(self, task.neighbours)
 
     @cached_property
     def _rows(self) -> NDArray[np.intp] | None:
@@ -136,7 +136,7 @@ class SupportGuide:
         return support
 
 
-class BesideHeldGuide:
+class HeldNeighbourGuide:
     """Heuristic that prefers parts beside those that robots hold, in assembly, on top of another heuristic.
 
     A robot is free again once the parts around the one that it holds are there. Where these are left for later, robots
@@ -159,7 +159,7 @@ class BesideHeldGuide:
             return scores
         preferred = np.zeros(actions.shape, dtype=np.float32)
         for row, state in enumerate(states):  # supports are held too, but beside nothing
-            preferred[row, states.shape[1] :][self._neighbours[state == HELD].any(axis=0)] = _BESIDE_HELD
+            preferred[row, states.shape[1] :][self._neighbours[state == HELD].any(axis=0)] = _NEXT_TO_HELD
         return scores + preferred
 
 

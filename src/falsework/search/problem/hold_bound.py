@@ -24,7 +24,7 @@ from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import residual_bound_of_velocity
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 
 _BATCH = 8
@@ -89,13 +89,13 @@ class HoldBound:
         equilibrium = StabilitySettings(criterion="equilibrium", cone=settings.friction_cone, **same)
         if assembly.joints is not None:  # those that set bear less before
             assembly = assembly.replace(joints=assembly.joints.once_set())
-        self._oracle = Stability(assembly, equilibrium)
+        self._oracle = StabilityOracle(assembly, equilibrium)
         self._clock = clock
         fixed = np.zeros(task.part_count, dtype=bool)
         fixed[list(task.fixed)] = True
         self._touched = ~task.boundary & ~fixed
         # With holding again, what stays in the end may be held on the way.
-        self._holdable = self._touched & (task.support | (task.target != INSTALLED))
+        self._holdable = self._touched & (task.allow_regrasp | (task.target != INSTALLED))
         self._removable = (task.start != REMOVED) & (task.target == REMOVED)
         self._known: dict[tuple[bytes, int], bool] = {}
         self._cores: dict[int, tuple[int, ...]] = {}

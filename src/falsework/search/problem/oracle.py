@@ -13,7 +13,7 @@ from falsework.stability.verdict import Verdicts
 
 
 class Oracle(Protocol):
-    """Stability oracle for batches of states; `falsework.stability.Stability` is one."""
+    """Stability oracle for batches of states; `falsework.stability.StabilityOracle` is one."""
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """Return verdicts on states.
@@ -27,7 +27,7 @@ class Oracle(Protocol):
 
 
 Screen = Callable[[States, States], Mask]
-"""Test of states, given stable ones that are one move away; see `Stability.plausible`."""
+"""Test of states, given stable ones that are one move away; see `StabilityOracle.plausible`."""
 
 
 class CountingOracle:

@@ -40,7 +40,7 @@ class Route:
     """Shape (steps,)."""
 
     @classmethod
-    def through(cls, states: States) -> Route:
+    def from_states(cls, states: States) -> Route:
         """Return the route through consecutive states, each one move from the next, in disassembly order."""
         before, after = states[:-1], states[1:]
         # Of several parts that a step removes, it is named after the first that is held.
@@ -75,7 +75,7 @@ def barred_row(row: int, count: int) -> int | None:
 
 
 def beam_failure(
-    width: int, exhaustive: bool, undecided: int, sliding: int = 0, doubt: str = ""
+    width: int, exhaustive: bool, undecided: int, sliding: int = 0, caveat: str = ""
 ) -> tuple[Outcome, str]:
     """Return the outcome of a beam that died out, and the limit that it met, if any.
 
@@ -84,7 +84,7 @@ def beam_failure(
         exhaustive: it never omitted one.
         undecided: states that could be proved neither stable nor unstable.
         sliding: states in equilibrium for which no displacement was found.
-        doubt: why the rules of the task may be too strict; see `Task.doubt`.
+        caveat: why the rules of the task may be too strict; see `Task.caveat`.
     """
     if not exhaustive:
         return Outcome.NOT_FOUND, f"the beam has a width of {width}; a wider one may find a plan"
@@ -96,8 +96,8 @@ def beam_failure(
     if sliding:
         slide = "1 state slides" if sliding == 1 else f"{sliding} states slide"
         return Outcome.NOT_FOUND, f"no plan was found in which every state is stable: {slide}"
-    if doubt:
-        return Outcome.NOT_FOUND, doubt
+    if caveat:
+        return Outcome.NOT_FOUND, caveat
     return Outcome.PROVED_IMPOSSIBLE, ""
 
 

@@ -78,7 +78,7 @@ class StateGraph:
     """Whether removals in this graph have a free exit direction."""
 
     @classmethod
-    def build(cls, task: Task, states: States, *, name: str = "") -> StateGraph:
+    def from_states(cls, task: Task, states: States, *, name: str = "") -> StateGraph:
         """Connect stable states by every action that the rules of `task` allow.
 
         Args:
@@ -248,7 +248,7 @@ def load_state_graph(path: Path | str) -> StateGraph:
         raise InputError(f"{path} is damaged (boundary or postponed parts have another form); build the graph again")
     with blamed_on(path, "build the graph again"):
         try:
-            task = Task.create(
+            task = Task.from_rules(
                 boundary,
                 header["robots"],
                 start=arrays["start_state"],

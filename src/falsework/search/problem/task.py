@@ -50,14 +50,14 @@ class Clearance(Protocol):
         """Shape (batch, parts): part `i` has an exit that no other present part blocks."""
         ...
 
-    def doubt(self, parts: Mask) -> str:
+    def caveat(self, parts: Mask) -> str:
         """Explain why the absence of a plan would not be proven; empty if it would be."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Rules between a start and a target state of one structure; build it with `Task.create`.
+    """Rules between a start and a target state of one structure; build it with `Task.from_rules`.
 
     Every part passes through installed, held, removed in this order and never back, so all plans of a task
     have the same number of steps, and states can be sorted into levels by the steps they are away from the start.
@@ -85,7 +85,7 @@ class Task:
     holds_keep_stable: bool = False
     """Whether a stable state stays stable when a part of it is held: a theorem under the criterion `equilibrium`,
     wrong under `contact`. Where it does, holds need no verdict; see `judged_by`."""
-    support: bool = False
+    allow_regrasp: bool = False
     """Whether a held part may be released without being removed, and held again."""
     props: tuple[int, ...] = ()
     """Part above each prop; the props are the last parts of the structure, and no robot holds them."""
@@ -95,7 +95,7 @@ class Task:
     """Rule on several parts in one step; None where every step moves one part."""
 
     @classmethod
-    def create(
+    def from_rules(
         cls,
         boundary: ArrayLike,
         robots: int = 2,
@@ -107,7 +107,7 @@ class Task:
         clearance: Clearance | None = None,
         contacts: ArrayLike | None = None,
         identity: str = "",
-        support: bool = False,
+        allow_regrasp: bool = False,
         props: Sequence[int] = (),
         prop_limit: int = 0,
         together: Together | None = None,
@@ -124,24 +124,24 @@ class Task:
             clearance: where given, a part is removed only if it has a free exit direction.
             contacts: pairs of parts in contact, shape (pairs, 2).
             identity: hash of the structure.
-            support: let parts be held again.
+            allow_regrasp: let parts be held again.
             props: part above each prop; the last parts of the structure are props, absent from start and target.
             prop_limit: props that may be in place at a time.
             together: rule on several parts in one step; needs `clearance`.
 
         Raises:
-            InputError: fewer than one robot, missing parts with support, several parts in one step with missing parts,
-                with support or without clearance, or a part number out of range, doubled, or of the boundary.
+            InputError: fewer than one robot, missing parts with allow_regrasp, several parts at once with missing ones,
+                with allow_regrasp or without clearance, or a part number out of range, doubled, or of the boundary.
             StateError: a malformed state, more parts held than robots, or a target that no rule leads to.
         """
         boundary = np.asarray(boundary, dtype=bool)
         robots = check_robots(robots)
         fixed = _part_numbers(fixed, boundary, "fixed", boundary_allowed=True)
         missing = _part_numbers(missing, boundary, "missing", boundary_allowed=False)
-        if missing and support:
+        if missing and allow_regrasp:
             raise InputError("plans with repeated holds take no missing parts; leave out one of the two")
-        if together is not None and (missing or support or clearance is None):
-            other = "missing parts" if missing else "repeated holds" if support else "parts without a way out"
+        if together is not None and (missing or allow_regrasp or clearance is None):
+            other = "missing parts" if missing else "repeated holds" if allow_regrasp else "parts without a way out"
             raise InputError(f"plans with several parts in one step take no {other}; leave out one of the two")
         if start is None:
             start = complete_state(boundary)
@@ -165,7 +165,7 @@ class Task:
                     f"part {part} is missing but already in place where assembly starts; take it out of that state, or "
                     "out of the missing parts"
                 )
-        _check_order(first, last, support)
+        _check_order(first, last, allow_regrasp)
         for name, state in (("start", first), ("target", last)):
             held = int(held_count(state[None], boundary)[0])
             if held > robots:
@@ -183,7 +183,7 @@ class Task:
         order = (0,) * len(missing)
         return cls(
             boundary, robots, first, last, fixed, missing, order, clearance, identity, neighbours,
-            support=support, props=tuple(props), prop_limit=prop_limit, together=together,
+            allow_regrasp=allow_regrasp, props=tuple(props), prop_limit=prop_limit, together=together,
         )  # fmt: skip
 
     @property
@@ -206,13 +206,13 @@ class Task:
         return replace(self, holds_keep_stable=bool(getattr(oracle, "holds_keep_stable", False)), clearance=clearance)
 
     @property
-    def doubt(self) -> str:
+    def caveat(self) -> str:
         """Reason why an exhaustive search so far would not prove that there is no plan; empty if it would."""
         if self.prop_limit:
             return f"props were tried at {len(self.props)} places, one under a part; they may help at others"
         if self.clearance is None:
             return ""
-        return self.clearance.doubt((self.start != REMOVED) & (self.target == REMOVED))
+        return self.clearance.caveat((self.start != REMOVED) & (self.target == REMOVED))
 
     @property
     def moves_out(self) -> int:
@@ -383,8 +383,8 @@ def _part_numbers(parts: Sequence[int], boundary: Mask, name: str, *, boundary_a
     return tuple(sorted(numbers))
 
 
-def _check_order(start: States, target: States, support: bool) -> None:
-    backwards = np.flatnonzero((STAGE[target] < STAGE[start]) & ((start == REMOVED) | (not support)))
+def _check_order(start: States, target: States, allow_regrasp: bool) -> None:
+    backwards = np.flatnonzero((STAGE[target] < STAGE[start]) & ((start == REMOVED) | (not allow_regrasp)))
     if len(backwards) == 0:
         return
     part = int(backwards[0])

@@ -10,7 +10,7 @@ from falsework.assembly.state import Mask, States
 from falsework.search.problem.deadline import AdaptiveBatchSize, Deadline, DeadlineExceeded
 from falsework.search.problem.oracle import Oracle, Screen
 from falsework.search.problem.timed_replayer import DeadlineReplayer
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdict, Verdicts
 
@@ -55,7 +55,7 @@ class TimedOracle:
                 raise DeadlineExceeded
             with self._clock.timed("verdicts"):
                 return self._oracle.verdicts(states, near=near, require_certificate=True)
-        verdicts = Verdicts.blank(len(states))
+        verdicts = Verdicts.all_undecided(len(states))
         pace = AdaptiveBatchSize(limited=self.limited)
         begin = 0
         while begin < len(states):
@@ -72,7 +72,7 @@ class TimedOracle:
         return verdicts
 
     def plausible(self, states: States, parents: States) -> Mask:
-        """Return which states a replay may find at rest, see `Stability.plausible`.
+        """Return which states a replay may find at rest, see `StabilityOracle.plausible`.
 
         Raises:
             DeadlineExceeded: the deadline has passed.
@@ -86,7 +86,7 @@ class TimedOracle:
         return found & ~self.rules_out(states)
 
     def keeps(self, states: States) -> Mask:
-        """Return which states keep the margins that the oracle asks for; see `DemandingStability.keeps`."""
+        """Return which states keep the margins that the oracle asks for; see `MarginOracle.keeps`."""
         keeps = getattr(self._oracle, "keeps", None)
         return np.ones(len(states), dtype=bool) if keeps is None else keeps(states)
 
@@ -96,7 +96,7 @@ class TimedOracle:
         return np.array([bool(known) and state.tobytes() in known for state in states], dtype=bool)
 
 
-def timed(oracle: Stability, clock: Deadline) -> Oracle:
+def timed(oracle: StabilityOracle, clock: Deadline) -> Oracle:
     """Return the oracle of a search that ends at the deadline of a clock, in the middle of a level if need be."""
     if not clock.limited:
         return oracle

@@ -65,7 +65,7 @@ class _Progress:
     """Presses of the step to each of these states."""
 
     @classmethod
-    def begin(cls, count: int) -> _Progress:
+    def from_count(cls, count: int) -> _Progress:
         return cls(np.zeros(count, np.int8), np.zeros(count), np.full(count, -1, np.int32), np.full(count, np.nan))
 
     @property
@@ -79,7 +79,7 @@ class _Falls:
 
     unfinished: States | None = None
     fallen: States | None = None
-    fell_after: int = 0
+    failed_after: int = 0
     ruled_out: set[bytes] = field(default_factory=set)
 
 
@@ -126,9 +126,9 @@ class DeadlineReplayer:
         return self._falls.fallen
 
     @property
-    def fell_after(self) -> int:
+    def failed_after(self) -> int:
         """Number of its steps that come to rest."""
-        return self._falls.fell_after
+        return self._falls.failed_after
 
     @property
     def ruled_out(self) -> set[bytes]:
@@ -187,7 +187,7 @@ class DeadlineReplayer:
                 return self._replayer.replay(sequence, history, presses)
         if presses is not None and self._built is not None:
             presses = (*self._built[1], *presses[1:])
-        progress, before = self._go_on(sequence, presses), self._before
+        progress, before = self._continue(sequence, presses), self._before
         if not progress.over:
             self._falls.unfinished = sequence
             raise DeadlineExceeded
@@ -208,7 +208,7 @@ class DeadlineReplayer:
         with self._clock.timed("replays"):
             return self._replayer.step(history, before, after)
 
-    def as_time_allows(self, states: States, presses: Presses | None = None) -> Replayed:
+    def replay_in_time(self, states: States, presses: Presses | None = None) -> Replayed:
         """Replay a sequence, or as much of it as the deadline allows; with a reserve, under the true friction too.
 
         Args:
@@ -219,7 +219,7 @@ class DeadlineReplayer:
         Returns:
             The result for the states that have been built and the sequence, together.
         """
-        progress = self._go_on(np.asarray(states, dtype=np.uint8), presses)
+        progress = self._continue(np.asarray(states, dtype=np.uint8), presses)
         at_rest = slice(progress.reached)
         stands = False if progress.fell else True if progress.over else None
         moved, done = progress.moved[at_rest], tuple(progress.presses)
@@ -234,7 +234,7 @@ class DeadlineReplayer:
             done,
         )
         if stands and self.settings.reserve != 1.0:
-            plain = self.vary(replace(self.settings, reserve=1.0), ReplaySettings()).as_time_allows(states, done)
+            plain = self.vary(replace(self.settings, reserve=1.0), ReplaySettings()).replay_in_time(states, done)
             found = replace(found, stands=plain.stands, steps=plain.steps)
         return found
 
@@ -243,7 +243,7 @@ class DeadlineReplayer:
         if self._clock.passed:
             raise DeadlineExceeded
 
-    def built_falls_at(self) -> int | None:
+    def executed_fails_at(self) -> int | None:
         """Return the first state that has been built and does not come to rest; None if all do, as far as time allows.
 
         A sequence that fails there fails whatever comes after.
@@ -259,13 +259,13 @@ class DeadlineReplayer:
     def _replay_built(self) -> _Progress | None:
         if self._built is not None and (self._prefix is None or not self._prefix.over):
             states, presses = self._built
-            self._prefix = self._prefix or _Progress.begin(len(states))
+            self._prefix = self._prefix or _Progress.from_count(len(states))
             self._advance(self._prefix, states, tuple(map(tuple, presses)))
         return self._prefix
 
     def _begin(self, count: int) -> _Progress:
         """Return the progress of a sequence of some states, as far as it has been built."""
-        progress, prefix = _Progress.begin(self._before + count), self._replay_built()
+        progress, prefix = _Progress.from_count(self._before + count), self._replay_built()
         if prefix is not None:
             for name in ("result", "moved", "part", "residual"):
                 getattr(progress, name)[: len(prefix.result)] = getattr(prefix, name)
@@ -273,7 +273,7 @@ class DeadlineReplayer:
             progress.presses = [*prefix.presses]
         return progress
 
-    def _go_on(self, states: States, presses: Presses | None) -> _Progress:
+    def _continue(self, states: States, presses: Presses | None) -> _Progress:
         given = None if presses is None else tuple(map(tuple, presses))
         key = states.tobytes(), given
         if key not in self._known:
@@ -316,8 +316,8 @@ class DeadlineReplayer:
     def _note(self, states: States, row: int) -> None:
         """Record that a sequence fails in state `row`."""
         falls = self._falls
-        if falls.fallen is None or row - 1 > falls.fell_after:
-            falls.fallen, falls.fell_after = states, max(row - 1, 0)
+        if falls.fallen is None or row - 1 > falls.failed_after:
+            falls.fallen, falls.failed_after = states, max(row - 1, 0)
         inner = barred_row(row, len(states))
         if inner is not None:
             falls.ruled_out.add(states[inner].tobytes())

@@ -41,6 +41,6 @@ class Together(Protocol):
         """Return the names of some parts."""
         ...
 
-    def doubt(self, sets: tuple[PartSet, ...]) -> str:
+    def caveat(self, sets: tuple[PartSet, ...]) -> str:
         """Explain why the absence of a plan would not be proven; empty if it would be."""
         ...

@@ -12,7 +12,7 @@ from falsework.assembly.state import complete_state
 from falsework.errors import AssemblyError
 from falsework.geometry.mesh.mesh import MassProperties
 from falsework.stability.holds import limits_of
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 
 
@@ -39,7 +39,7 @@ def holds_together(assembly: Assembly, parts: Sequence[int], carrier: int, setti
         limits = limits_of(assembly, settings.holds, settings.gravity)
         if np.linalg.norm(force) > limits.force[carrier] or np.linalg.norm(moment) > limits.moment[carrier]:
             return False
-    verdicts = Stability(group, settings).verdicts(complete_state(group.boundary), require_certificate=True)
+    verdicts = StabilityOracle(group, settings).verdicts(complete_state(group.boundary), require_certificate=True)
     return bool(verdicts.stable[0])
 
 

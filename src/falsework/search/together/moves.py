@@ -56,9 +56,9 @@ class TogetherMoves:
         return np.concatenate([single, states[inside]]), np.concatenate([actions, numbers[inside]])
 
     @property
-    def doubt(self) -> str:
+    def caveat(self) -> str:
         """Why the absence of a plan would not be proven; empty if it would be."""
-        return self.task.doubt or self._rule.doubt(self.sets)
+        return self.task.caveat or self._rule.caveat(self.sets)
 
     def first_motions(self, state: States) -> str:
         """Say which parts, and sets of parts that lock each other, can begin to move in a state, shape (parts,)."""

@@ -13,7 +13,7 @@ from falsework.search.together.carried_group import holds_together
 from falsework.stability.settings import StabilitySettings
 
 
-class LockedTogether:
+class InterlockedSets:
     """Rule that parts of a structure leave together where they lock each other; see `SetClearance`."""
 
     def __init__(self, assembly: Assembly, largest: int) -> None:
@@ -67,6 +67,6 @@ class LockedTogether:
         """Return the names of some parts."""
         return " with ".join(self._assembly.names[part] for part in parts)
 
-    def doubt(self, sets: tuple[PartSet, ...]) -> str:
+    def caveat(self, sets: tuple[PartSet, ...]) -> str:
         """Explain why the absence of a plan would not be proven; empty if it would be."""
-        return self._assembly.clearance_of_sets.doubt(sets)
+        return self._assembly.clearance_of_sets.caveat(sets)

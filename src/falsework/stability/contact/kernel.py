@@ -11,16 +11,16 @@ from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.newton import (
     MOVES_AWAY,
     RESTS,
-    VERDICT_PACE,
+    VERDICT_SCHEDULE,
     ContactArrays,
-    Pace,
-    come_to_rest,
-    find_rest,
+    StepSchedule,
+    close_gap,
+    equilibrate,
     make_contact_scratch,
-    mend,
+    solve_statics,
 )
 from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity, restrict, set_gravity
-from falsework.stability.cpu.neighbourhood import RINGS, hold_far_parts
+from falsework.stability.cpu.neighbourhood import RINGS, freeze_outside_ball
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, limits_of
 from falsework.stability.problem import Problem
@@ -47,7 +47,7 @@ class ContactOptions(NamedTuple):
     """First time step from rest."""
     warm_first_step: float
     """The same from the displacement of a parent."""
-    pace: Pace = VERDICT_PACE
+    schedule: StepSchedule = VERDICT_SCHEDULE
     """Rules by which the time step grows."""
 
 
@@ -101,7 +101,7 @@ def place_contacts(structure, contact_structure, state, work, contact, pairs):
             contact.tangential[j] = tangential[j + shift]
             for k in range(3):
                 contact.offset[j, k] = 0.0
-    mend(work, contact, pairs)
+    close_gap(work, contact, pairs)
     set_gravity(structure, state, contact.load)
 
 
@@ -165,7 +165,7 @@ def move_far_parts(structure, state, near, work, contact, pairs, displacement):
     """Load the springs between the parts that move in `near` and those that move in `state` only, by these.
 
     Args:
-        structure, work, contact, pairs: as in `find_rest`, of the state `near`.
+        structure, work, contact, pairs: as in `equilibrate`, of the state `near`.
         state, near: shape (parts,).
         displacement: whitened, of all parts, shape (n, 6).
     """
@@ -201,7 +201,7 @@ def settle_near(
     rings, kept, free = NEAR_RINGS + 1, 1, 0
     while 2 * kept > free and rings > 0:
         rings -= 1
-        kept, free = hold_far_parts(structure, state, parent, rings, near)
+        kept, free = freeze_outside_ball(structure, state, parent, rings, near)
     if kept == 0 or rings == 0:
         return 0
     pairs, _ = restrict(structure, state, work)
@@ -215,7 +215,7 @@ def settle_near(
     place_contacts(structure, contact_structure, near, work, contact, pairs)
     move_far_parts(structure, state, near, work, contact, pairs, moved)
     read_displacement(structure, contact_structure, work, displacement, contact.displacement)
-    result, _, spent = find_rest(
+    result, _, spent = equilibrate(
         structure,
         contact_structure,
         work,
@@ -224,7 +224,7 @@ def settle_near(
         options.near_steps,
         tolerance,
         options.first_step,
-        VERDICT_PACE,
+        VERDICT_SCHEDULE,
     )
     if result != MOVES_AWAY:
         write_displacement(structure, contact_structure, work, contact.displacement, displacement)
@@ -262,8 +262,8 @@ def solve_contact_state(structure, contact_structure, state, options, work, cont
         steps, first_step = options.warm_steps, options.warm_first_step
     else:
         contact.displacement[:] = 0.0
-    result, residual, spent = come_to_rest(
-        structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, count > 0, options.pace
+    result, residual, spent = solve_statics(
+        structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, count > 0, options.schedule
     )
     displacement[:] = 0.0
     write_displacement(structure, contact_structure, work, contact.displacement, displacement)

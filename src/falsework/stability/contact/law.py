@@ -6,7 +6,7 @@ At a contact point with displacement `d = (d_n, d_t)` of part `b` relative to pa
 
 A dry contact point has `p = s = 0`. One with tensile strength bears the tension `p`, and by cohesion the tangential
 force `s` there (`Strength`). Where the spring would exceed `p`, a ductile point keeps it and a brittle one breaks, see
-`come_to_rest`. The offset `o` is zero for a structure that is loaded from rest; a replay carries the history of the
+`solve_statics`. The offset `o` is zero for a structure that is loaded from rest; a replay carries the history of the
 point in it. `gauge` is the Euclidean norm (quadratic cone) or the norm whose unit ball is the octagon, so the force
 lies in the friction cone of the settings by construction. Sliding causes no dilation: the law is non-associated.
 """

@@ -34,7 +34,7 @@ WARM_FIRST_STEP = 1e4
 _GROWTH = 4.0
 """Least growth of the time step after a full step; it grows by the decrease of the residual where that is more."""
 _PATIENCE = 60
-"""Iterations after which the least growth is `Pace.late_growth`."""
+"""Iterations after which the least growth is `StepSchedule.late_growth`."""
 _CUT = 0.1
 """Smallest share of a step that is taken before the time step is reduced instead, by this factor."""
 _TEARS = (TEARS + 1.0) / 2.0
@@ -45,7 +45,7 @@ _FAR = 10.0
 """Multiple of the displacement limit at which iterations end: on the way to rest they may overshoot."""
 
 
-class Pace(NamedTuple):
+class StepSchedule(NamedTuple):
     """Rules by which the time step grows and steps are accepted."""
 
     late_growth: float
@@ -56,8 +56,8 @@ class Pace(NamedTuple):
     """Share of the last but one residual up to which a step may raise the residual."""
 
 
-VERDICT_PACE = Pace(late_growth=1.2, growth_after_rise=_GROWTH, memory=0.0)
-"""Pace of verdicts and replays: contacts that alternate between sliding and sticking need shorter steps."""
+VERDICT_SCHEDULE = StepSchedule(late_growth=1.2, growth_after_rise=_GROWTH, memory=0.0)
+"""StepSchedule of verdicts and replays: contacts that alternate between sliding and sticking need shorter steps."""
 
 
 class ContactArrays(NamedTuple):
@@ -187,7 +187,7 @@ def evaluate(structure, work, contact, pairs, displacement, trial, out):
 
 
 @njit(cache=True)
-def mend(work, contact, pairs):
+def close_gap(work, contact, pairs):
     """Restore the strength of all acting points."""
     whole, sticky, pull, stick = work.pull, work.stick, contact.pull, contact.stick
     for j in range(work.start[pairs]):
@@ -195,7 +195,7 @@ def mend(work, contact, pairs):
 
 
 @njit(cache=True)
-def tear(work, contact, pairs, mends):
+def open_contact(work, contact, pairs, mends):
     """Break the points whose springs exceed their tensile strength; return whether anything changed.
 
     With `mends`, broken points whose springs pull less are restored, so that the displacement alone decides which are.
@@ -271,7 +271,7 @@ def _at_rest(structure, contact_structure, work, contact, pairs, displacement):
 
 
 @njit(fastmath=FAST, cache=True)
-def find_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, pace):
+def equilibrate(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, schedule):
     """Iterate from `contact.displacement` until the parts come to rest, move away, or the steps are used up.
 
     Args:
@@ -279,7 +279,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
         steps: limit on iterations.
         tolerance: largest residual of a state at rest, as `largest_residual`.
         first_step: first time step.
-        pace: `Pace`.
+        schedule: `StepSchedule`.
 
     Returns:
         `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations. Displacement and spring forces are in `contact`.
@@ -307,7 +307,7 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
         for j in range(len(free)):
             if free[j] and contact.across[j] == LOCKED:
                 along_line(contact, j, step)
-        length, limit = 1.0, max(size, pace.memory * before)
+        length, limit = 1.0, max(size, schedule.memory * before)
         while True:
             for j in range(len(free)):
                 if free[j]:
@@ -329,9 +329,9 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
             time *= _CUT
             continue
         if length == 1.0:
-            least = _GROWTH if iteration < _PATIENCE else pace.late_growth
+            least = _GROWTH if iteration < _PATIENCE else schedule.late_growth
             if next_size > size:
-                least = min(least, pace.growth_after_rise)
+                least = min(least, schedule.growth_after_rise)
             time = min(time * max(least, size / max(next_size, 1e-300)), 1.0 / RIDGE)
         else:
             time *= 2.0 * length
@@ -353,38 +353,38 @@ def find_rest(structure, contact_structure, work, contact, pairs, steps, toleran
 
 
 @njit(cache=True)
-def come_to_rest(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, mends, pace):
-    """Find a rest position as `find_rest` does, at which no contact point exceeds its tensile strength.
+def solve_statics(structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, mends, schedule):
+    """Find a rest position as `equilibrate` does, at which no contact point exceeds its tensile strength.
 
     Points that exceed it are broken and bear nothing, and the search continues from there. With `mends`, those that
     close again are restored, as in the law without history; if that does not terminate within the steps, the state is
     left undecided.
     """
-    mend(work, contact, pairs)
+    close_gap(work, contact, pairs)
     spent = 0
     if work.pulled[0] > 0.0:
         # Tensile joints mostly keep everything in place: the elastic solution, in one or two Newton steps.
         begin = contact.displacement.copy()
-        result, residual, spent = find_rest(
-            structure, contact_structure, work, contact, pairs, _BONDED_STEPS, tolerance, 1.0 / RIDGE, pace
+        result, residual, spent = equilibrate(
+            structure, contact_structure, work, contact, pairs, _BONDED_STEPS, tolerance, 1.0 / RIDGE, schedule
         )
-        if result == RESTS and not tear(work, contact, pairs, mends):
+        if result == RESTS and not open_contact(work, contact, pairs, mends):
             return result, residual, spent
-        mend(work, contact, pairs)
+        close_gap(work, contact, pairs)
         for j in range(len(begin)):  # entry by entry: array assignment would compile error messages
             for r in range(6):
                 contact.displacement[j, r] = begin[j, r]
-    result, residual, taken = find_rest(
-        structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, pace
+    result, residual, taken = equilibrate(
+        structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, schedule
     )
     spent += taken
     rounds = 0
-    while result == RESTS and tear(work, contact, pairs, mends):
+    while result == RESTS and open_contact(work, contact, pairs, mends):
         rounds += 1
         if mends and max(rounds, spent) > steps:
             return OPEN, residual, spent
-        result, residual, taken = find_rest(
-            structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, pace
+        result, residual, taken = equilibrate(
+            structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, schedule
         )
         spent += taken
     return result, residual, spent

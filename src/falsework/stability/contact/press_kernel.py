@@ -12,7 +12,7 @@ from falsework.stability.contact.tangent import assemble_tangent
 from falsework.stability.cpu.cones import NEGLIGIBLE
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity
-from falsework.stability.cpu.neighbourhood import hold_far_parts
+from falsework.stability.cpu.neighbourhood import freeze_outside_ball
 from falsework.stability.cpu.panels import factor_panels, solve_panels
 from falsework.utils.kernels import njit
 
@@ -44,7 +44,7 @@ def press_responses(
     position = structure.elimination.position
     nothing = np.zeros((0, 6))
     set_holds(structure, contact_structure, before, state, pressed, nothing, contact, moving, origin)
-    hold_far_parts(structure, moving, origin, NEAR_RINGS, near)
+    freeze_outside_ball(structure, moving, origin, NEAR_RINGS, near)
     missing = np.zeros((len(work.free), 6))
     pairs, count = load_history(
         structure, contact_structure, near, work, contact, springs, torn, set_share, missing, 0.0

@@ -21,16 +21,16 @@ from falsework.stability.contact.newton import (
     OPEN,
     OVERLOADS,
     RESTS,
-    VERDICT_PACE,
-    come_to_rest,
+    VERDICT_SCHEDULE,
+    close_gap,
+    equilibrate,
     evaluate,
-    find_rest,
     make_contact_scratch,
-    mend,
     moves_far,
+    solve_statics,
 )
 from falsework.stability.cpu.layout import make_scratch, restrict, set_gravity
-from falsework.stability.cpu.neighbourhood import hold_far_parts
+from falsework.stability.cpu.neighbourhood import freeze_outside_ball
 from falsework.utils.kernels import njit
 
 
@@ -56,7 +56,7 @@ def load_history(structure, contact_structure, state, work, contact, springs, to
             elif len(set_share):
                 work.pull[j] *= set_share[j + shift]
                 work.stick[j] *= set_share[j + shift]
-    mend(work, contact, pairs)
+    close_gap(work, contact, pairs)
     set_gravity(structure, state, contact.load)
     for j in range(len(work.free)):
         if work.free[j]:
@@ -220,7 +220,7 @@ def settle_step(
     count = increments
     if lacks_contact(work, contact, pairs):
         result, count = MOVES_AWAY, 0
-    kept, free = hold_far_parts(structure, moving, origin, NEAR_RINGS, near)
+    kept, free = freeze_outside_ball(structure, moving, origin, NEAR_RINGS, near)
     guess = np.zeros((len(work.free), 6))  # parts move, and contacts slide, in each increment much as in the last
     for k in range(1, count + 1):
         share = 1.0 - k / count
@@ -235,7 +235,7 @@ def settle_step(
             )
             if k > 1:
                 move_far_parts(structure, moving, near, work, contact, pairs, guess)
-            result, residual, taken = find_rest(
+            result, residual, taken = equilibrate(
                 structure,
                 contact_structure,
                 work,
@@ -244,14 +244,14 @@ def settle_step(
                 options.near_steps,
                 options.tolerance,
                 options.first_step,
-                VERDICT_PACE,
+                VERDICT_SCHEDULE,
             )
             spent += taken
         pairs, _ = load_history(
             structure, contact_structure, moving, work, contact, springs, torn, set_share, missing, share
         )
         if result == RESTS:
-            result, residual, taken = come_to_rest(
+            result, residual, taken = solve_statics(
                 structure,
                 contact_structure,
                 work,
@@ -261,12 +261,12 @@ def settle_step(
                 options.tolerance,
                 options.warm_first_step,
                 work.start[pairs] < 0,
-                VERDICT_PACE,
+                VERDICT_SCHEDULE,
             )
             spent += taken
         if result != RESTS:
             contact.displacement[:] = 0.0
-            result, residual, taken = come_to_rest(
+            result, residual, taken = solve_statics(
                 structure,
                 contact_structure,
                 work,
@@ -276,7 +276,7 @@ def settle_step(
                 options.tolerance,
                 options.first_step,
                 work.start[pairs] < 0,
-                VERDICT_PACE,
+                VERDICT_SCHEDULE,
             )
             spent += taken
         for j in range(len(guess)):

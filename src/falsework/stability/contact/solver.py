@@ -11,7 +11,7 @@ from falsework.stability.contact.kernel import ContactOptions, build_contact_str
 from falsework.stability.contact.newton import FIRST_STEP, MOVES_AWAY, OPEN, RESTS, WARM_FIRST_STEP
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
-from falsework.stability.cpu.neighbourhood import RINGS, fall_range
+from falsework.stability.cpu.neighbourhood import RINGS, local_instability_range
 from falsework.stability.cpu.panels import RIDGE
 from falsework.stability.cpu.solver import Workers, kernel_options
 from falsework.stability.cpu.termination import STABLE, UNDECIDED, UNSTABLE
@@ -73,7 +73,7 @@ class ContactSolver:
 
         def work(rows: slice) -> None:
             tail = verdict[rows], residual[rows], iterations[rows], steps[rows]
-            fall_range(self.structure, states[rows], parents[rows], RINGS, self._options, nothing, *tail)
+            local_instability_range(self.structure, states[rows], parents[rows], RINGS, self._options, nothing, *tail)
 
         self._workers.run(work, batch)
         return verdict == UNSTABLE
@@ -110,7 +110,7 @@ class ContactSolver:
         if certificates and parents is None:
             resolution = self.settings.resolution
             balance, rest = balance._replace(resolution=resolution), rest._replace(tolerance=resolution)
-        verdicts = Verdicts.blank(
+        verdicts = Verdicts.all_undecided(
             batch,
             points=problem.points if certificates else None,
             parts=problem.parts if certificates else None,
@@ -144,7 +144,7 @@ class ContactSolver:
             displacement[rows] = np.where((verdict == STABLE)[:, None, None], start, displacement[rows])
             return left == 0
 
-        def go_on(rows: NDArray[np.intp]) -> None:
+        def continue_from(rows: NDArray[np.intp]) -> None:
             """Continue iterations from where they ended; arrays that are indexed by `rows` are copies."""
             chosen, start, force = states[rows], displacement[rows], forces[rows] if len(forces) else forces
             verdict, residual = np.full(len(rows), UNDECIDED, verdicts.verdict.dtype), verdicts.residual[rows]
@@ -168,7 +168,7 @@ class ContactSolver:
             if (
                 parents is not None
                 and not certificates
-                and not fall_range(self.structure, chosen, parents[rows], RINGS, balance, motion, *tail)
+                and not local_instability_range(self.structure, chosen, parents[rows], RINGS, balance, motion, *tail)
             ):
                 return
             kernel = self.structure, self.contact_structure, chosen, origins[rows], rest
@@ -176,7 +176,7 @@ class ContactSolver:
                 solve_range(self.structure, chosen, balance, force, motion, cold, *tail)
                 again = np.flatnonzero(warm[rows] & (found[rows] == OPEN) & (verdict != UNSTABLE))
                 if len(again):
-                    go_on(again + rows.start)
+                    continue_from(again + rows.start)
 
         self._workers.run(work, batch)
         verdict, moves = verdicts.verdict, found == MOVES_AWAY

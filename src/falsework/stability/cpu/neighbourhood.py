@@ -24,7 +24,7 @@ pressed (the marking of Doerfler, 1996); checked on recorded searches."""
 
 
 @njit(cache=True)
-def _measure_ways(structure, state, seeds, count, limit, depth):
+def _path_lengths(structure, state, seeds, count, limit, depth):
     """Write how many contacts each free part is away from the parts `seeds[:count]`, -1 beyond a limit.
 
     `seeds` has room for all parts and is overwritten.
@@ -60,14 +60,14 @@ def _changed_parts(state, parent, changed):
 
 
 @njit(cache=True)
-def hold_far_parts(structure, state, parent, rings, near):
+def freeze_outside_ball(structure, state, parent, rings, near):
     """Copy `state` to `near`, holding free parts over `rings` contacts from where it differs from `parent`.
 
     Returns:
         Number of parts that stay free, and number of free parts before.
     """
     depth, queue = np.empty(len(state), np.int32), np.empty(len(state), np.int32)
-    _measure_ways(structure, state, queue, _changed_parts(state, parent, queue), rings, depth)
+    _path_lengths(structure, state, queue, _changed_parts(state, parent, queue), rings, depth)
     kept, free = 0, 0
     for i in range(len(state)):
         near[i] = 2 if state[i] == 1 and depth[i] < 0 else state[i]
@@ -77,7 +77,7 @@ def hold_far_parts(structure, state, parent, rings, near):
 
 
 @njit(cache=True)
-def hold_beside_corridor(structure, state, parent, detour, near):
+def freeze_outside_corridor(structure, state, parent, detour, near):
     """Copy `state` to `near`, holding free parts away from the shortest ways from the change to a support.
 
     Those on ways that are longer than the shortest by up to `detour` contacts stay free, and those as far from where it
@@ -96,14 +96,14 @@ def hold_beside_corridor(structure, state, parent, detour, near):
             if state[i] == 2 and (supported == 1 or position[i] < 0):
                 queue[fixed] = i
                 fixed += 1
-        _measure_ways(structure, state, queue, fixed, parts, down)
+        _path_lengths(structure, state, queue, fixed, parts, down)
         changed = _changed_parts(state, parent, queue)
         for k in range(changed):
             if down[queue[k]] >= 0:
                 shortest = min(shortest, down[queue[k]])
         if shortest < parts:
             break
-    _measure_ways(structure, state, queue, changed, shortest + detour, away)
+    _path_lengths(structure, state, queue, changed, shortest + detour, away)
     kept, free = 0, 0
     for i in range(parts):
         beside = away[i] < 0 or (away[i] > detour and (down[i] < 0 or away[i] + down[i] > shortest + detour))
@@ -155,7 +155,7 @@ def extend_region(structure, state, near, velocity, forces, reach):
         if pressed[i] > 0.0 and pressed[i] >= _MARKED * most:
             queue[count] = i
             count += 1
-    _measure_ways(structure, state, queue, count, reach - 1, away)
+    _path_lengths(structure, state, queue, count, reach - 1, away)
     for i in range(len(state)):
         if away[i] >= 0:
             near[i] = 1
@@ -164,7 +164,7 @@ def extend_region(structure, state, near, velocity, forces, reach):
 
 
 @njit(cache=True)
-def fall_near(structure, state, parent, rings, options, work, near, no_forces, velocity):
+def local_instability(structure, state, parent, rings, options, work, near, no_forces, velocity):
     """Search for a mechanism near the difference of a state from its parent.
 
     Returns:
@@ -173,7 +173,7 @@ def fall_near(structure, state, parent, rings, options, work, near, no_forces, v
     cold = len(no_forces) > 0  # not a literal, for which numba would recompile the solver
     spent, taken = 0, 0
     for ring in rings:
-        kept, free = hold_far_parts(structure, state, parent, ring, near)
+        kept, free = freeze_outside_ball(structure, state, parent, ring, near)
         if 2 * kept > free:
             break
         if kept == 0:
@@ -187,7 +187,7 @@ def fall_near(structure, state, parent, rings, options, work, near, no_forces, v
 
 
 @njit(nogil=True, cache=True)
-def fall_range(structure, states, parents, rings, options, velocity, verdict, residual, iterations, steps):
+def local_instability_range(structure, states, parents, rings, options, velocity, verdict, residual, iterations, steps):
     """Search for mechanisms near the difference of states from their parents; arrays as in `solve_range`.
 
     Returns:
@@ -200,7 +200,7 @@ def fall_range(structure, states, parents, rings, options, velocity, verdict, re
     left = 0
     for i in range(len(states)):
         motion = velocity[i] if len(velocity) else nothing_v
-        v, r, k, s = fall_near(structure, states[i], parents[i], rings, options, work, near, nothing_f, motion)
+        v, r, k, s = local_instability(structure, states[i], parents[i], rings, options, work, near, nothing_f, motion)
         verdict[i] = v
         residual[i] = r
         iterations[i] += k

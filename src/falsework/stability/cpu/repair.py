@@ -25,7 +25,7 @@ from falsework.stability.cpu.layout import (
     set_gravity,
     store_forces,
 )
-from falsework.stability.cpu.neighbourhood import extend_region, hold_beside_corridor, hold_far_parts
+from falsework.stability.cpu.neighbourhood import extend_region, freeze_outside_ball, freeze_outside_corridor
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, residual_of_part
 from falsework.utils.kernels import njit
 
@@ -153,7 +153,7 @@ def repair_state(structure, state, parent, reach, interior, options, work, near,
         return STABLE, residual, spent, taken
     level, regions, whole = structure.weight / len(state), 0, 0
     velocity = work.rhs if interior else work.velocity
-    kept, free = hold_far_parts(structure, state, parent, reach, near)
+    kept, free = freeze_outside_ball(structure, state, parent, reach, near)
     local = reach > 0 and kept > 0
     while whole < (len(ATTEMPTS) if interior else 1):
         if local and 2 * kept > free:
@@ -179,7 +179,7 @@ def repair_state(structure, state, parent, reach, interior, options, work, near,
         if not local:
             whole += 1
         elif regions == 0:
-            kept, free = hold_beside_corridor(structure, state, parent, reach, near)
+            kept, free = freeze_outside_corridor(structure, state, parent, reach, near)
             regions = 1
         else:
             before = kept

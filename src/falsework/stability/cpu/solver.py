@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
-from falsework.stability.cpu.neighbourhood import RINGS, fall_range
+from falsework.stability.cpu.neighbourhood import RINGS, local_instability_range
 from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.termination import Options
 from falsework.stability.problem import Problem
@@ -116,7 +116,7 @@ class CpuSolver:
         states = np.require(states, requirements=COMPILED_LAYOUT)
         origins = states if parents is None else np.require(parents, requirements=COMPILED_LAYOUT)
         batch, problem = len(states), self.problem
-        verdicts = Verdicts.blank(
+        verdicts = Verdicts.all_undecided(
             batch, points=problem.points if certificates else None, parts=problem.parts if certificates else None
         )
         forces = guess if guess is not None else verdicts.forces
@@ -134,7 +134,9 @@ class CpuSolver:
         def work(rows: slice) -> None:
             tail = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
             chosen, motion, force = states[rows], velocity[rows], forces[rows]
-            if falls and not fall_range(self.structure, chosen, origins[rows], RINGS, options, motion, *tail):
+            if falls and not local_instability_range(
+                self.structure, chosen, origins[rows], RINGS, options, motion, *tail
+            ):
                 return
             if known[rows].any():
                 beside = origins[rows], known[rows], self.reach, self._interior

@@ -152,7 +152,7 @@ class GpuSolver:
             Verdicts; `UNDECIDED` where no proof was found within the limits of the settings.
         """
         batch, problem = len(states), self.problem
-        verdicts = Verdicts.blank(
+        verdicts = Verdicts.all_undecided(
             batch,
             points=problem.points if certificates else None,
             parts=problem.parts if certificates else None,

@@ -75,7 +75,7 @@ class BuildJudge:
         batch = as_states(states, self._assembly.boundary)
         added = added_wrenches(self._assembly, batch, presses)
         steps = [(state.tobytes(), tuple(press)) for state, press in zip(batch, presses, strict=True)]
-        begin = self._go_back(steps)
+        begin = self._backtrack(steps)
         every = isqrt(len(batch)) + 1  # as many are kept as are built again at most
         for row in range(begin, len(batch)):
             if (self._answers and self._answers[-1][0] == FALLS) or stop():
@@ -93,7 +93,7 @@ class BuildJudge:
             return Judgement(len(found) - 1, len(batch), len(found) - 1, int(self._answers[-1][2]), undecided)
         return Judgement(len(found), len(batch), undecided=undecided)
 
-    def _go_back(self, steps: list[tuple[bytes, tuple[Press, ...]]]) -> int:
+    def _backtrack(self, steps: list[tuple[bytes, tuple[Press, ...]]]) -> int:
         """Return the state from which to build, the last with known forces before the first that differs."""
         same = 0
         while same < min(len(steps), len(self._steps)) and steps[same] == self._steps[same]:

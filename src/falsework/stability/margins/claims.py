@@ -46,7 +46,7 @@ class MarginClaims:
                 if not answer.stands and near is not start:
                     answer = prober.ask(state, condition, start)
                 if not answer.stands and prober.contact:
-                    answer = self._led_up(state, condition, start)
+                    answer = self._continuation(state, condition, start)
                 if answer.stands:
                     near = answer
                     break
@@ -54,14 +54,14 @@ class MarginClaims:
                 return False
         return True
 
-    def _led_up(self, state: States, condition: Condition, start: Answer) -> Answer:
+    def _continuation(self, state: States, condition: Condition, start: Answer) -> Answer:
         """Return the answer under a load that is increased, by half of what is left each time."""
         answer = start
         left = 1.0
         while left > 0.0:
             left = left / 2 if left > ACCURACY else 0.0
             step = Condition(condition.friction, (1.0 - left) * condition.extra)
-            answer = self._finder.prober.ask(state, step, answer if answer.stands else start, quick=left > 0.0)
+            answer = self._finder.prober.ask(state, step, answer if answer.stands else start, coarse=left > 0.0)
         return answer
 
     def _loads(self, state: States, kind: str, value: float | None) -> Iterator[NDArray[np.float64]]:

@@ -30,10 +30,10 @@ class Condition:
     extra: Array
     """N and Nm about the centres of mass, shape (parts, 6)."""
 
-    def of(self, assembly: Assembly) -> Assembly:
+    def applied_to(self, assembly: Assembly) -> Assembly:
         """Return the structure under this condition, in the form that the certificate checker takes."""
-        own = assembly.loads or Loads.of(assembly.part_count)
-        loads = Loads.of(assembly.part_count, wrench=own.wrench + self.extra, acceleration=own.acceleration)
+        own = assembly.loads or Loads.from_arrays(assembly.part_count)
+        loads = Loads.from_arrays(assembly.part_count, wrench=own.wrench + self.extra, acceleration=own.acceleration)
         return replace(assembly.at_friction(self.friction), loads=loads)
 
 
@@ -45,7 +45,7 @@ class Answer:
     stands: bool
     moves_away: bool = False
     """Whether parts were seen to move away, under `contact`."""
-    quick: bool = False
+    coarse: bool = False
     """Whether loading from rest was skipped: if the state is not stable, there may still be a rest position."""
     forces: Array | None = None
     """Contact forces in N, shape (points, 3), under `equilibrium`."""

@@ -33,7 +33,7 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
     floor = SMOOTH * max(own, 1.0)
 
     def ask(value: float, nearby: Answer | None) -> Answer:
-        return prober.ask(state, Condition(value, extra), nearby, quick=True)
+        return prober.ask(state, Condition(value, extra), nearby, coarse=True)
 
     def from_rest(value: float, _: Answer | None) -> Answer:
         return ask(value, None)
@@ -106,9 +106,9 @@ class LoadFamily:
 
     def probe(self, value: float, nearby: Answer | None) -> Answer:
         """Return the answer at a multiple, only from a nearby answer where one is given."""
-        return self._prober.ask(self._state, self._under(value), nearby, quick=True)
+        return self._prober.ask(self._state, self._under(value), nearby, coarse=True)
 
-    def quick(
+    def coarse(
         self, known: tuple[float, Answer] | None = None, *, low: float = 0.0, stands: Answer | None = None
     ) -> Bracket:
         """Return the bracket by quick probes, from a stable multiple up or from a failing one down."""
@@ -128,18 +128,18 @@ class LoadFamily:
 
     def settled(self, found: Bracket) -> Bracket:
         """Return a bracket whose outer end has no rest position from an unloaded start either."""
-        while found.outside is not None and found.fails is not None and found.fails.quick:
+        while found.outside is not None and found.fails is not None and found.fails.coarse:
             value, answer = self.settle(found.outside, found.fails)
             if not answer.stands:
                 return replace(found, fails=answer)
-            found = self.quick(low=value, stands=answer)
+            found = self.coarse(low=value, stands=answer)
         return found
 
     def checked(self, found: Bracket) -> Bracket:
         """Return the bracket, or that of an earlier bound where a multiple well inside it fails."""
         if found.fails is None:
             return found
-        return checked(found, self.probe, self._start, lambda value, answer: self.quick((value, answer)))
+        return checked(found, self.probe, self._start, lambda value, answer: self.coarse((value, answer)))
 
 
 def load_bracket(
@@ -158,7 +158,7 @@ def load_bracket(
     """
     if prober.contact:
         family = LoadFamily(prober, state, start, load, guess=guess, cap=cap)
-        found = family.quick(known)
+        found = family.coarse(known)
         try:
             return family.checked(family.settled(found))
         except OutOfTime:
@@ -260,7 +260,7 @@ def _from_rest_too(
         full: answer at a value, from a nearby answer and from rest.
         find: the bracket beyond a value that proves stable.
     """
-    while found.outside is not None and found.fails is not None and found.fails.quick:
+    while found.outside is not None and found.fails is not None and found.fails.coarse:
         answer = full(found.outside, found.stands)
         if not answer.stands:
             return replace(found, fails=replace(answer, moves_away=answer.moves_away or found.fails.moves_away))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.stability.contact.kernel import lacks_contact, place_contacts, read_displacement, write_displacement
-from falsework.stability.contact.newton import MOVES_AWAY, RESTS, come_to_rest, make_contact_scratch
+from falsework.stability.contact.newton import MOVES_AWAY, RESTS, make_contact_scratch, solve_statics
 from falsework.stability.cpu.layout import make_scratch, restrict
 from falsework.stability.cpu.termination import MARGIN
 from falsework.utils.kernels import njit
@@ -63,7 +63,7 @@ def rest_under(
         if warm:
             guess = displacement[k if after[k] < 0 else after[k]]
             read_displacement(structure, contact_structure, work, guess, contact.displacement)
-            result[k], residual[k], iterations[k] = come_to_rest(
+            result[k], residual[k], iterations[k] = solve_statics(
                 structure,
                 contact_structure,
                 work,
@@ -73,11 +73,11 @@ def rest_under(
                 tolerance,
                 options.warm_first_step,
                 mends,
-                options.pace,
+                options.schedule,
             )
         if not warm or (result[k] != RESTS and options.steps > 0):
             contact.displacement[:] = 0.0
-            result[k], residual[k], taken = come_to_rest(
+            result[k], residual[k], taken = solve_statics(
                 structure,
                 contact_structure,
                 work,
@@ -87,7 +87,7 @@ def rest_under(
                 tolerance,
                 options.first_step,
                 mends,
-                options.pace,
+                options.schedule,
             )
             iterations[k] += taken
         displacement[k] = 0.0

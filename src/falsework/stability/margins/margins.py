@@ -56,9 +56,9 @@ class MarginFinder:
     @cached_property
     def pushes(self) -> Pushes:
         """Faces of the parts that a gripper can push on."""
-        return Pushes.on(self._assembly)
+        return Pushes.from_assembly(self._assembly)
 
-    def of(
+    def margins(
         self, states: ArrayLike, kinds: Sequence[str] = QUICK, *, deadline: float | None = None
     ) -> list[StateMargins]:
         """Return the margins of states, computed in parallel on all cores.
@@ -374,7 +374,7 @@ class MarginFinder:
             if fails.reached is None:
                 again = self.prober.ask(state, condition)
             else:
-                again = self.prober.go_on(state, replace(fails, condition=condition))
+                again = self.prober.refine(state, replace(fails, condition=condition))
             second = proof if again.stands else self.prober.certify(state, again, inside)
             if _fails(second):
                 fails, outside, proof = again, share * bracket.inside, second

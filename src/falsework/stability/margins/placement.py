@@ -51,7 +51,7 @@ def placement_curve(
         assembly: the structure.
         states: shape (batch, parts).
         tolerances: m, each above zero.
-        stable: decides which states of a moved structure are stable, such as `Stability(moved, settings).stable`.
+        stable: decides which states of a moved structure are stable, such as `StabilityOracle(moved, settings).stable`.
         draws: number of draws per tolerance.
         seed: seed of the draws; the same draws, scaled, serve all tolerances.
         progress: callback `(done, total)` with numbers of draws.
@@ -112,7 +112,7 @@ def moved_assembly(assembly: Assembly, tolerance: float, random: np.random.Gener
             )
     except InputError:
         return None
-    joints = assembly.joints and assembly.joints.found_anew(assembly.contacts, moved.contacts)
+    joints = assembly.joints and assembly.joints.recomputed(assembly.contacts, moved.contacts)
     return moved.replace(loads=assembly.loads, joints=joints)
 
 

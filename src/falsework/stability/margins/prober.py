@@ -19,7 +19,7 @@ from falsework.stability.certificate import (
     verify_certificates,
 )
 from falsework.stability.contact.kernel import ContactOptions
-from falsework.stability.contact.newton import MOVES_AWAY, OPEN, RESTS, Pace
+from falsework.stability.contact.newton import MOVES_AWAY, OPEN, RESTS, StepSchedule
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import KernelArrays, strength_arrays
@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 _QUICK_STEPS = 100
 """Newton iterations from the displacement under a nearby load in the search for a bound, when no state is loaded from
 rest; those at the outer end of a bracket are continued by twice as many, until parts are seen to move away."""
-_PACE = Pace(late_growth=4.0, growth_after_rise=2.0, memory=1.0)
+_SCHEDULE = StepSchedule(late_growth=4.0, growth_after_rise=2.0, memory=1.0)
 """Rules by which time steps grow: where iterations alternate between two residuals, these mostly end that."""
 _ABOVE = 2.0
 """Multiple of the tolerance that the proof of a velocity must exceed to cut off a load: so it also proves a tilt, which
@@ -77,7 +77,7 @@ class Prober:
         self._contact = solver.contact_structure if isinstance(solver, ContactSolver) else None
         if isinstance(solver, ContactSolver):
             self._contact_options = solver.contact_options
-            self._quick_options = self._contact_options._replace(warm_steps=_QUICK_STEPS, steps=0, pace=_PACE)
+            self._quick_options = self._contact_options._replace(warm_steps=_QUICK_STEPS, steps=0, schedule=_SCHEDULE)
             self._further_options = self._quick_options._replace(warm_steps=2 * _QUICK_STEPS)
         self._no_motion = np.zeros((0, 3))
         self._end = np.inf
@@ -104,7 +104,7 @@ class Prober:
         near: Answer | None = None,
         *,
         moved: Array | None = None,
-        quick: bool = False,
+        coarse: bool = False,
     ) -> Answer:
         """Check the stability of a state under a condition.
 
@@ -113,7 +113,7 @@ class Prober:
             condition: friction and loads.
             near: the answer under a nearby condition, for a warm start.
             moved: under `contact`, prescribed displacements of fixed parts, shape (parts, 6), m and rad.
-            quick: under `contact`, only iterate from the nearby answer; if that fails, a rest position may still exist.
+            coarse: under `contact`, only iterate from the nearby answer; if that fails, it may rest nonetheless.
 
         Raises:
             OutOfTime: the time of this prober is over.
@@ -122,11 +122,11 @@ class Prober:
             raise OutOfTime
         if self.contact:
             known = near is not None and near.displacement is not None
-            options = self._quick_options if quick and known else self._contact_options
+            options = self._quick_options if coarse and known else self._contact_options
             (answer,) = self._ask_contact(state, [condition], [near if known else None], [-1], moved, options)
-            if answer.reached is not None and not answer.quick:
+            if answer.reached is not None and not answer.coarse:
                 # What the rules of verdicts leave undecided, the other ones often decide.
-                return self.go_on(state, answer)
+                return self.refine(state, answer)
             return answer
         if some_idle(self.assembly, condition.friction):
             return self._exactly(state, condition)
@@ -181,7 +181,7 @@ class Prober:
                 within = forces[:, 0].sum() <= self._options.force_bound * self.problem.weight
                 return Answer(condition, bool(within), forces=forces if within else None)
         if found.velocity is not None:
-            changed, velocity = condition.of(self.assembly), found.velocity
+            changed, velocity = condition.applied_to(self.assembly), found.velocity
             least = residual_bound_of_velocity(changed, state[None], velocity[None], self.settings.claim)[0]
             return Answer(condition, False, velocity=velocity if least > self.settings.tolerance else None)
         return Answer(condition, False)
@@ -250,24 +250,24 @@ class Prober:
         )
         if some_idle(self.assembly, conditions[0].friction):
             for row in np.flatnonzero(result == RESTS).tolist():
-                changed, claim = conditions[row].of(self.assembly), self.settings.claim
+                changed, claim = conditions[row].applied_to(self.assembly), self.settings.claim
                 left = residual_of_displacement(changed, state[None], displacement[row : row + 1], claim)[0]
                 # Of displaced supports the checker knows nothing.
                 result[row] = RESTS if left <= claim.tolerance and moved is None else OPEN
-        quick = options.steps == 0
+        coarse = options.steps == 0
         return [
             Answer(
                 condition,
                 bool(result[row] == RESTS),
                 moves_away=bool(result[row] == MOVES_AWAY),
-                quick=quick,
+                coarse=coarse,
                 displacement=displacement[row] if result[row] == RESTS else None,
                 reached=displacement[row] if result[row] == OPEN else None,
             )
             for row, condition in enumerate(conditions[:tried])
         ]
 
-    def go_on(self, state: States, answer: Answer) -> Answer:
+    def refine(self, state: States, answer: Answer) -> Answer:
         """Continue the iterations of an answer from where they ended undecided, if they did; under `contact`."""
         if answer.reached is None:
             return answer
@@ -275,7 +275,7 @@ class Prober:
             raise OutOfTime
         guess, options = replace(answer, displacement=answer.reached), self._further_options
         (found,) = self._ask_contact(state, [answer.condition], [guess], [-1], None, options)
-        return replace(found, quick=answer.quick)
+        return replace(found, coarse=answer.coarse)
 
     def contact_wrench(self, state: States, forces: Array) -> Array:
         """Return the wrenches of contact forces, N, shape (points, 3), on all parts, N and Nm, shape (parts, 6)."""
@@ -290,7 +290,7 @@ class Prober:
         if answer.displacement is None:
             assert answer.forces is not None
             return answer.forces
-        changed = answer.condition.of(self.assembly)
+        changed = answer.condition.applied_to(self.assembly)
         return forces_of_displacement(changed, state[None], answer.displacement[None], self.settings.claim)[0]
 
     def cut(self, state: States, answer: Answer, direction: Array) -> float:
@@ -324,10 +324,12 @@ class Prober:
             answer: the answer to prove.
             near: verdict under a nearby condition, whose forces are a first guess.
         """
-        verdicts = Verdicts.blank(1, points=self.problem.points, parts=self.problem.parts, displaced=self.contact)
+        verdicts = Verdicts.all_undecided(
+            1, points=self.problem.points, parts=self.problem.parts, displaced=self.contact
+        )
         assert verdicts.forces is not None
         assert verdicts.velocity is not None
-        changed, claim = answer.condition.of(self.assembly), self.settings.claim
+        changed, claim = answer.condition.applied_to(self.assembly), self.settings.claim
         verdicts.decided_by[:] = Solver.CPU
         if answer.stands and answer.displacement is not None:
             assert verdicts.displacement is not None
@@ -349,7 +351,7 @@ class Prober:
 
     def _exact(self, state: States, condition: Condition) -> Verdicts:
         settings = replace(self.settings, criterion="equilibrium", cone=self.settings.friction_cone)
-        return ExactSolver(condition.of(self.assembly), settings).check(state)
+        return ExactSolver(condition.applied_to(self.assembly), settings).check(state)
 
     def _certify_failure(self, state: States, answer: Answer, near: Verdicts | None, verdicts: Verdicts) -> bool:
         """Write the proof of a state that is not stable; return whether it stays undecided although in equilibrium."""

@@ -39,7 +39,7 @@ class Pushes:
     """Share of the face that touches each other part, shape (pushes, parts)."""
 
     @classmethod
-    def on(cls, assembly: Assembly) -> Pushes:
+    def from_assembly(cls, assembly: Assembly) -> Pushes:
         """Collect the faces of a structure."""
         owner, normals, points, areas = [], [], [], []
         for part in np.flatnonzero(~assembly.boundary):

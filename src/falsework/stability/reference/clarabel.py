@@ -71,7 +71,7 @@ class ExactSolver:
             StateError: states of the wrong length or with other values.
         """
         batch = as_states(states, self.assembly.boundary)
-        verdicts = Verdicts.blank(len(batch), points=self.problem.points, parts=self.problem.parts)
+        verdicts = Verdicts.all_undecided(len(batch), points=self.problem.points, parts=self.problem.parts)
         for row in range(len(batch)):
             verdicts.put(np.array([row]), self._check_one(batch[row : row + 1]))
         return verdicts
@@ -79,7 +79,7 @@ class ExactSolver:
     def _check_one(self, state: States) -> Verdicts:
         """Check a single state."""
         claim, problem = self.settings.claim, self.problem
-        verdict = Verdicts.blank(1, points=problem.points, parts=problem.parts)
+        verdict = Verdicts.all_undecided(1, points=problem.points, parts=problem.parts)
         assert verdict.forces is not None
         assert verdict.velocity is not None
         free, active = problem.free(state)[0], problem.active(state)[0]
@@ -90,7 +90,7 @@ class ExactSolver:
                 program = program_of(problem, free, active, claim)
                 solution, multipliers, steps = self._solve(program)
                 found, velocity[0][free] = program.read(solution, multipliers)
-                forces[0][active] = into_cone(found, problem.strength.of(active), claim.cone)
+                forces[0][active] = into_cone(found, problem.strength.take(active), claim.cone)
                 verdict.iterations[0] += steps
             left = residual_of_forces(self.assembly, state, forces, claim)[0]
             bound = residual_bound_of_velocity(self.assembly, state, velocity, claim)[0]

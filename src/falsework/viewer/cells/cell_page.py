@@ -22,8 +22,8 @@ from falsework.errors import InputError
 from falsework.robots.cells.home import home_text, propose_home
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.utils.files.printable import printable
+from falsework.viewer.cells.cell_model import CellModel, build_cell_model
 from falsework.viewer.cells.cell_scene import LEGEND, CellScene
-from falsework.viewer.cells.cell_sight import CellSight, see_cell
 from falsework.viewer.palette import MISSING, robot_color
 from falsework.viewer.web.markup import html_text
 from falsework.viewer.web.origin_guard import LOCAL, WILDCARDS, OriginGuard, import_viser, start_server
@@ -60,7 +60,7 @@ def view_cell(
         InputError: there is no such cell or structure, or the address cannot be listened at.
     """
     loaded = None if structure is None else as_assembly(structure, **options)
-    return CellPage(lambda: see_cell(subject, loaded), host=host, port=port, allowed_hosts=allowed_hosts)
+    return CellPage(lambda: build_cell_model(subject, loaded), host=host, port=port, allowed_hosts=allowed_hosts)
 
 
 class CellPage:
@@ -68,7 +68,7 @@ class CellPage:
 
     def __init__(
         self,
-        look: Callable[[], CellSight],
+        look: Callable[[], CellModel],
         *,
         host: str = "127.0.0.1",
         port: int = 8080,

@@ -15,7 +15,7 @@ from falsework.assembly.load import AnyStructure
 from falsework.errors import InputError
 from falsework.robots.model.cell import Cell
 from falsework.robots.motion.near_pairs import NearPair
-from falsework.viewer.cells.cell_sight import COLLIDES, NEAR, CellSight, Reach, see_cell
+from falsework.viewer.cells.cell_model import COLLIDES, NEAR, CellModel, Reach, build_cell_model
 from falsework.viewer.palette import INK, MISSING, robot_color, unit_rgb
 from falsework.viewer.pictures.contact_sheet import check_suffix, import_pillow, to_pixels
 from falsework.viewer.pictures.picture import Picture, png_of
@@ -74,7 +74,7 @@ def picture_cell(
         DependencyError: Pillow is not installed.
     """
     check_suffix(path, ".png")
-    sight = see_cell(subject, structure, **options)
+    sight = build_cell_model(subject, structure, **options)
     if sight.cell is None:
         raise InputError("; ".join(sight.faults))
     pillow = import_pillow()
@@ -126,7 +126,7 @@ def reach_ring(reach: Reach, height: float, robot: int) -> list[ColoredSolid]:
     return [ColoredSolid(points, faces, unit_rgb(robot_color(robot)))]
 
 
-def _write_arms(pen: Any, pillow: Any, sight: CellSight, middle: float) -> None:
+def _write_arms(pen: Any, pillow: Any, sight: CellModel, middle: float) -> None:
     """Write the name of each robot beside its colour, then the colours of near pairs."""
     assert sight.cell is not None
     entries = [(robot_color(k), f"{robot.name}: {robot.model.name}") for k, robot in enumerate(sight.cell.robots)]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.robots.motion.near_pairs import NearPair
 from falsework.viewer.arms import wxyz_of
-from falsework.viewer.cells.cell_sight import COLLIDES, NEAR, CellSight, marks_of
+from falsework.viewer.cells.cell_model import COLLIDES, NEAR, CellModel, marks_of
 from falsework.viewer.palette import rgb, robot_color
 
 Array = NDArray[np.float64]
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 class CellScene:
     """Nodes of one cell."""
 
-    def __init__(self, scene: Any, sight: CellSight) -> None:
+    def __init__(self, scene: Any, sight: CellModel) -> None:
         """Fill a scene.
 
         Args:

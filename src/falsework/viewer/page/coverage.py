@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 from falsework.assembly.state import Mask, States
 from falsework.search.problem.rollout import roll_out
 from falsework.search.problem.task import Task
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 
 if TYPE_CHECKING:
     from falsework.replanning.policy_guide import PolicyGuide
 
 
-def visited_states(guide: PolicyGuide, oracle: Stability, start: States, robots: int, rollouts: int = 32) -> States:
+def visited_states(
+    guide: PolicyGuide, oracle: StabilityOracle, start: States, robots: int, rollouts: int = 32
+) -> States:
     """Return the stable states on rollouts of a policy from one state, the first greedy, the others sampled.
 
     Args:
@@ -29,7 +31,7 @@ def visited_states(guide: PolicyGuide, oracle: Stability, start: States, robots:
     Returns:
         Shape (count, parts), each state once.
     """
-    task = Task.create(oracle.assembly.boundary, robots, start=start).judged_by(oracle)
+    task = Task.from_rules(oracle.assembly.boundary, robots, start=start).judged_by(oracle)
     starts = np.repeat(task.start[None], rollouts, axis=0)
 
     def stable(_: NDArray[np.int64], states: States, parents: States) -> Mask:
@@ -38,6 +40,6 @@ def visited_states(guide: PolicyGuide, oracle: Stability, start: States, robots:
     seen = [starts[:1]]
     for several, rng in ((starts[:1], None), (starts[1:], np.random.default_rng(0))):
         owner = np.zeros(len(several), dtype=np.int64)
-        ways = roll_out([task], several, owner, guide.log_probabilities, rng=rng, stable=stable)
-        seen += [way.states[: len(way.states) - way.unstable] for way in ways]
+        played = roll_out([task], several, owner, guide.log_probabilities, rng=rng, stable=stable)
+        seen += [rollout.states[: len(rollout.states) - rollout.unstable] for rollout in played]
     return np.unique(np.concatenate(seen), axis=0)

@@ -82,7 +82,7 @@ class Disruption:
         """Whether the state on site differs from that of the plan."""
         return bool(self.missing or self.there or self.turned)
 
-    def on(self, state: States) -> States:
+    def applied_to(self, state: States) -> States:
         """Return the state on site, with the parts that are there and held according to the marks; shape (parts,)."""
         site = state.copy()
         site[list(self.missing)] = REMOVED
@@ -104,13 +104,13 @@ class Disruption:
         """
         missing = self.missing
         if direction is Direction.ASSEMBLY:
-            site = self.on(state)
+            site = self.applied_to(state)
             target = complete_state(assembly.boundary)
             target[list(self.target)] = REMOVED
             missing = frozenset(part for part in missing if target[part] != REMOVED)
         else:
             # Disassembly cannot wait for a delivery: a missing part is simply absent.
-            site, missing = self.on(state), frozenset()
+            site, missing = self.applied_to(state), frozenset()
             target = empty_state(assembly.boundary)
             kept = [part for part in self.target if site[part] != REMOVED]
             target[kept] = site[kept]

@@ -16,11 +16,11 @@ from falsework.assembly.state import HELD, REMOVED, States, action_mask, empty_s
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
 from falsework.stability.holds import describe_force
-from falsework.stability.oracle import Stability
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 from falsework.viewer.appearance import Appearance, SceneView, appearance_at, pick
-from falsework.viewer.arms import ArmPoses, Arms, look_with_arms
+from falsework.viewer.arms import ArmPoses, Arms, appearance_with_arms
 from falsework.viewer.clock import Clock
 from falsework.viewer.page.disruption import ClickMode, Disruption, NewPlan, chance_of_parts, new_plan
 from falsework.viewer.palette import FIXED, SELECTED
@@ -46,7 +46,7 @@ class ViewerState:
         policy: Any = None,
         graph: StateGraph | None = None,
         arms: Arms | None = None,
-        oracle: Stability | None = None,
+        oracle: StabilityOracle | None = None,
         criterion: Criterion = "contact",
         deadline: float | None = 60.0,
     ) -> None:
@@ -91,10 +91,10 @@ class ViewerState:
         return self.timeline.assembly
 
     @property
-    def oracle(self) -> Stability:
+    def oracle(self) -> StabilityOracle:
         """Stability oracle, created at first use."""
         if self._oracle is None:
-            self._oracle = Stability(self.assembly, StabilitySettings(criterion=self.criterion))
+            self._oracle = StabilityOracle(self.assembly, StabilitySettings(criterion=self.criterion))
         return self._oracle
 
     @property
@@ -110,7 +110,7 @@ class ViewerState:
     @property
     def site(self) -> States:
         """State on site according to the marks, shape (parts,)."""
-        return self.disruption.on(self.state)
+        return self.disruption.applied_to(self.state)
 
     @property
     def clock(self) -> Clock | None:
@@ -193,7 +193,7 @@ class ViewerState:
                 travelling=self.arms is None,
             )
             arm_poses = self.arm_poses()
-            seen = appearance if arm_poses is None or disrupted else look_with_arms(appearance, arm_poses)
+            seen = appearance if arm_poses is None or disrupted else appearance_with_arms(appearance, arm_poses)
             return self.view.of(seen, self.assembly)
 
     def arm_poses(self) -> ArmPoses | None:
@@ -361,7 +361,7 @@ class ViewerState:
                 if building:
                     self.timeline = self.timeline.going_on(before, found.plan)
                 else:
-                    self.timeline = Timeline.of(found.plan, self.assembly, answer.direction)
+                    self.timeline = Timeline.from_plan(found.plan, self.assembly, answer.direction)
                 self.plan, self.built = found.plan, before
                 self.go_to(place if building else self.timeline.begin)
                 # Disruptions in the new plan are no longer marked: the states of the new plan show it.

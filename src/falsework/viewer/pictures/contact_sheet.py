@@ -13,7 +13,7 @@ from falsework.errors import DependencyError, InputError
 from falsework.geometry.ways.moves import apply
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.viewer.appearance import TRAVEL, Appearance, appearance_at, bounds_of, diagonal
-from falsework.viewer.arms import Arms, bounds_with_arms, look_with_arms, solids_of_arms
+from falsework.viewer.arms import Arms, appearance_with_arms, bounds_with_arms, solids_of_arms
 from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, PRESS, ROBOTS, SLIDING, hex_of, ramp, robot_color
 from falsework.viewer.pictures.render import Camera, ColoredSolid, Image, render
@@ -172,10 +172,13 @@ def one_state(
     appearance = appearance_at(
         timeline, position, action_probabilities=action_probabilities, marks=marks, travelling=arms is None
     )
-    box = bounds_with_ways(timeline) if bounds is None else bounds
+    box = bounds_with_motions(timeline) if bounds is None else bounds
     if arms is not None:
         arm_poses = arms.at(position) if time is None else arms.at_time(time)
-        appearance, extra = look_with_arms(appearance, arm_poses), solids_of_arms(arms, arm_poses, timeline.assembly)
+        appearance, extra = (
+            appearance_with_arms(appearance, arm_poses),
+            solids_of_arms(arms, arm_poses, timeline.assembly),
+        )
         box = bounds_with_arms(arms, bounds_of(timeline.assembly)) if bounds is None else bounds
     tips = [some.ends.reshape(-1, 3) for some in arrows if len(some)]
     if tips and bounds is None:
@@ -241,7 +244,7 @@ def check_places(timeline: Timeline, places: Sequence[int]) -> None:
             raise InputError(f"step {position} does not exist; the plan has steps 0 (the beginning) to {len(timeline)}")
 
 
-def bounds_with_ways(timeline: Timeline) -> NDArray[np.float64]:
+def bounds_with_motions(timeline: Timeline) -> NDArray[np.float64]:
     """Return the bounds of the structure and of its parts at the end of their paths, shape (2, 3)."""
     box = bounds_of(timeline.assembly)
     if len(timeline) == 0:

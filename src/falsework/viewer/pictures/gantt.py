@@ -79,7 +79,7 @@ class GanttChart:
     makespan: float
 
     @classmethod
-    def of(cls, plan: RobotPlan, *, width: float = _WIDTH, title: str | None = "") -> GanttChart:
+    def from_plan(cls, plan: RobotPlan, *, width: float = _WIDTH, title: str | None = "") -> GanttChart:
         """Draw the chart.
 
         Args:
@@ -166,7 +166,7 @@ def draw_gantt(plan: RobotPlan, path: Path, *, width: int = 0, title: str = "") 
     form = path.suffix.lower()[1:]
     if form not in ("png", "svg"):
         raise InputError(f"{path} is neither PNG nor SVG; name a file that ends in .png or .svg")
-    chart = GanttChart.of(plan, title=title)
+    chart = GanttChart.from_plan(plan, title=title)
     dots = _DOTS if width == 0 else width / _WIDTH
     write_whole(path, lambda file: chart.figure.savefig(file, format=form, dpi=dots))
     return chart.bars
@@ -175,4 +175,4 @@ def draw_gantt(plan: RobotPlan, path: Path, *, width: int = 0, title: str = "") 
 def strip_of(plan: RobotPlan, width: int) -> GanttChart:
     """Return a low chart for below a picture that is `width` pixels across."""
     # A quarter of a pixel more, since matplotlib rounds down.
-    return GanttChart.of(plan, width=(width + 0.25) / _DOTS, title=None)
+    return GanttChart.from_plan(plan, width=(width + 0.25) / _DOTS, title=None)

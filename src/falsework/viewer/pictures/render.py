@@ -101,9 +101,9 @@ def render(
     opaque = [solid for solid in solids if solid.opacity >= 1]
     ghosts = [solid for solid in solids if 0 < solid.opacity < 1]
     eye = _Eye(camera, np.asarray(bounds, dtype=float), samples)
-    image, depth = eye.draw(_Surface.of(opaque), floor=floor)
+    image, depth = eye.draw(_Surface.from_solids(opaque), floor=floor)
     if ghosts:
-        veil, _ = eye.draw(_Surface.of(ghosts), floor=False, behind=depth)
+        veil, _ = eye.draw(_Surface.from_solids(ghosts), floor=False, behind=depth)
         lay_over(image, veil)
     mean = np.zeros((camera.height, camera.width, 3))
     average(image, samples, mean)
@@ -124,7 +124,7 @@ class _Surface:
     """Of the solids, with opacity, shape (solids, 4)."""
 
     @classmethod
-    def of(cls, solids: Sequence[ColoredSolid]) -> _Surface:
+    def from_solids(cls, solids: Sequence[ColoredSolid]) -> _Surface:
         if not solids:
             return cls(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0, dtype=np.int64), np.ones((1, 4)))
         triangles = np.concatenate([np.asarray(solid.vertices, dtype=float)[solid.faces] for solid in solids])

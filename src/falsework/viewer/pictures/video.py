@@ -17,7 +17,14 @@ from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import Arms, bounds_with_arms
 from falsework.viewer.arrows import arrows_of_step
 from falsework.viewer.palette import BOUNDARY, INSTALLED, ROBOTS, SLIDING, rgb
-from falsework.viewer.pictures.contact_sheet import Pixels, bounds_with_ways, caption, import_pillow, legend, one_state
+from falsework.viewer.pictures.contact_sheet import (
+    Pixels,
+    bounds_with_motions,
+    caption,
+    import_pillow,
+    legend,
+    one_state,
+)
 from falsework.viewer.pictures.gantt import strip_of
 from falsework.viewer.pictures.render import Camera
 from falsework.viewer.proof import StateProof
@@ -54,7 +61,7 @@ def frames_of(
             above.
         samples: as for `render`.
     """
-    box = bounds_with_ways(timeline) if arms is None else bounds_with_arms(arms, bounds_of(timeline.assembly))
+    box = bounds_with_motions(timeline) if arms is None else bounds_with_arms(arms, bounds_of(timeline.assembly))
     sliding = any(proof.slides for proof in (proofs or {}).values())
     still = max(round(HOLD * rate), 1)
     moments = _moments(timeline, arms, seconds, rate, speed)

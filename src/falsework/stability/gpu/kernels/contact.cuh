@@ -69,7 +69,7 @@ DEVICE bool settle_state(const Structure& s, const Options& o, const Batch& b, i
   q.wrench = reinterpret_cast<double*>(wrenches ? top : far);
   q.local = reinterpret_cast<float*>((both ? top : far) + a.groups * 96);
   double residual;
-  int steps, found = find_rest(s, a, o, q, residual, steps);
+  int steps, found = equilibrate(s, a, o, q, residual, steps);
   if (found != kUndecided) write_displaced(s, a, b, index, found == kStable, q.now);
   if (TID == 0) {
     bool balanced = b.verdict[index] == kStable, moves = found == kMovesAway;

@@ -222,7 +222,7 @@ DEVICE bool moves_far(const Structure& s, const State& a, const Newton& q, doubl
 }
 
 // Iterates from rest until the parts come to rest (kStable), move away (kMovesAway) or steps run out (kUndecided).
-DEVICE int find_rest(const Structure& s, const State& a, const Options& o, Newton& q, double& residual, int& steps) {
+DEVICE int equilibrate(const Structure& s, const State& a, const Options& o, Newton& q, double& residual, int& steps) {
   for (int t = TID; t < a.nodes * 6; t += THREADS) q.now[t] = 0, q.step[t] = 0;
   SYNC;
   double time = o.first_step, size = kHuge;

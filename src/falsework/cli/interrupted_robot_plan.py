@@ -1,0 +1,81 @@
+"""Robot plan that was interrupted, from which `falsework robots plan --from` goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from falsework.errors import InputError
+from falsework.utils.quantity import format_quantity, parse_quantity
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.assembly.state import States
+    from falsework.robots.model.cell import Cell
+    from falsework.robots.plans.robot_plan import RobotPlan
+    from falsework.robots.plans.timeline import Interruption
+    from falsework.stability.verdict import Criterion
+
+
+@dataclass(frozen=True, eq=False)
+class InterruptedPlan:
+    """Robot plan, its structure and cell, and where it was interrupted."""
+
+    plan: RobotPlan
+    file: Path
+    assembly: Assembly
+    cell: Cell
+    now: Interruption
+
+    @classmethod
+    def from_options(
+        cls, file: Path, at: str | None, order: str, structure: str | None, cell: str | None, **options: Any
+    ) -> InterruptedPlan:
+        """Read the plan, and find out where it stands.
+
+        Args:
+            file: of the plan.
+            at: time of the interruption, such as `7.2s`.
+            order: of the motions that are wanted.
+            structure: structure in place of the one that the plan names.
+            cell: cell in place of the one that the plan names.
+            options: as for `load_structure`.
+
+        Raises:
+            InputError: no such plan, a time that it does not have, another order, structure or cell.
+        """
+        from falsework.robots.cells.cell_file import load_cell
+        from falsework.robots.plans.robot_plan_file import load_robot_plan
+        from falsework.robots.plans.timeline import interruption
+        from falsework.search.plans.plan_source import structure_of_plan
+
+        if at is None:
+            raise InputError(f"--from {file}: name the time of the interruption by --at, such as --at 7.2s")
+        seconds = parse_quantity(at, "duration", "--at")
+        plan = load_robot_plan(file)
+        if seconds >= plan.makespan:
+            raise InputError(
+                f"--at {at}: {file} ends after {format_quantity(plan.makespan, 'duration')}; give an earlier time"
+            )
+        if plan.direction != order:
+            raise InputError(f"--order {order}: {file} is a plan of {plan.direction}; go on in that order")
+        assembly = structure_of_plan(plan.plan, file, structure, **options)
+        place = load_cell(cell or plan.cell_place(file))
+        plan.check_identity(assembly, place)
+        return cls(plan, file, assembly, place, interruption(plan, seconds))
+
+    @property
+    def state(self) -> States:
+        """What stands and is held, shape (parts,)."""
+        return self.now.state
+
+    @property
+    def arms(self) -> tuple[list[int | None], list[Any], list[Any]]:
+        """What the arms hold or carry, their joint values, and those with which they would hold what they carry."""
+        return [*self.now.held], [*self.now.configurations], [*self.now.gripped]
+
+    @property
+    def criterion(self) -> Criterion:
+        """Stability criterion of the plan."""
+        return self.plan.plan.claim.criterion

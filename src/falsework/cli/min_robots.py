@@ -1,0 +1,92 @@
+"""Part of `falsework plan --robots auto`: fewest robots with a plan, and why fewer do not suffice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from falsework.cli.exit_code import Exit
+from falsework.cli.planning import RegraspOptions, lacks_reserve, reserve_lines
+from falsework.utils.quantity import counted
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.cli.output import Output
+    from falsework.search.min_robots import MinRobots
+    from falsework.search.settings import PlannerSettings
+    from falsework.stability import StabilitySettings
+
+
+_SHARED = ("verdicts", "seconds", "interrupted")
+"""Fields that the answer on any plan has."""
+
+
+def ask(
+    assembly: Assembly,
+    stability: StabilitySettings,
+    rules: RegraspOptions,
+    settings: PlannerSettings,
+    deadline: float | None,
+    proofs: bool,
+    output: Output,
+) -> MinRobots:
+    """Run `falsework.search.min_robots` with progress on the error stream."""
+    from falsework.search.min_robots import DEADLINE, min_robots
+
+    with output.search_progress() as show:
+        return min_robots(
+            assembly,
+            stability=stability,
+            settings=settings,
+            deadline=DEADLINE if deadline is None else deadline,
+            progress=show,
+            forces=proofs,
+            **rules.rules(assembly),
+        )
+
+
+def report(answer: MinRobots, reserve: float, path: Path | None, output: Output) -> Exit:
+    """Print the answer, and return the exit code.
+
+    Args:
+        answer: the answer.
+        reserve: that was asked for.
+        path: of the plan, where it was saved.
+        output: where to print.
+    """
+    fields = answer.to_dict()
+    output.record({"fewest": {name: value for name, value in fields.items() if name not in _SHARED}})
+    output.record({name: fields[name] for name in _SHARED})
+    if path is not None and answer.plan is not None:
+        output.file(path)
+    spent = f"{answer.seconds:.1f} s, {counted(answer.verdicts, 'verdict')}"
+    fewer = [f"with {n}: {reason}" for n, reason in enumerate(answer.reasons, 1)]
+    if answer.robots is not None:
+        least = "proven to be the fewest" if answer.proven else f"at least {answer.least} are proven to be needed"
+        if answer.robots == 1:
+            least = "the fewest there can be"
+        output.say(f"{counted(answer.robots, 'robot')}: a plan was found; {least} ({spent})")
+        for line in fewer[-1:] if answer.proven else fewer[answer.least - 2 if answer.least > 1 else 0 :]:
+            output.say(line)
+        if path is not None and answer.plan is not None:
+            output.say(f"the plan is in {path}")
+            for line in reserve_lines(answer.plan):
+                output.say(line)
+    elif answer.impossible:
+        output.outcome("impossible" if answer.certain else "not_found")
+        word = "no number of robots suffices" if answer.certain else "no plan was found with any number of robots"
+        output.note(f"falsework: {word}: {answer.impossible}")
+    else:
+        least = "at least 1 robot is" if answer.least == 1 else f"at least {answer.least} robots are"
+        found = [f"no plan was found; {least} needed", *fewer]
+        output.note(f"falsework: {'; '.join(found)} ({spent})")
+    if answer.interrupted:
+        output.note("interrupted; this is the best so far")
+        return Exit.INTERRUPTED
+    if answer.deadline_passed and not answer.proven:
+        output.note("the deadline ended the search; more time may find a plan or a proof")
+    lacking = "" if answer.plan is None else lacks_reserve(answer.plan, reserve)
+    if lacking:
+        output.outcome("weaker")
+        output.note(lacking)
+    return Exit.DONE if answer.robots is not None and not lacking else Exit.NO

@@ -1,0 +1,189 @@
+"""Ways out of several parts that move at the same time along different directions.
+
+The velocities at which some parts can begin to move past the others form a cone: no contact is pushed into. Linear
+programs tell whether every part of the set can move, and whether two can move relative to each other; if not, no motion
+takes the set apart. Otherwise their solutions are velocities to try. At constant velocities parts move in straight
+lines relative to each other, so that sweeps of pairs decide whether nothing collides on the whole way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.geometry.clearance.locked import PartSet
+from falsework.geometry.clearance.sweep import INTO, Sweeper
+from falsework.geometry.contact.interfaces import Contacts
+from falsework.utils.bits import Words, pack
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_STILL = 1e-6
+"""Velocity, as a share of the largest, below which a part rests."""
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeMotion:
+    """Motion of a set of parts at constant velocities."""
+
+    velocities: Array
+    """Of each part of the set, the fastest at 1, shape (parts of the set, 3)."""
+    blockers: Words
+    """Parts that block it, shape (words,)."""
+
+
+class RelativeMotions:
+    """Motions of sets of parts along different directions, found when first asked for."""
+
+    def __init__(self, contacts: Contacts, sweeper: Sweeper, parts: int) -> None:
+        """Take a structure.
+
+        Args:
+            contacts: its contacts.
+            sweeper: of its parts.
+            parts: number of parts.
+        """
+        self._contacts, self._sweeper, self._parts = contacts, sweeper, parts
+        self._motions: dict[PartSet, list[RelativeMotion]] = {}
+        self._asked: dict[tuple[PartSet, bytes], bool] = {}
+        self.unsure: set[PartSet] = set()
+        """Sets that can begin to move apart, though no motion was found that takes them out."""
+
+    def motion(self, parts: PartSet, present: Mask) -> RelativeMotion | None:
+        """Return a motion that takes a set out along different directions; None if there is none, or none was found.
+
+        Args:
+            parts: the set.
+            present: parts that are there, shape (parts,); those of the set count as there.
+        """
+        there = present.copy()
+        there[list(parts)] = True
+        beside = there & self._touched(parts)
+        key = parts, np.packbits(beside).tobytes()
+        others = there.copy()
+        others[list(parts)] = False
+        known = self._free(parts, others)
+        if known is not None:
+            return known
+        if key not in self._asked:
+            self._asked[key] = self._begins(parts, beside, np.sqrt(3.0) * INTO) != []
+            if self._asked[key]:
+                self._try(parts, self._begins(parts, beside, 0.0))
+        known = self._free(parts, others)
+        if known is None and self._asked[key]:
+            self.unsure.add(parts)
+        return known
+
+    def _free(self, parts: PartSet, others: Mask) -> RelativeMotion | None:
+        words = pack(others[None])[0]
+        return next((motion for motion in self._motions.get(parts, ()) if not (motion.blockers & words).any()), None)
+
+    def _touched(self, parts: PartSet) -> Mask:
+        """Return the parts that touch a set, itself included, shape (parts,)."""
+        pairs = self._contacts.parts
+        found = np.zeros(self._parts, dtype=bool)
+        found[pairs[np.isin(pairs, parts).any(axis=1)]] = True
+        found[list(parts)] = True
+        return found
+
+    def _begins(self, parts: PartSet, present: Mask, slack: float) -> list[Array]:
+        """Return velocities at which a set can begin to move apart, each of shape (parts of the set, 3); none if not.
+
+        Args:
+            parts: the set.
+            present: parts that are there, shape (parts,).
+            slack: velocity into a contact that is allowed, as a share of the largest.
+        """
+        rows, count = [], len(parts)
+        pairs, normals = self._contacts.parts, self._contacts.normals
+        ours = np.isin(pairs, parts)
+        for contact in np.flatnonzero(ours.any(axis=1) & present[pairs].all(axis=1)).tolist():
+            row = np.zeros((count, 3))
+            for part, sign in zip(pairs[contact].tolist(), (1.0, -1.0), strict=True):
+                if part in parts:
+                    row[parts.index(part)] += sign * normals[contact]
+            rows.append(row.ravel())
+        into = np.array(rows).reshape(-1, 3 * count)
+        units = np.eye(3 * count).reshape(count, 3, 3 * count)
+        found: list[Array] = []
+        for part in range(count):
+            # Scaled by the velocity of this part, and by the largest of all.
+            some = [
+                feasible_velocities(into, slack, sign * axis, np.eye(3 * count))
+                for axis in units[part]
+                for sign in (1, -1)
+            ]
+            some = [velocity for velocity in some if velocity is not None]
+            if not some:
+                return []
+            found += some
+        relative = np.concatenate([units[a] - units[b] for a, b in combinations(range(count), 2)])
+        apart = [feasible_velocities(into, slack, sign * row, relative) for row in relative for sign in (1, -1)]
+        apart = [velocity for velocity in apart if velocity is not None]
+        if not apart:
+            return []
+        found += apart
+        return [velocity.reshape(count, 3) for velocity in (*found, np.sum(found, axis=0))]
+
+    def _try(self, parts: PartSet, velocities: list[Array]) -> None:
+        """Sweep a set at some velocities, and keep the motions in which its parts do not collide with each other."""
+        motions = self._motions.setdefault(parts, [])
+        for velocity in velocities:
+            speed = np.linalg.norm(velocity, axis=1)
+            velocity = np.where(np.abs(velocity) < _STILL * speed.max(), 0.0, velocity / speed.max())
+            relative = {(a, b): velocity[a] - velocity[b] for a, b in combinations(range(len(parts)), 2)}
+            rests = (speed < _STILL * speed.max()).any()
+            if rests or all(np.abs(between).max() < _STILL for between in relative.values()):
+                continue
+            if any(np.abs(motion.velocities - velocity).max() < _STILL for motion in motions):
+                continue
+            if any(self._collide(parts[a], parts[b], between) for (a, b), between in relative.items()):
+                continue
+            hit = np.zeros(self._parts, dtype=bool)
+            for part, own in zip(parts, velocity, strict=True):
+                hit |= self._sweeper.blocked(part, own[None] / np.linalg.norm(own))[0]
+            hit[list(parts)] = False
+            motions.append(RelativeMotion(velocity, pack(hit[None])[0]))
+
+    def _collide(self, a: int, b: int, between: Array) -> bool:
+        """Return whether two parts collide at a relative velocity."""
+        size = float(np.linalg.norm(between))
+        if size < _STILL:
+            return False
+        only = np.zeros(self._parts, dtype=bool)
+        only[b] = True
+        return bool(self._sweeper.blocked(a, between[None] / size, only)[0, b])
+
+
+def feasible_velocities(into: Array, slack: float, fixed: Array, bounded: Array) -> Array | None:
+    """Return velocities for which one combination is 1 and others are at most 1 in size, and no contact is pushed into.
+
+    Args:
+        into: rows whose products with the velocities are the speeds into contacts, shape (contacts, n).
+        slack: speed into a contact that is allowed.
+        fixed: the combination that is 1, shape (n,).
+        bounded: combinations that are at most 1 in size, shape (m, n).
+
+    Returns:
+        Of all solutions one with the least sum of sizes, shape (n,); None if there is none.
+    """
+    from scipy.optimize import linprog
+
+    count = into.shape[1]
+    # Velocities are differences of two parts that are not negative, whose sum is least.
+    rows = np.concatenate([into, bounded, -bounded])
+    limits = np.concatenate([np.full(len(into), slack + 1e-9), np.ones(2 * len(bounded))])
+    solved = linprog(
+        np.ones(2 * count),
+        A_ub=np.concatenate([rows, -rows], axis=1),
+        b_ub=limits,
+        A_eq=np.concatenate([fixed, -fixed])[None],
+        b_eq=[1.0],
+        bounds=(0, None),
+        method="highs",
+    )
+    return solved.x[:count] - solved.x[count:] if solved.status == 0 else None

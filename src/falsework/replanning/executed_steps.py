@@ -1,0 +1,87 @@
+"""Steps of a plan that are done, from which a new plan goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from falsework.assembly.state import States
+from falsework.errors import PlanError
+from falsework.search.plans.plan import Plan
+from falsework.search.problem.result import Route
+from falsework.search.problem.task import Task
+from falsework.stability.contact.history import Presses
+
+
+@dataclass(frozen=True, eq=False)
+class ExecutedSteps:
+    """First steps of a plan, which are done; the steps of a new plan follow with the numbers after theirs."""
+
+    plan: Plan
+    steps: int
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.steps <= len(self.plan):
+            raise PlanError(
+                f"step {self.steps} does not exist; the plan has the steps 1 to {len(self.plan)}, and 0 is the start"
+            )
+        if self.plan.props:
+            raise PlanError(
+                "the plan has props, which replanning cannot move; plan again with --begin for the present state"
+            )
+        if self.plan.parts_at_once > 1:
+            raise PlanError(
+                "the plan moves several parts in one step, which replanning cannot; plan again with --begin for the "
+                "present state"
+            )
+
+        if self.plan.exit_directions:
+            raise PlanError(
+                "the plan has ways out of several moves, which replanning does not search for; plan again with --begin "
+                "for the present state"
+            )
+
+    @property
+    def state(self) -> States:
+        """State that is reached, shape (parts,)."""
+        return self.plan.states[self.steps]
+
+    @property
+    def history(self) -> tuple[States, Presses]:
+        """States up to the one that is reached, and the presses of the steps that led to each of them."""
+        rows = slice(self.steps + 1)
+        return self.plan.states[rows], self.plan.presses_before[rows]
+
+    def placed_at(self, part: int) -> int | None:
+        """Return the step that placed a part last; None if none did."""
+        placing = np.flatnonzero(self.plan.actions[: self.steps] == self.plan.boundary.size + part)
+        return int(placing[-1]) + 1 if len(placing) else None
+
+    def extended(self, rest: Route) -> Route:
+        """Return the route of these steps and those that follow, in the order of disassembly.
+
+        Args:
+            rest: ends at the state that is reached.
+        """
+        before = self.plan.states[: self.steps][::-1], self.plan.actions[: self.steps][::-1]
+        return Route(np.concatenate([rest.states, before[0]]), np.concatenate([rest.actions, before[1]]))
+
+    def whole_task(self, rest: Task) -> Task:
+        """Return the task of a plan of these steps and those that follow.
+
+        Args:
+            rest: task of what follows, whose target is the state that is reached.
+        """
+        touched = set((self.plan.actions[: self.steps] % rest.part_count).tolist())
+        return Task.from_rules(
+            self.plan.boundary,
+            max(rest.robots, self.plan.robots),
+            start=rest.start,
+            target=self.plan.states[0],
+            fixed=tuple(part for part in rest.fixed if part not in touched),
+            missing=rest.missing,
+            clearance=rest.clearance if self.plan.removable_only_if_clear else None,
+            identity=rest.identity,
+            allow_regrasp=self.plan.allow_regrasp,
+        )
