@@ -24,7 +24,7 @@ from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
-from falsework.geometry.ways.motions import PartMotions
+from falsework.geometry.paths.motions import PartMotions
 from falsework.utils.display.notebook import Displayed
 from falsework.utils.quantity import counted
 

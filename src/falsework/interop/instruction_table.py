@@ -123,7 +123,7 @@ class AssemblyInstructions:
 
     def comes_in(self, step: AssemblyInstruction) -> str:
         """Describe from where the parts of a step come in; empty for a release."""
-        moves = self.timeline.way_of(step.parts[0]) if step.place else ()
+        moves = self.timeline.path_of(step.parts[0]) if step.place else ()
         if moves:
             return ", then ".join(describe_motion(-np.array(move.direction)) for move in reversed(moves))
         words = dict.fromkeys(describe_motion(way) for way in step.directions) if step.directions is not None else {}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError, PlanError
-from falsework.geometry.ways.moves import Way
+from falsework.geometry.paths.moves import ExitPath
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.plans.steps import NO_ROBOT, moved_parts
 from falsework.viewer.appearance import diagonal
@@ -102,10 +102,10 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
             holder[moved[0]].append((begin, int(robots[step + 1, moved[0]])))
             continue
         leaves = bool(present[step, moved[0]])
-        if plan.exit_directions and plan.exit_directions[step]:
+        if plan.exit_paths and plan.exit_paths[step]:
             shown[moved[0]].append((begin, True))
             holder[moved[0]].append((begin, int(robots[step + 1, moved[0]])))
-            path[moved[0]] += _way_in(plan.exit_directions[step], begin, end)
+            path[moved[0]] += _way_in(plan.exit_paths[step], begin, end)
             continue
         ways = exit_directions(assembly, plan.states[step if leaves else step + 1], moved)
         for part, way in zip(moved, reach * ways, strict=True):
@@ -122,7 +122,7 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
     return Tracks(tuple(tracks), len(plan) * step_seconds)
 
 
-def _way_in(moves: Way, begin: float, end: float) -> list[tuple[float, tuple[float, float, float]]]:
+def _way_in(moves: ExitPath, begin: float, end: float) -> list[tuple[float, tuple[float, float, float]]]:
     """Return the keys of a part that comes in by the moves of its way out, undone, at one speed.
 
     Raises:

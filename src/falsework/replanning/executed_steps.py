@@ -36,7 +36,7 @@ class ExecutedSteps:
                 "present state"
             )
 
-        if self.plan.exit_directions:
+        if self.plan.exit_paths:
             raise PlanError(
                 "the plan has ways out of several moves, which replanning does not search for; plan again with --begin "
                 "for the present state"

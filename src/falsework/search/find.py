@@ -18,7 +18,7 @@ from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.props import keep_props, without_props
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
-from falsework.geometry.ways.exit_directions import ExitTable
+from falsework.geometry.paths.exit_paths import ExitPaths
 from falsework.search.margins.demands import MarginOracle
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
@@ -250,7 +250,7 @@ def _clearance(assembly: Assembly, moves: int, fixed: Sequence[int], *, turns: b
     still = assembly.immovable.copy()
     still[list(fixed)] = True
     meshes, contacts = assembly.meshes, assembly.contacts
-    return ExitTable(meshes, contacts, assembly.clearance, assembly.part_motions, still, moves, turns)
+    return ExitPaths(meshes, contacts, assembly.clearance, assembly.part_motions, still, moves, turns)
 
 
 def prove_route(

@@ -21,10 +21,10 @@ class TaskRules(TypedDict, total=False):
     """Numbers or names of parts not delivered yet; assembly defers them as long as possible."""
     removable_only_if_clear: bool
     """Remove a part only if it has a free straight exit."""
-    support: bool
+    allow_regrasp: bool
     """Release held parts without removing them, and hold parts again."""
     props: int
-    """Props that may be in place at a time, of those that the structure has places for; needs `support`."""
+    """Props that may be in place at a time, of those that the structure has places for; needs `allow_regrasp`."""
     parts_at_once: int
     """Parts that a step may insert or remove at most, where they lock each other and leave together only. More than 1
     implies `removable_only_if_clear`."""

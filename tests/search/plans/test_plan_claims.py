@@ -215,7 +215,7 @@ LISTED: dict[str, Callable[[Plan, Plan, PlanReport], bool]] = {
     ),
     "rules.moves": lambda old, new, report: report.about is not None and report.about.moves <= new.moves,
     "rules.turns": lambda old, new, report: new.turns,
-    "steps.exit_direction_of": lambda old, new, report: True,
+    "steps.exit_path": lambda old, new, report: True,
     "stability.stiffness_ratio": lambda old, new, report: report.claim.criterion == "equilibrium",
     "stability.tolerance": lambda old, new, report: f"its tolerance {new.claim.tolerance:g}" in report.unverified,
     "stability.force_bound": lambda old, new, report: f"its force bound {new.claim.force_bound:g}" in report.unverified,

@@ -9,6 +9,7 @@ thousand that stand here and fall there (all but seed 288), and in the one that 
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ import pytest
 
 from falsework.assembly.state import HELD, complete_state
 from falsework.stability import CpuSettings, StabilityOracle, StabilitySettings, Verdict
-from falsework.stability.judges import settle
+from falsework.stability.judges import DiscreteElementSettings, settle
 
 
 def compare(random_scenes: Any, seeds: range) -> tuple[int, int, int]:
@@ -47,6 +48,18 @@ def test_some_random_scenes(random_scenes: Any) -> None:
     assert both >= 30
     assert here <= 4
     assert there <= 2
+
+
+def test_a_collapse_is_confirmed_under_slower_loads(random_scenes: Any) -> None:
+    """A row of four blocks that falls under a sudden load and stands under a slow one stands; what falls under any load
+    still falls."""
+    row, slides = random_scenes.row(np.random.default_rng(208)), random_scenes.row(np.random.default_rng(844))
+    slides = replace(slides, friction=0.0)
+    for assembly, expected in ((row, [-1, 1, 1]), (slides, [-1, -1, -1])):
+        state = complete_state(assembly.boundary)
+        loads = [(10, 1), (10, 100), (20_000, 1)]
+        settings = [DiscreteElementSettings(sinks=(2e-6,), ramp=ramp, slower=slower) for ramp, slower in loads]
+        assert [settle(assembly, state, some).stands[0] for some in settings] == expected
 
 
 @pytest.mark.slow

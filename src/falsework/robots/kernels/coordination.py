@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.ways.gjk import INNER, OUTER, gap
+from falsework.geometry.paths.gjk import INNER, OUTER, gap
 from falsework.robots.kernels.collision import Bodies, Chain, place_frames
 from falsework.utils.kernels import njit
 

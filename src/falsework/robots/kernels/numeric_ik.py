@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from falsework.geometry.ways.gjk import INNER, OUTER
+from falsework.geometry.paths.gjk import INNER, OUTER
 from falsework.robots.kernels.collision import place_frames
 from falsework.utils.kernels import njit
 

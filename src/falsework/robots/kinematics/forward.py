@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.geometry.ways.gjk import OUTER
+from falsework.geometry.paths.gjk import OUTER
 from falsework.robots.kernels.collision import place_frames
 from falsework.robots.kernels.kernel_arrays import make_chain, turns
 from falsework.robots.model.cell import CellRobot

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from falsework.assembly.assembly_model import Count, Prop
 from falsework.assembly.state import HELD, INSTALLED, Mask, States
 from falsework.errors import PlanError
-from falsework.geometry.ways.exit_directions import ExitTable
-from falsework.geometry.ways.moves import Way
+from falsework.geometry.paths.exit_paths import ExitPaths
+from falsework.geometry.paths.moves import ExitPath
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.steps import PlanStep, holders, inserts_several, steps_of, undone
@@ -60,12 +60,12 @@ def needs_of(actions: NDArray[np.int64], parts: int, missing: tuple[int, ...]) -
     return tuple(sorted(needs, key=lambda need: need.after_steps))
 
 
-def _first_exits(route: Route, task: Task) -> tuple[Way, ...]:
+def _exit_paths(route: Route, task: Task) -> tuple[ExitPath, ...]:
     """Return the moves of each step of a route, in the order of assembly; none for steps without or straight ones."""
     clearance, found = task.clearance, []
     for state, action in zip(route.states[-2::-1], route.actions[::-1].tolist(), strict=True):
         part = action - route.states.shape[1]
-        way = clearance.exit_direction_of(state, part) if part >= 0 and isinstance(clearance, ExitTable) else ()
+        way = clearance.exit_path(state, part) if part >= 0 and isinstance(clearance, ExitPaths) else ()
         found.append(way or ())
     return tuple(found)
 
@@ -120,7 +120,7 @@ class Plan(Displayed):
     """Moves of a way out at most; 1 if every part leaves in one."""
     turns: bool = False
     """Whether parts turn on their ways out."""
-    exit_directions: tuple[Way, ...] = ()
+    exit_paths: tuple[ExitPath, ...] = ()
     """Moves in which the part of each step leaves, one entry a step; an entry is empty where it leaves in a straight
     line, and all is where every part does. Insertion undoes them, the last one first."""
     source: Mapping[str, Any] | None = None
@@ -176,7 +176,7 @@ class Plan(Displayed):
         cls, route: Route, assembly: Assembly, task: Task, verdicts: Verdicts, claim: StabilityCriterion
     ) -> Plan:
         """Plan as `of`, whatever the verdicts are."""
-        exit_directions = _first_exits(route, task)
+        exit_paths = _exit_paths(route, task)
         return cls(
             states=route.states[::-1].copy(),
             actions=route.actions[::-1].copy(),
@@ -198,9 +198,9 @@ class Plan(Displayed):
             props=assembly.props,
             prop_limit=task.prop_limit if assembly.props else 0,
             parts_at_once=1 if task.together is None or not inserts_several(route.states) else task.together.largest,
-            moves=task.moves_out if any(exit_directions) else 1,
-            turns=any(move.turns for way in exit_directions for move in way),
-            exit_directions=exit_directions if any(exit_directions) else (),
+            moves=task.moves_out if any(exit_paths) else 1,
+            turns=any(move.turns for way in exit_paths for move in way),
+            exit_paths=exit_paths if any(exit_paths) else (),
             forces=verdicts.forces,
         )
 

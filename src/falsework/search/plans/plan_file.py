@@ -92,7 +92,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
                 "parts": step.parts if len(step.parts) > 1 else None,
                 "held": len(step.robots) if len(step.parts) > 1 else None,
                 **records[step.number],
-                "exit_direction_of": [
+                "exit_path": [
                     {
                         "direction": move.direction,
                         "distance": move.distance,
@@ -100,7 +100,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
                         "point": move.point if move.turns else None,
                         "parts": None if move.parts == (step.part,) else move.parts,
                     }
-                    for move in (plan.exit_directions[step.number - 1] if plan.exit_directions else ())
+                    for move in (plan.exit_paths[step.number - 1] if plan.exit_paths else ())
                 ],
                 "presses": step.presses,
             }

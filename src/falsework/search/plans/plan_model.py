@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Meta
 
 from falsework.assembly.assembly_model import MOST, Count, Earthquake, LoadEntry, Prop
-from falsework.geometry.ways.exit_directions import MOST as MOST_MOVES
+from falsework.geometry.paths.exit_paths import MOST as MOST_MOVES
 from falsework.search.margins.demands import Demands
 from falsework.search.plans.plan import PartDeadline
 from falsework.search.plans.steps import Action
@@ -203,7 +203,7 @@ class StepEntry(FileModel, frozen=True):
     """All parts that the step inserts, part first, where they are several."""
     held: Annotated[int, Meta(ge=1)] | None = None
     """With parts: how many of them, from the first on, robots hold: all, or one, which carries the others."""
-    exit_direction_of: Annotated[tuple[MoveEntry, ...], Meta(max_length=MOST_MOVES)] = ()
+    exit_path: Annotated[tuple[MoveEntry, ...], Meta(max_length=MOST_MOVES)] = ()
     """Moves in which the inserted part would leave, where it has no straight way out: the step undoes them, the last
     one first."""
     presses: tuple[Press, ...] = ()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
 from falsework.errors import PlanError, StateError
-from falsework.geometry.ways.moves import Move, Way
+from falsework.geometry.paths.moves import ExitPath, Move
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.older_plans import upgraded
 from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
@@ -100,7 +100,7 @@ class PlanReader:
         loads = [self._loads(record, number) for number, record in enumerate((file.start, *file.steps))]
         if any(loads) and claim.criterion != "contact":
             self._fail("it says what robots bear, which is not known under the criterion equilibrium")
-        exit_directions = [self._way_out(step, number) for number, step in enumerate(file.steps, 1)]
+        exit_paths = [self._exit_path(step, number) for number, step in enumerate(file.steps, 1)]
         presses = [self._presses(step, number) for number, step in enumerate(file.steps, 1)]
         return {
             "states": states,
@@ -124,7 +124,7 @@ class PlanReader:
             "parts_at_once": rules.parts_at_once,
             "moves": rules.moves,
             "turns": rules.turns,
-            "exit_directions": tuple(exit_directions) if any(exit_directions) else (),
+            "exit_paths": tuple(exit_paths) if any(exit_paths) else (),
             "source": None if structure.source is None else to_json_values(structure.source),
             "presses": tuple(presses) if any(presses) else (),
             "loads": tuple(loads) if any(loads) else (),
@@ -206,17 +206,17 @@ class PlanReader:
             self._fail(f"{place} cannot insert part {there[0]}, which is there already")
         return members[1:held], members[held:]
 
-    def _way_out(self, step: StepEntry, number: int) -> Way:
+    def _exit_path(self, step: StepEntry, number: int) -> ExitPath:
         """Return the moves of a step; whether they lead out is for the check."""
-        if not step.exit_direction_of:
+        if not step.exit_path:
             return ()
         place, most = f"step {number}", self._file.rules.moves
         if step.do != Action.INSERT or step.parts is not None:
-            self._fail(f"{place} has a exit_direction_of", "only a step that inserts one part has one")
-        if len(step.exit_direction_of) > most:
-            self._fail(f"{place} has {len(step.exit_direction_of)} moves", f"at most {most} with rules.moves")
-        for count, move in enumerate(step.exit_direction_of):
-            place = f"steps[{number - 1}].exit_direction_of[{count}]"
+            self._fail(f"{place} has an exit_path", "only a step that inserts one part has one")
+        if len(step.exit_path) > most:
+            self._fail(f"{place} has {len(step.exit_path)} moves", f"at most {most} with rules.moves")
+        for count, move in enumerate(step.exit_path):
+            place = f"steps[{number - 1}].exit_path[{count}]"
             if abs(np.linalg.norm(move.direction) - 1.0) > 1e-6:
                 self._fail(f"{place}.direction is no unit vector")
             if move.distance == 0.0 and not move.angle:
@@ -231,7 +231,7 @@ class PlanReader:
                 self._fail(f"{place}.parts is empty")
         return tuple(
             Move(move.parts or (step.part,), move.direction, move.distance, move.angle or 0.0, move.point or (0.0,) * 3)
-            for move in step.exit_direction_of
+            for move in step.exit_path
         )
 
     def _judged(self, record: StartEntry | StepEntry, place: str) -> float:

@@ -60,7 +60,7 @@ class CheckedPlan:
             props=len(plan.props),
             prop_limit=plan.prop_limit,
             parts_at_once=int((plan.states[1:] != plan.states[:-1]).sum(axis=1).max(initial=1)),
-            moves=max((len(way) for way in plan.exit_directions), default=1),
+            moves=max((len(way) for way in plan.exit_paths), default=1),
             start=tuple(plan.states[0].tolist()),
             end=tuple(plan.states[-1].tolist()),
         )

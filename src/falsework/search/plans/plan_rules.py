@@ -67,7 +67,7 @@ def broken_rule(
 
 def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySettings | None) -> str:
     """Return what is wrong with how a step inserts a part that has no straight way, as the end of a sentence."""
-    moves = plan.exit_directions[step] if plan.exit_directions else ()
+    moves = plan.exit_paths[step] if plan.exit_paths else ()
     part, state = int(plan.actions[step]) - len(plan.boundary), plan.states[step + 1]
     if not moves:
         return "finds no straight way past the other parts"

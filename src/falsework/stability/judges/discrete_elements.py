@@ -57,6 +57,10 @@ class DiscreteElementSettings:
     ramp: int = 2000
     """Steps over which an unbalanced force, such as gravity on the unstressed structure, is ramped up; more where the
     springs of robots are so soft that held parts would swing."""
+    slower: int = 10
+    """Ratio by which the ramp is lengthened for a second attempt at a state that collapses, which counts as a collapse
+    if it collapses again; 1 for none. Under a load that comes quickly, the inertia of moving parts carries friction
+    past its limit; building is the limit of slow loads."""
     steps: int = 30000
     """Steps after which a state that has neither come to rest nor collapsed is left undecided."""
     friction_share: float = 0.0
@@ -73,9 +77,9 @@ class DiscreteElementSettings:
         for name, value in (("damping", self.damping), ("friction_share", self.friction_share)):
             if not 0 <= value <= 1:
                 raise InputError(f"{name} is {value}; give a number from 0 to 1")
-        for name, count in (("ramp", self.ramp), ("steps", self.steps)):
+        for name, count in (("ramp", self.ramp), ("slower", self.slower), ("steps", self.steps)):
             if count < 1:
-                raise InputError(f"{name} is {count} steps; give at least 1")
+                raise InputError(f"{name} is {count}; give at least 1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,10 +127,10 @@ def settle(
         for model in models:
             gap, friction = -begin[row, :, 0] / model.stiffness, begin[row, :, 1:].copy()
             grip = _no_grip(assembly)
-            answer = relax(model, state, gap, friction, grip, *_numbers(settings))
+            answer = _relax(model, state, gap, friction, grip, settings)
             if settings.friction_share and answer[0] == STANDS:
                 _redraw(model, gap, friction, settings, row)
-                answer = relax(model, state, gap, friction, grip, *_numbers(settings))
+                answer = _relax(model, state, gap, friction, grip, settings)
             if answer[0] != FALLS:
                 break
         answers.add(answer)
@@ -225,7 +229,7 @@ class Build:
         for part, more in press.items() if self._hybrid else ():
             line[part] = more[:3] / max(float(np.linalg.norm(more[:3])), 1e-300)
         now.grip = JudgedHolds(spring * size / self._typical, fresh, wrench, line, across)
-        return relax(self._model, state, now.gap, now.friction, now.grip, *_numbers(settings))
+        return _relax(self._model, state, now.gap, now.friction, now.grip, settings)
 
 
 def _replay(batch: States, added: Sequence[dict[int, Array]], build: Build, size: float) -> _Answers:
@@ -281,8 +285,24 @@ class _Answers:
         return Settling(np.array(stands, np.int8), np.array(moved, float) * self._size, np.array(part, np.int32))
 
 
-def _numbers(settings: DiscreteElementSettings) -> tuple[float, float, int, int]:
-    return settings.tangential, settings.damping, settings.ramp, settings.steps
+def _relax(
+    model: Model,
+    state: NDArray[np.uint8],
+    gap: Array,
+    friction: Array,
+    grip: JudgedHolds,
+    settings: DiscreteElementSettings,
+) -> tuple[int, float, int]:
+    """Relax a state, and once more under slower loads if it collapses; as `relax`."""
+    start = gap.copy(), friction.copy(), grip.wrench.copy()
+    answer = relax(
+        model, state, gap, friction, grip, settings.tangential, settings.damping, settings.ramp, settings.steps
+    )
+    if answer[0] != FALLS or settings.slower == 1 or not np.isfinite(answer[1]):
+        return answer
+    gap[:], friction[:], grip.wrench[:] = start
+    ramp = settings.ramp * settings.slower
+    return relax(model, state, gap, friction, grip, settings.tangential, settings.damping, ramp, settings.steps + ramp)
 
 
 def _redraw(model: Model, gap: Array, friction: Array, settings: DiscreteElementSettings, row: int) -> None:

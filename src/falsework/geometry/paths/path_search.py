@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.ways.motions import PartMotions
-from falsework.geometry.ways.moves import Move, Way, apply
-from falsework.geometry.ways.straight_moves import Parts, StraightMoves
-from falsework.geometry.ways.turning_moves import TurningMoves
+from falsework.geometry.paths.motions import PartMotions
+from falsework.geometry.paths.moves import ExitPath, Move, apply
+from falsework.geometry.paths.straight_moves import Parts, StraightMoves
+from falsework.geometry.paths.turning_moves import TurningMoves
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -25,7 +25,7 @@ _HOME = np.eye(4)
 class Found:
     """Result of a search for a way out."""
 
-    way: Way | None
+    way: ExitPath | None
     """Moves that take the part out, the fewest that were found; None if none did."""
     walls: Mask
     """Without a way, parts at rest that suffice to close every one that was tried, shape (parts,)."""
@@ -38,7 +38,7 @@ class _Node:
     """Poses that moves lead to."""
 
     poses: dict[int, Array]
-    way: Way
+    way: ExitPath
     touches: bool = True
     """Whether the last move was as long as it can be, so that the part that moved touches another."""
 
@@ -50,7 +50,7 @@ class _Node:
         return _Node(poses, (*self.way, move), touches)
 
 
-class WaySearch:
+class PathSearch:
     """Search in breadth over the poses at which parts touch others, or are level with them.
 
     The part is out beside the box around all others, there or not, as they are in place. Only it leaves; parts that

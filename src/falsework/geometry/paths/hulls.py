@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.ways.gjk import INNER, OUTER, gap
+from falsework.geometry.paths.gjk import INNER, OUTER, gap
 from falsework.utils.kernels import njit
 
 Array = NDArray[np.float64]

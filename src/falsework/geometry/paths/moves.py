@@ -72,11 +72,11 @@ def apply(matrix: Array, points: Array) -> Array:
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-Way = tuple[Move, ...]
+ExitPath = tuple[Move, ...]
 """Moves in which a part leaves, from where all parts are in place."""
 
 
-def on_the_way(moves: Way, points: Array, share: float, most: float) -> Array:
+def on_the_way(moves: ExitPath, points: Array, share: float, most: float) -> Array:
     """Return the displacement of a part after a share of its way out, shape (4, 4).
 
     Args:

@@ -15,9 +15,9 @@ from falsework.geometry.clearance.first_motions import can_begin_to_move
 from falsework.geometry.clearance.table import ClearanceTable
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.geometry.ways.motions import PartMotions
-from falsework.geometry.ways.moves import Way, after
-from falsework.geometry.ways.way_search import WaySearch
+from falsework.geometry.paths.motions import PartMotions
+from falsework.geometry.paths.moves import ExitPath, after
+from falsework.geometry.paths.path_search import PathSearch
 from falsework.utils.bits import Words, pack
 
 Mask = NDArray[np.bool_]
@@ -37,7 +37,7 @@ class Oracle(Protocol):
         ...
 
 
-class ExitTable:
+class ExitPaths:
     """Ways out of parts in up to some number of moves; each is searched for when first asked for, and kept.
 
     A part that has a straight way out takes that (`ClearanceTable`). Otherwise it may leave in several moves, and other
@@ -84,12 +84,12 @@ class ExitTable:
         self._stands: dict[bytes, bool] = {}
         self._undecided = 0
 
-    def __reduce__(self) -> tuple[type[ExitTable], tuple[Any, ...]]:
+    def __reduce__(self) -> tuple[type[ExitPaths], tuple[Any, ...]]:
         """Pickle what it is made of; what was found is found again."""
         given = self._meshes, self._contacts, self._straight, self._motions, self._fixed, self.moves, self.turns
-        return ExitTable, (*given, self._oracle)
+        return ExitPaths, (*given, self._oracle)
 
-    def judged_by(self, oracle: Oracle) -> ExitTable:
+    def judged_by(self, oracle: Oracle) -> ExitPaths:
         """Return the same ways out, where parts may move aside only if an oracle says that the rest stands."""
         if self._oracle is oracle:
             return self
@@ -104,7 +104,7 @@ class ExitTable:
             found[row, part] = self._search(states[row], part) is not None
         return found
 
-    def exit_direction_of(self, state: States, part: int) -> Way | None:
+    def exit_path(self, state: States, part: int) -> ExitPath | None:
         """Return the moves in which a part leaves a state, shape (parts,); none of them where it leaves straight.
 
         Returns:
@@ -116,7 +116,7 @@ class ExitTable:
             return None
         return self._search(np.asarray(state), part)
 
-    def doubt(self, parts: Mask) -> str:
+    def caveat(self, parts: Mask) -> str:
         """Explain why some of the parts, shape (parts,), may have ways that were not found; empty if none can."""
         every = np.flatnonzero(parts).tolist()
         unsure = [part for part in every if not all(known.exact for known in self._closed.get(part, ()))]
@@ -133,7 +133,7 @@ class ExitTable:
             f"{kinds} were sought along the faces and edges of parts, and none was found; others may be free"
         )
 
-    def _search(self, state: States, part: int) -> Way | None:
+    def _search(self, state: States, part: int) -> ExitPath | None:
         present, held = state > 0, (state == HELD) & ~self._fixed
         present[part] = held[part] = False
         words, hands = (pack(mask[None])[0] for mask in (present, held))
@@ -149,9 +149,9 @@ class ExitTable:
             self._closed.setdefault(part, []).append(_Closed(touching, hands & touching, True))
             return None
         aside = tuple(np.flatnonzero(held).tolist())
-        found = WaySearch(self._motions, part, present & ~held, aside).run(self.moves)
+        found = PathSearch(self._motions, part, present & ~held, aside).run(self.moves)
         if found.way is None and self.turns:
-            straight, found = found, WaySearch(self._motions, part, present & ~held, aside).run(self.moves, turns=True)
+            straight, found = found, PathSearch(self._motions, part, present & ~held, aside).run(self.moves, turns=True)
             found.walls[straight.walls] = True
         if found.way is None:
             walls = pack((found.walls | held)[None])[0]
@@ -172,7 +172,7 @@ class ExitTable:
         there[part] = True
         return can_begin_to_move(self._contacts, (part,), there)
 
-    def _rest_stands(self, state: States, way: Way) -> bool:
+    def _rest_stands(self, state: States, way: ExitPath) -> bool:
         """Return whether a state stands without the parts of a way, where others than the one that leaves move."""
         moved = sorted({part for move in way for part in move.parts})
         if self._oracle is None or len(moved) == 1:
@@ -191,7 +191,7 @@ class ExitTable:
         found[pairs[(pairs == part).any(axis=1)]] = True
         return found
 
-    def _blockers(self, way: Way, part: int, aside: Mask) -> Mask:
+    def _blockers(self, way: ExitPath, part: int, aside: Mask) -> Mask:
         """Return the parts at rest that would block a way, shape (parts,)."""
         found, others = np.zeros(len(self._meshes), dtype=bool), ~aside
         others[part] = False
@@ -202,9 +202,9 @@ class ExitTable:
 
 @dataclass(frozen=True, eq=False)
 class _KeptWay:
-    """Way that was found."""
+    """ExitPath that was found."""
 
-    way: Way
+    way: ExitPath
     blockers: Words
     """Parts at rest that block it, shape (words,)."""
     aside: Words

@@ -8,9 +8,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.ways.motions import PartMotions
-from falsework.geometry.ways.moves import Move, Poses, apply
-from falsework.geometry.ways.stops import face_normals, levels, slides
+from falsework.geometry.paths.motions import PartMotions
+from falsework.geometry.paths.moves import Move, Poses, apply
+from falsework.geometry.paths.stops import face_normals, levels, slides
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -12,8 +12,8 @@ from falsework.assembly import Assembly
 from falsework.assembly.library.blocks import Solid, gather
 from falsework.assembly.library.voxels import _grow, _pinches, surface
 from falsework.geometry.contact.interfaces import find_contacts
-from falsework.geometry.ways.motions import PartMotions
-from falsework.geometry.ways.way_search import WaySearch
+from falsework.geometry.paths.motions import PartMotions
+from falsework.geometry.paths.path_search import PathSearch
 
 EDGE = 0.1
 Cells = frozenset[tuple[int, int, int]]
@@ -107,7 +107,7 @@ def test_pieces_leave_tunnels_in_as_few_moves_as_by_cells(seed: int) -> None:
     motions, most, others = motions_of(solid(piece), solid(frame)), 7, np.array([False, True])
     expected = fewest_moves(piece, frame, most)
     for moves in range(1, most + 1):
-        found = WaySearch(motions, 0, others).run(moves)
+        found = PathSearch(motions, 0, others).run(moves)
         assert (found.way is not None) == (expected is not None and expected <= moves)
         if found.way is not None:
             assert len(found.way) == expected
@@ -117,7 +117,7 @@ def test_pieces_leave_tunnels_in_as_few_moves_as_by_cells(seed: int) -> None:
     else:
         assert expected is None or expected > most
         if expected is None:  # with one move more than there are poses to reach, the search says that it is proven
-            assert WaySearch(motions, 0, others).run(30).exact
+            assert PathSearch(motions, 0, others).run(30).exact
 
 
 def test_tunnels_are_told_apart() -> None:
@@ -141,7 +141,7 @@ def test_pieces_leave_past_others_that_move_aside_in_as_few_moves_as_by_cells(se
     motions, rest, most = motions_of(*map(solid, pieces)), np.array([False, False, False, True]), 3
     expected = fewest_moves(pieces[0], pieces[3], most, pieces[1:3])
     for moves in range(1, most + 1):
-        found = WaySearch(motions, 0, rest, (1, 2)).run(moves)
+        found = PathSearch(motions, 0, rest, (1, 2)).run(moves)
         assert (found.way is not None) == (expected is not None and expected <= moves)
         if found.way is not None:
             assert len(found.way) == expected

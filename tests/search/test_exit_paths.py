@@ -18,7 +18,7 @@ from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.library.voxels import surface
 from falsework.errors import InputError, PlanError
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.geometry.ways.moves import Move, apply
+from falsework.geometry.paths.moves import Move, apply
 from falsework.interop import assembly_instructions, instructions_csv
 from falsework.interop.tracks import tracks_of
 from falsework.replanning.executed_steps import ExecutedSteps
@@ -88,7 +88,7 @@ def plan() -> Plan:
 def test_a_drawer_behind_a_lip_is_lifted_and_then_pulled_out(plan: Plan) -> None:
     assembly = drawer()
     assert plan.moves == 2
-    (up, out), _ = plan.exit_directions
+    (up, out), _ = plan.exit_paths
     assert up.direction == (0.0, 0.0, 1.0)
     assert 0.06 - 1e-3 <= up.distance <= 0.15 + 1e-3
     assert out.direction == (1.0, 0.0, 0.0)
@@ -101,7 +101,7 @@ def test_a_drawer_behind_a_lip_is_lifted_and_then_pulled_out(plan: Plan) -> None
 def test_without_several_moves_it_is_proven_that_there_is_no_plan() -> None:
     found = find_plans(drawer(), robots=1, removable_only_if_clear=True, stability=SETTINGS)
     assert found.result.outcome is Outcome.PROVED_IMPOSSIBLE
-    assert find_plans(shaft(), robots=1, moves=2, stability=SETTINGS).plans[0].exit_directions[0][0].direction == (
+    assert find_plans(shaft(), robots=1, moves=2, stability=SETTINGS).plans[0].exit_paths[0][0].direction == (
         1,
         0,
         0,
@@ -115,8 +115,8 @@ def test_a_bar_that_a_robot_holds_moves_aside_for_a_pin(direction: Direction) ->
     one = find_plans(assembly, robots=1, moves=6, stability=SETTINGS, settings=settings, target=[0, 1, 2])
     assert one.result.outcome is Outcome.PROVED_IMPOSSIBLE
     two = find_plans(assembly, robots=2, moves=2, stability=SETTINGS, settings=settings, target=[0, 2, 2])
-    (step,) = [row for row, way in enumerate(two.plans[0].exit_directions) if way]
-    aside, out = two.plans[0].exit_directions[step]
+    (step,) = [row for row, way in enumerate(two.plans[0].exit_paths) if way]
+    aside, out = two.plans[0].exit_paths[step]
     assert (aside.parts, out.parts) == ((1,), (0,))
     assert validate_plan(two.plans[0], assembly, SETTINGS).good
 
@@ -140,13 +140,13 @@ def test_a_part_that_rests_on_one_that_moves_aside_falls_meanwhile() -> None:
 def test_ways_are_written_and_read(plan: Plan) -> None:
     data = json.loads(json.dumps(plan_to_dict(plan)))
     assert data["rules"]["moves"] == 2
-    assert [move.keys() for move in data["steps"][0]["exit_direction_of"]] == [{"direction", "distance"}] * 2
+    assert [move.keys() for move in data["steps"][0]["exit_path"]] == [{"direction", "distance"}] * 2
     again = plan_from_dict(data)
-    assert again.exit_directions == plan.exit_directions
+    assert again.exit_paths == plan.exit_paths
     straight = find_plans("arch:blocks=3", moves=4).plans[0]
     assert straight.moves == 1
     assert "moves" not in plan_to_dict(straight)["rules"]
-    assert not any("exit_direction_of" in step for step in plan_to_dict(straight)["steps"])
+    assert not any("exit_path" in step for step in plan_to_dict(straight)["steps"])
 
 
 def change(data: Any, value: Any, *path: Any) -> Any:
@@ -167,26 +167,26 @@ def change(data: Any, value: Any, *path: Any) -> Any:
         (False, ("rules", "removable_only_if_clear"), "they need rules.removable_only_if_clear"),
         (
             [1.0, 1.0, 0.0],
-            ("steps", 0, "exit_direction_of", 0, "direction"),
-            r"exit_direction_of\[0\].direction is no unit vector",
+            ("steps", 0, "exit_path", 0, "direction"),
+            r"exit_path\[0\].direction is no unit vector",
         ),
-        (0.0, ("steps", 0, "exit_direction_of", 1, "distance"), r"exit_direction_of\[1\] moves nothing"),
-        (-1.0, ("steps", 0, "exit_direction_of", 1, "distance"), r"exit_direction_of\[1\].distance is -1.0"),
+        (0.0, ("steps", 0, "exit_path", 1, "distance"), r"exit_path\[1\] moves nothing"),
+        (-1.0, ("steps", 0, "exit_path", 1, "distance"), r"exit_path\[1\].distance is -1.0"),
         (
             [9],
-            ("steps", 0, "exit_direction_of", 1, "parts"),
-            r"exit_direction_of\[1\].parts\[0\] is 9; it must be a part from 0 to 6",
+            ("steps", 0, "exit_path", 1, "parts"),
+            r"exit_path\[1\].parts\[0\] is 9; it must be a part from 0 to 6",
         ),
-        ([], ("steps", 0, "exit_direction_of", 1, "parts"), r"exit_direction_of\[1\].parts is empty"),
+        ([], ("steps", 0, "exit_path", 1, "parts"), r"exit_path\[1\].parts is empty"),
         (
             1e9,
-            ("steps", 0, "exit_direction_of", 1, "angle"),
-            r"exit_direction_of\[1\] has only one of angle and point; a turn has both",
+            ("steps", 0, "exit_path", 1, "angle"),
+            r"exit_path\[1\] has only one of angle and point; a turn has both",
         ),
         (
             [{"direction": [1.0, 0.0, 0.0], "distance": 1.0}],
-            ("steps", 1, "exit_direction_of"),
-            "step 2 has a exit_direction_of",
+            ("steps", 1, "exit_path"),
+            "step 2 has an exit_path",
         ),
     ],
 )
@@ -197,10 +197,10 @@ def test_damaged_ways_are_refused(plan: Plan, value: Any, path: tuple, message: 
 
 
 def test_a_check_takes_no_way_from_a_plan_without_sweeping_it(plan: Plan) -> None:
-    assembly, (up, out) = drawer(), plan.exit_directions[0]
+    assembly, (up, out) = drawer(), plan.exit_paths[0]
 
     def reason(*moves: Move, **changes: Any) -> str:
-        bare = replace(plan, displacement=None, loads=(), replay=None, exit_directions=(moves, ()), **changes)
+        bare = replace(plan, displacement=None, loads=(), replay=None, exit_paths=(moves, ()), **changes)
         return validate_plan(bare, assembly).reason
 
     assert reason(up, out) == ""
@@ -218,7 +218,7 @@ def test_pictures_and_files_of_other_programs_show_the_way(plan: Plan) -> None:
     assembly = drawer()
     timeline = Timeline.from_plan(plan, assembly)
     far = TRAVEL * diagonal(assembly)
-    up, out = plan.exit_directions[0]
+    up, out = plan.exit_paths[0]
     length = up.distance + min(out.distance, far)
     at_corner = appearance_at(timeline, 1.0 - 2.0 * up.distance / length).shift[0] if length > 2 * up.distance else None
     assert at_corner is not None
@@ -313,21 +313,21 @@ def screwed() -> tuple[Assembly, Plan]:
 
 def test_a_bolt_screws_out_of_its_thread(screwed: tuple[Assembly, Plan]) -> None:
     assembly, plan = screwed
-    (move,) = plan.exit_directions[0]
+    (move,) = plan.exit_paths[0]
     pitch = 0.1 / np.pi
     np.testing.assert_allclose(move.direction, (0.0, 0.0, 1.0), atol=1e-3)
     assert move.distance / move.angle == pytest.approx(pitch, rel=5e-3)
     assert validate_plan(plan, assembly, SETTINGS).good
     again = plan_from_dict(json.loads(json.dumps(plan_to_dict(plan))))
-    assert again.exit_directions == plan.exit_directions
+    assert again.exit_paths == plan.exit_paths
     assert again.turns
 
 
 def test_another_pitch_does_not_pass(screwed: tuple[Assembly, Plan]) -> None:
     assembly, plan = screwed
-    (move,) = plan.exit_directions[0]
+    (move,) = plan.exit_paths[0]
     for wrong in (replace(move, angle=0.0), replace(move, angle=-move.angle), replace(move, angle=1.3 * move.angle)):
-        bare = replace(plan, forces=None, exit_directions=((wrong,), ()))
+        bare = replace(plan, forces=None, exit_paths=((wrong,), ()))
         assert "move 1 takes bolt into plate" in validate_plan(bare, assembly, SETTINGS).reason
     bare = replace(plan, forces=None, turns=False)
     assert "its way has a turn, and none is allowed" in validate_plan(bare, assembly, SETTINGS).reason
@@ -335,7 +335,7 @@ def test_another_pitch_does_not_pass(screwed: tuple[Assembly, Plan]) -> None:
 
 def test_turns_are_shown_in_pictures_and_refused_by_name_elsewhere(screwed: tuple[Assembly, Plan]) -> None:
     assembly, plan = screwed
-    (move,) = plan.exit_directions[0]
+    (move,) = plan.exit_paths[0]
     look = appearance_at(Timeline.from_plan(plan, assembly), 0.5)
     turn = Rotation.from_matrix(look.turn[0]).as_rotvec()
     share = look.shift[0, 2] / move.distance
@@ -369,7 +369,7 @@ def test_a_lid_tips_up_and_slides_out_and_no_straight_moves_do() -> None:
     straight = find_plans(assembly, robots=1, moves=8, stability=SETTINGS)
     assert straight.result.outcome is Outcome.PROVED_IMPOSSIBLE
     plan = find_plans(assembly, robots=1, moves=2, turns=True, stability=SETTINGS).plans[0]
-    tip, slide = plan.exit_directions[0]
+    tip, slide = plan.exit_paths[0]
     np.testing.assert_allclose(np.abs(tip.direction), (0.0, 1.0, 0.0), atol=1e-6)
     assert 0.1 < abs(tip.angle) < 0.4
     assert slide.direction[0] == pytest.approx(np.cos(tip.angle), abs=1e-6)

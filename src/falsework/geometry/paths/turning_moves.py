@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.ways.axes import Axis, axes_of
-from falsework.geometry.ways.motions import PartMotions
-from falsework.geometry.ways.moves import Move, Poses, apply
-from falsework.geometry.ways.stops import face_normals
+from falsework.geometry.paths.axes import Axis, axes_of
+from falsework.geometry.paths.motions import PartMotions
+from falsework.geometry.paths.moves import Move, Poses, apply
+from falsework.geometry.paths.stops import face_normals
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.geometry.ways.hulls import first_hits, near_order, swept
-from falsework.geometry.ways.moves import Move, Poses, after, apply
+from falsework.geometry.paths.hulls import first_hits, near_order, swept
+from falsework.geometry.paths.moves import Move, Poses, after, apply
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
