@@ -8,7 +8,7 @@
 #   make check   all of it, as CI does     make clean   remove what these made
 #   make results the tables, from benchmarks/results/*.jsonl
 #   make fuzz    ten minutes of damaged files for all readers
-#   make kernels the portable code of the kernels, after a change of one
+#   make kernels portable code of the kernels, so that they need not be compiled by numba after a change of one
 #   make schemas the JSON Schemas of files, after a change of a model
 #   make reference  help texts, benchmarks and public names in the documentation, after a change of one
 
@@ -88,15 +88,16 @@ $(VENV)/.docs: $(VENV)/.core
 	@$(PIP) --group docs
 	@touch $@
 
-# Compiled once, before test workers start, each of which would otherwise compile the same code.
+# Made and compiled once, before test workers start, each of which would otherwise compile the same code.
 $(VENV)/.compiled: $(VENV)/.core $(shell grep -rl njit src --include='*.py')
-	@echo "compiling the kernels"
+	@echo "making and compiling the kernels"
+	@$(BIN)/python kernels/archive.py
 	@$(BIN)/python tests/compile_kernels.py
 	@touch $@
 
-# Portable code of the kernels that every plan needs; it travels in the package.
+# Portable code of the kernels that every plan needs; wheels have it, and so does a repository after this.
 kernels: $(VENV)/.core
-	$(BIN)/python tests/make_kernels.py
+	$(BIN)/python kernels/archive.py
 
 schemas: $(VENV)/.core
 	$(BIN)/python docs/schemas/write.py
@@ -163,4 +164,5 @@ check: lint types docs test
 
 clean:
 	rm -rf $(VENV) $(OUT) docs/_build build dist .pytest_cache .ruff_cache .hypothesis
-	find src tests client examples bench benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +
+	rm -f src/falsework/kernels.zip
+	find src kernels tests client examples bench benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +

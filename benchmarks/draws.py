@@ -80,6 +80,8 @@ class Searches:
     oracle: TensorOracle
     device: torch.device
     folder: Path | None
+    train_width: int = TRAIN_WIDTH
+    test_width: int = TEST_WIDTH
 
     def states(self, width: int, seed: int) -> States:
         """Return the states of a search, read if they are there."""
@@ -106,8 +108,8 @@ class Searches:
     def all_seeds(self, seeds: tuple[int, ...]) -> Iterator[tuple[int, int]]:
         """Yield width and seed of all searches that runs with these seeds need."""
         tests = dict.fromkeys(one for seed in seeds for one in test_seeds(seed))
-        yield from ((TRAIN_WIDTH, train_seed(seed)) for seed in seeds)
-        yield from ((TEST_WIDTH, seed) for seed in (*tests, *VALIDATION_SEEDS))
+        yield from ((self.train_width, train_seed(seed)) for seed in seeds)
+        yield from ((self.test_width, seed) for seed in (*tests, *VALIDATION_SEEDS))
 
     def draw(self, seed: int, tests: tuple[int, ...], widths: tuple[int, ...] = ()) -> Draw:
         """Return the searches of a run.
@@ -118,12 +120,12 @@ class Searches:
             widths: of further searches to learn from, without the held-out states.
         """
         task = training_task(self.assembly, self.robots, self.clearance).judged_by(self.oracle)
-        train = self.states(TRAIN_WIDTH, train_seed(seed))
-        found = {one: _without(self.states(TEST_WIDTH, one), train) for one in tests}
+        train = self.states(self.train_width, train_seed(seed))
+        found = {one: _without(self.states(self.test_width, one), train) for one in tests}
         test = np.unique(np.concatenate(list(found.values())), axis=0)
         known = np.concatenate([train, test])
         share = -(-VALIDATION_STATES // len(VALIDATION_SEEDS))
-        pieces = [sample(_without(self.states(TEST_WIDTH, one), known), share) for one in VALIDATION_SEEDS]
+        pieces = [sample(_without(self.states(self.test_width, one), known), share) for one in VALIDATION_SEEDS]
         validation = np.unique(np.concatenate(pieces), axis=0)
         more = train[:0]
         if widths:
@@ -131,7 +133,7 @@ class Searches:
             groups = [(width, widths.count(width)) for width in dict.fromkeys(widths)]
             wide = [search_several(task, judge, n, w, way, wide_seed, device=self.device)[0] for w, n in groups]
             more = _without(np.unique(np.concatenate(wide), axis=0), np.concatenate([known, validation]))
-        settings = DataSettings(TRAIN_WIDTH, TEST_WIDTH, widths, seed=train_seed(seed))
+        settings = DataSettings(self.train_width, self.test_width, widths, seed=train_seed(seed))
         dataset = Dataset(train, test, validation, more, task, self.assembly.name, settings)
         return Draw(dataset, found, train_seed(seed))
 
@@ -143,13 +145,14 @@ def learned_from(assembly: Assembly, draw: Draw) -> States:
     return _without(np.concatenate([data.train, data.more]), held_out)
 
 
-def distances(states: States, others: States, device: torch.device) -> NDArray[np.float64]:
+def distances(states: States, others: States, device: torch.device, rows: int = _ROWS) -> NDArray[np.float64]:
     """Return the Hamming distance of each state to the nearest of some others, by parts whose condition differs.
 
     Args:
         states: shape (count, parts).
         others: shape (others, parts), at least one.
         device: where to compute.
+        rows: states that are compared at once.
 
     Returns:
         Shape (count,).
@@ -164,9 +167,9 @@ def distances(states: States, others: States, device: torch.device) -> NDArray[n
     nearest = torch.zeros(len(states), device=device, dtype=kind)
     for begin in range(0, len(others), 1 << 16):
         theirs = spread(others[begin : begin + (1 << 16)]).T
-        for row in range(0, len(states), _ROWS):
-            agreed = (mine[row : row + _ROWS] @ theirs).max(dim=1).values
-            nearest[row : row + _ROWS] = torch.maximum(nearest[row : row + _ROWS], agreed)
+        for row in range(0, len(states), rows):
+            agreed = (mine[row : row + rows] @ theirs).max(dim=1).values
+            nearest[row : row + rows] = torch.maximum(nearest[row : row + rows], agreed)
     return (states.shape[1] - nearest.double()).cpu().numpy()
 
 

@@ -8,8 +8,8 @@ Each command runs in a process of its own. `cache` is `empty` where no compiled 
 same command has run once. `demo` is what `make demo` does after the installation: plan the built-in vault and check the
 plan. Arms move where the structure bottle-12 is there. `seconds`, `processor_seconds` (of all threads and child
 processes) and `peak_gib` are median and range over the repeats. `before` has the same of the earlier commit, from a git
-worktree and in alternation with the present one; an earlier run from empty caches takes minutes, so there are fewer of
-those, and none of the plan that `demo` begins with.
+worktree and in alternation with the present one, both with the archive of kernels that an installation has; an earlier
+run from empty caches takes minutes, so there are fewer of those, and none of the plan that `demo` begins with.
 `ratio` is processor time over that before.
 """
 
@@ -110,6 +110,13 @@ class Runs:
         }
 
 
+def make_kernels(source: Path) -> None:
+    """Make the archive of kernels that an installation has, where it is not in git."""
+    script = source / "kernels/archive.py"
+    if script.is_file():
+        subprocess.run([sys.executable, script], env=os.environ | {"PYTHONPATH": str(source / "src")}, check=True)
+
+
 @contextmanager
 def checked_out(commit: str) -> Iterator[Path | None]:
     """Check out a commit beside the repository temporarily."""
@@ -120,6 +127,7 @@ def checked_out(commit: str) -> Iterator[Path | None]:
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "before"
         subprocess.run([*git, "add", "--quiet", "--detach", str(place), commit], check=True)
+        make_kernels(place)
         try:
             yield place
         finally:
@@ -143,6 +151,7 @@ def measure(command: str, cache: str, places: dict[Path, Path], repeats: dict[Pa
 def main(options: Options) -> None:
     """Run the benchmark."""
     write_to(options.out)
+    make_kernels(REPOSITORY)
     with checked_out(options.before) as earlier, tempfile.TemporaryDirectory() as folder:
         sources = [REPOSITORY] if earlier is None else [REPOSITORY, earlier]
         places = {source: Path(tempfile.mkdtemp(dir=folder)) for source in sources}

@@ -178,7 +178,7 @@ class Generator:
         if number is None:
             return
         folder = self.options.folder if self.improving else None
-        self._pool.apply_async(_label, (number, known, folder), callback=self._done, error_callback=self._failed)
+        self._pool.apply_async(case_label, (number, known, folder), callback=self._done, error_callback=self._failed)
 
     def _done(self, answer: tuple[int, LabelledStructure | None]) -> None:
         with self._lock:
@@ -209,7 +209,7 @@ def _one_thread() -> None:
 _policies: dict[Path, tuple[float, Any]] = {}
 
 
-def _label(number: int, known: LabelledStructure | None, folder: Path | None) -> tuple[int, Any]:
+def case_label(number: int, known: LabelledStructure | None, folder: Path | None) -> tuple[int, Any]:
     """Label one structure; with more robots, up to four, where those drawn do not suffice."""
     try:
         drawn = generated(number)

@@ -26,6 +26,8 @@ from falsework.assembly.state import HELD, INSTALLED
 from falsework.geometry import TriangleMesh
 from falsework.search import Plan
 from falsework.stability.holds import Press
+from falsework.utils.kernel_code import ARCHIVE
+from falsework.utils.kernels import Kernel
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -75,6 +77,18 @@ def read_answer() -> Callable[[str], dict[str, Any]]:
         return answer
 
     return read
+
+
+@pytest.fixture
+def without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fail where a kernel has no portable code for its arguments; skips the test where no archive was made."""
+    if not ARCHIVE.path.is_file():
+        pytest.skip("no archive of kernels here: make kernels")
+
+    def refuse(kernel: Kernel) -> None:
+        pytest.fail(f"numba is asked to compile {kernel.__name__}")
+
+    monkeypatch.setattr(Kernel, "dispatcher", property(refuse))
 
 
 @pytest.fixture(scope="session")

@@ -116,7 +116,7 @@ def test_examples_in_help_texts_run(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         "view",
         "picture",
     ):
-        for example in entry._command_class(name).examples:
+        for example in entry.command_class(name).examples:
             words = in_few_steps(shlex.split(example))
             assert words[:2] == ["falsework", name]
             if not {"shell.glb", "model.3dm", "--cell"} & set(words):

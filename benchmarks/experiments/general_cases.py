@@ -84,12 +84,14 @@ CASES = _cases()
 """By name."""
 
 
-def evaluate_case(name: str, folder: Path) -> dict[str, Any]:
+def evaluate_case(name: str, folder: Path, width: int = _WIDTH, most: int = _STATES) -> dict[str, Any]:
     """Test a policy on one case.
 
     Args:
         name: of `CASES`.
         folder: of the run.
+        width: of the searches whose states are tested.
+        most: states that are tested.
 
     Returns:
         `greedy` and `sampled`: shares of the states of a search from which the most probable actions, or one of 16
@@ -107,7 +109,7 @@ def evaluate_case(name: str, folder: Path) -> dict[str, Any]:
     row |= {"parts": assembly.part_count, "robots": robots, "criterion": criterion}
     policy = load_policy(folder, "cpu", assembly=assembly).of_task(robots, equilibrium=criterion == "equilibrium")
     try:
-        row |= _success(assembly, robots, criterion, policy)
+        row |= _success(assembly, robots, criterion, policy, width, most)
         row |= _verdicts(assembly, robots, criterion, policy)
     except FalseworkError as error:
         row["error"] = str(error)[:200]
@@ -122,20 +124,22 @@ def _load(case: Case) -> tuple[Assembly, int, Criterion]:
     return load_structure(find(case.structure)), case.robots, case.criterion
 
 
-def _success(assembly: Assembly, robots: int, criterion: Criterion, policy: Policy) -> dict[str, Any]:
+def _success(
+    assembly: Assembly, robots: int, criterion: Criterion, policy: Policy, width: int, most: int
+) -> dict[str, Any]:
     end = time.perf_counter() + _SEARCH
     oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion))
     environment = Environment(assembly, robots, oracle=oracle, device="cpu")
     task = environment.rules.task
-    found, _ = search_states(task, HostOracle(oracle), _WIDTH, 1, stop=lambda: time.perf_counter() > end)
+    found, _ = search_states(task, HostOracle(oracle), width, 1, stop=lambda: time.perf_counter() > end)
     if not (found == environment.rules.complete()[0].numpy()).all(axis=1).any():
-        planner = Planner(task, oracle, PlannerSettings(_WIDTH), guide=SupportGuide(assembly))
+        planner = Planner(task, oracle, PlannerSettings(width), guide=SupportGuide(assembly))
         planner.run(stop=lambda: time.perf_counter() > end + _SEARCH)
         found = np.concatenate([found, *(route.states for route in planner.routes)])
     found = found[~environment.rules.reached(torch.from_numpy(found)).numpy()]
     if len(found) == 0:
         return {"states": 0}
-    starts = torch.from_numpy(sample(found, max(8, min(_STATES, _ROWS // assembly.part_count))))
+    starts = torch.from_numpy(sample(found, max(8, min(most, _ROWS // assembly.part_count))))
     good = roll_out(environment, policy, starts, keep="ends").success
     greedy = float(good.float().mean())
     generator = environment.generator(0)

@@ -7,7 +7,7 @@ import pytest
 
 from falsework.assembly import Assembly, load_structure
 from falsework.assembly.model import ContactWarning
-from falsework.assembly.symmetry import _motions, _same_contacts, symmetries
+from falsework.assembly.symmetry import rigid_motions, same_contacts, symmetries
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.stability import StabilityOracle
 from falsework.stability.settings import EQUILIBRIUM
@@ -94,10 +94,10 @@ def test_contacts_matter() -> None:
     one, other = dome.contacts.parts[lost]
     push[one, other] = push[other, one] = 0.0
     kept = 0
-    for turn in _motions(*_places(dome)):
+    for turn in rigid_motions(*_places(dome)):
         image = _image_under(dome, turn)
-        assert _same_contacts(dome.contacts.pushes(dome.part_count), turn, image)
-        kept += _same_contacts(push, turn, image)
+        assert same_contacts(dome.contacts.pushes(dome.part_count), turn, image)
+        kept += same_contacts(push, turn, image)
     assert kept == 2
 
 

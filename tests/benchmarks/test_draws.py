@@ -26,14 +26,12 @@ def rows(states: Any) -> set[bytes]:
 
 
 @pytest.fixture
-def searches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def searches(tmp_path: Path) -> Any:
     """Narrow searches of a symmetric arch."""
-    monkeypatch.setattr(draws, "TRAIN_WIDTH", 4)
-    monkeypatch.setattr(draws, "TEST_WIDTH", 8)
     device = torch.device("cpu")
     assembly = load_structure("arch:blocks=9")
     oracle = tensor_oracle(StabilityOracle(assembly, StabilitySettings(criterion="equilibrium")), device)
-    return draws.Searches(assembly, 2, False, oracle, device, tmp_path)
+    return draws.Searches(assembly, 2, False, oracle, device, tmp_path, train_width=4, test_width=8)
 
 
 def test_nothing_is_learned_from_test_states(searches: Any) -> None:
@@ -67,11 +65,10 @@ def test_searches_are_kept(searches: Any, monkeypatch: pytest.MonkeyPatch) -> No
     assert all(rows(again.tests[seed]) == rows(states) for seed, states in kept.tests.items())
 
 
-def test_distances_are_those_to_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(draws, "_ROWS", 7)
+def test_distances_are_those_to_the_nearest() -> None:
     generator = np.random.default_rng(0)
     states, others = (generator.integers(0, 3, (count, 11), dtype=np.uint8) for count in (20, 30))
-    found = draws.distances(states, others, torch.device("cpu"))
+    found = draws.distances(states, others, torch.device("cpu"), rows=7)
     assert found.tolist() == (states[:, None] != others[None]).sum(axis=2).min(axis=1).tolist()
     success = generator.random(20) < 0.5
     table = draws.by_distance(found, success)

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from experiments import general_cases
 from experiments.general_cases import CASES, TESTED, evaluate_case
 from experiments.structure_generator import TRAINED, UNSEEN
-from general import PER_FILE, VALIDATION, Library, Options, _label, card, number_of
+from general import PER_FILE, VALIDATION, Library, Options, card, case_label, number_of
 
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.data.structure_batches import StructureBatches
@@ -25,8 +24,8 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("general")
     library = Library(folder)
     for number in (0, 5, 8):
-        library.add(*_label(number, None, None))
-    library.add(*_label(VALIDATION, None, None))
+        library.add(*case_label(number, None, None))
+    library.add(*case_label(VALIDATION, None, None))
     library.add(17, None)
     library.save()
     training = GeneralTraining(folder, GeneralSettings(SMALL, steps=3, tokens=256))
@@ -46,7 +45,7 @@ def test_a_library_keeps_its_structures(trained: Path) -> None:
 
 def test_known_structures_are_improved_by_rollouts(trained: Path) -> None:
     known = Library.load(trained).structures[0]
-    number, again = _label(0, known, trained)
+    number, again = case_label(0, known, trained)
     assert number == 0
     assert again.success is not None
     assert (again.name, again.robots) == (known.name, known.robots)
@@ -61,10 +60,8 @@ def test_no_case_is_a_structure_of_training() -> None:
             assert int(case.structure.rpartition("-")[2]) >= TESTED > VALIDATION
 
 
-def test_a_case_has_success_and_verdicts(trained: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(general_cases, "_STATES", 6)
-    monkeypatch.setattr(general_cases, "_WIDTH", 8)
-    row = evaluate_case(f"stack-{TESTED}", trained)
+def test_a_case_has_success_and_verdicts(trained: Path) -> None:
+    row = evaluate_case(f"stack-{TESTED}", trained, width=8, most=6)
     assert 0 <= row["greedy"] <= row["sampled"] <= 1
     assert row["states"] <= 8
     assert row["plans"]["support"]["found"]

@@ -33,7 +33,7 @@ def run_with(monkeypatch: pytest.MonkeyPatch, behaviour: Any, *options: str) -> 
         def run(self, output: Any) -> Exit:
             return behaviour(output)
 
-    monkeypatch.setattr(entry, "_command_class", lambda name: Replaced)
+    monkeypatch.setattr(entry, "command_class", lambda name: Replaced)
     return entry.main(["structures", *options])
 
 
@@ -210,7 +210,7 @@ def test_warnings_are_one_line_and_keep_the_exit_code(
 
 @pytest.mark.parametrize("name", entry.COMMANDS)
 def test_rare_options_exist(name: str) -> None:
-    kind = entry._command_class(name)
+    kind = entry.command_class(name)
     hints = get_type_hints(kind)
     for one in (kind, *(hint for hint in hints.values() if is_dataclass(hint))):
         fields = set(one.__dataclass_fields__)

@@ -50,7 +50,7 @@ def test_parts_that_hook_each_other_between_two_walls_leave_together(shapes):
     movable = np.array([True, True, False, False])
     assert clearance.sets(movable, 2) == (pair,)
     closed, open_ = np.array([[1, 1, 1, 1]], np.uint8), np.array([[1, 1, 0, 1]], np.uint8)
-    assert not clearance._singles.can_leave(closed)[0, :2].any()
+    assert not clearance.singles.can_leave(closed)[0, :2].any()
     assert clearance.leave_together(pair, closed).all()
     motion = clearance.exit_motion(pair, closed[0])
     assert motion is not None
@@ -86,7 +86,7 @@ def test_three_cells_around_an_edge_do_not_block_each_other_in_turn(shapes):
     corners = [(np.cos(a), np.sin(a)) for a in np.radians([30, 90, 150, 210, 270, 330])]
     meshes = [shapes.extruded([(0, 0), *(corners[(2 * k + i) % 6] for i in (0, 1, 2))], 0, 1) for k in range(3)]
     sets = locked_sets(meshes)
-    joined, _ = sets._neighbours((0, 1, 2), np.arange(3))
+    joined, _ = sets.neighbours((0, 1, 2), np.arange(3))
     assert joined, "planes alone do not tell"
     assert sets.find(np.arange(3), 3) == ()
 
@@ -111,7 +111,7 @@ def test_one_direction_in_each_region_between_great_circles(count):
     """Circles of which no three meet cut the sphere into `n^2 - n + 2` regions."""
     normals = np.random.default_rng(count).normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    directions = locked._one_in_each_cell(normals)
+    directions = locked.one_in_each_cell(normals)
     sides = {tuple(side) for side in (directions @ normals.T > 0).tolist()}
     assert len(sides) == count**2 - count + 2
 
@@ -121,7 +121,7 @@ def test_regions_where_many_circles_meet(shapes):
     normals = [np.eye(3)[k] for k in range(3)]
     normals += [np.eye(3)[i] + sign * np.eye(3)[j] for i, j in itertools.combinations(range(3), 2) for sign in (1, -1)]
     normals = np.array(normals) / np.linalg.norm(normals, axis=1)[:, None]
-    directions = locked._one_in_each_cell(normals)
+    directions = locked.one_in_each_cell(normals)
     assert len({tuple(side) for side in (directions @ normals.T > 0).tolist()}) == 48
 
 
@@ -145,7 +145,6 @@ def test_a_part_that_touches_nothing_can_begin_to_move(shapes):
     assert can_begin_to_move(contacts, (0, 1), np.array([True, True]))
 
 
-def test_too_many_sets_are_refused(shapes, monkeypatch):
-    monkeypatch.setattr(locked, "_MOST", 3)
+def test_too_many_sets_are_refused(shapes):
     with pytest.raises(InputError, match=r"more than 3 sets of up to 2 parts may lock each other.*allow fewer"):
-        locked_sets(clasp(shapes)).find(np.arange(4), 2)
+        locked_sets(clasp(shapes)).find(np.arange(4), 2, most=3)

@@ -125,9 +125,9 @@ def pdf(arch: Assembly, plan: Plan) -> bytes:
 def test_the_pdf_has_all_pages_and_pictures(pdf: bytes, arch: Assembly, plan: Plan) -> None:
     """A cover with one picture, and six rows on a page; a part that is released at once takes one row."""
     assert pdf.startswith(b"%PDF-")
-    from falsework.interop.instruction_pdf import _rows
+    from falsework.interop.instruction_pdf import table_rows
 
-    rows = _rows(assembly_instructions(plan, arch))
+    rows = table_rows(assembly_instructions(plan, arch))
     assert [step.number for row in rows for step in row] == list(range(1, 15))
     merged = [row for row in rows if len(row) == 2]
     assert merged

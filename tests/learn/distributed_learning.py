@@ -89,10 +89,10 @@ def run(method: str, folder: Path, kept: dict[str, Trainer]) -> None:
     folder.mkdir(exist_ok=True)
     result = module.train(load_structure("arch:blocks=13"), settings, folder=folder / "run", device="cpu", logs=())
     rank = ProcessGroup.from_torch().rank
-    weights = {name: tensor.clone() for name, tensor in kept["trainer"]._policy.state_dict().items()}
-    weights["solved"] = kept["trainer"]._solved.states.clone()
+    weights = {name: tensor.clone() for name, tensor in kept["trainer"].policy.state_dict().items()}
+    weights["solved"] = kept["trainer"].solved.states.clone()
     save_file(weights, folder / f"{rank}.safetensors")
-    own = kept["trainer"]._environment.counters.steps
+    own = kept["trainer"].environment.counters.steps
     (folder / f"{rank}.json").write_text(json.dumps({"own_steps": own, **result.to_dict()}))
 
 

@@ -380,8 +380,8 @@ def test_a_structure_is_copied_without_what_was_found() -> None:
 def test_no_proof_where_a_motion_may_have_been_missed(monkeypatch: pytest.MonkeyPatch) -> None:
     """If sweeps refuse all velocities that were tried, others may still be free."""
     assembly = diverging()
-    apart = assembly.clearance_of_sets._apart
-    monkeypatch.setattr(apart, "_collide", lambda a, b, between: True)
+    apart = assembly.clearance_of_sets.apart
+    monkeypatch.setattr(apart, "collide", lambda a, b, between: True)
     found = find_plans(assembly, robots=2, parts_at_once=2, stability=SETTINGS)
     assert found.result.outcome is Outcome.NOT_FOUND
     assert "1 sets of parts, a-0 and b-1 the first, can begin to move along different" in found.result.limit
@@ -622,11 +622,11 @@ def test_printed_sheets_list_and_point_at_each_part_of_a_step(
 ) -> None:
     pytest.importorskip("reportlab", reason="needs reportlab; pip install 'falsework[sheet]'")
     pdfium = pytest.importorskip("pypdfium2", reason="needs pypdfium2, of the group test")
-    from falsework.interop.instruction_pdf import _arrows, instructions_pdf
+    from falsework.interop.instruction_pdf import instructions_pdf, step_arrows
 
     sheet = assembly_instructions(request.getfixturevalue(name), shelf)
     (step,) = [step for step in sheet.steps if len(step.parts) > 1]
-    ends = _arrows(sheet, step).ends
+    ends = step_arrows(sheet, step).ends
     assert ends.shape == (2, 2, 3)
     for (tail, head), part in zip(ends, step.parts, strict=True):
         assert (tail[2] > head[2] > shelf.meshes[part].vertices[:, 2].max()).all()

@@ -38,7 +38,7 @@ def expect(reply: Any, status: int, *hints: str) -> None:
 
 def pids(live: Any, kind: str) -> list[int]:
     """Process ids of the workers of a kind."""
-    return [worker.process.pid for worker in live.pool._workers if worker.kind == kind]
+    return [worker.process.pid for worker in live.pool.workers if worker.kind == kind]
 
 
 @pytest.mark.parametrize(
@@ -289,7 +289,7 @@ def test_a_deadline_is_kept_while_the_planner_hangs(live: Any) -> None:
 
 def deadly(live: Any, monkeypatch: pytest.MonkeyPatch, times: int) -> list[int]:
     """Have so many workers end right after they have taken a request; the list fills with their ids."""
-    send, victims = live.pool._send, []
+    send, victims = live.pool.send, []
 
     def send_and_kill(worker: Any, batch: list[Any]) -> None:
         if len(victims) < times:
@@ -300,7 +300,7 @@ def deadly(live: Any, monkeypatch: pytest.MonkeyPatch, times: int) -> list[int]:
         else:
             send(worker, batch)
 
-    monkeypatch.setattr(live.pool, "_send", send_and_kill)
+    monkeypatch.setattr(live.pool, "send", send_and_kill)
     return victims
 
 

@@ -123,7 +123,7 @@ def test_a_short_plan_takes_little_memory(claim: str) -> None:
 def test_pictures_do_not_count_as_workers_for_requests(live: Any) -> None:
     pixels_of(live.post("/picture", SMALL))
     assert set(live.client.get("/health").json()) == {"status", "planners", "judges", "waiting"}
-    assert [worker.kind for worker in live.pool._workers].count("picture") == 1
+    assert [worker.kind for worker in live.pool.workers].count("picture") == 1
 
 
 def test_without_pillow_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,7 +36,7 @@ def test_it_takes_memory_for_what_differs_and_gives_it_back() -> None:
     assert memory.nbytes <= 4 * whole
     assert bytes([199]) in memory
     assert bytes([100]) not in memory
-    assert memory._values.nbytes < 8 * whole
+    assert memory.values.nbytes < 8 * whole
 
 
 def test_one_array_is_kept_whatever_the_limit() -> None:

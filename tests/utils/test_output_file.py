@@ -148,7 +148,7 @@ def test_drafts_of_killed_processes_are_removed_by_the_next_write(tmp_path: Path
     old, young, other = (tmp_path / name for name in (".a.json.0123abcd", ".a.json.89abcdef", ".b.json.0123abcd"))
     for draft in (old, young, other):
         draft.write_text("half")
-    past = time.time() - 2 * output_file._ABANDONED
+    past = time.time() - 2 * output_file.ABANDONED
     for draft in (old, other):
         os.utime(draft, (past, past))
     write_whole(tmp_path / "a.json", hello)

@@ -281,7 +281,7 @@ def test_playing_probabilities_and_the_graph(opened: Callable[..., Open], arch: 
     now.tab.get_by_label("Probabilities of the policy").uncheck()
     now.until(lambda: not model.show_probabilities, "probabilities are off")
     assert (np.abs(now.picture() - coloured).max(axis=2) > 25).sum() > 100
-    now.page.play._speed.value = 8.0
+    now.page.play.speed.value = 8.0
     now.tab.get_by_role("button", name="Play").click()
     now.until(lambda: model.position == 0, "the plan is played to its end")
     now.tab.get_by_text(f"step 1 of {len(plan)}").wait_for()
@@ -379,7 +379,7 @@ def test_one_sees_into_a_structure(opened: Callable[..., Open], arch: Any) -> No
     assert (np.abs(cut - whole).max(axis=2) > 40).sum() > 1000
     now.choose("Section", "none")
     now.tab.get_by_text("Apart", exact=True).wait_for()
-    now.page.look._explode.value = 1.0
+    now.page.look.explode.value = 1.0
     now.until(lambda: now.model.view.explode == 1.0, "the parts are moved apart")
     apart = now.picture()
     assert (np.abs(apart - whole).max(axis=2) > 40).sum() > 1000

@@ -227,31 +227,31 @@ def test_the_page_moves_arms_and_reads_the_file_again(file: Path) -> None:
 
     page = view_cell(file, port=8391)
     try:
-        (sliders,) = page._sliders
+        (sliders,) = page.sliders
         assert [slider.label for slider in sliders][:2] == ["joint_1, °", "joint_2, °"]
         page.set_configuration(0, np.radians([10, 95, 0, 0, 0, 0]))
-        assert "floor" in page._said.content
+        assert "floor" in page.said.content
         assert [round(slider.value, 3) for slider in sliders][:2] == [10, 95]
         assert COLLIDES in marks_of(page.sight.pairs(page.configurations)).values()
         sliders[1].value = 20.0  # as a browser sets it
-        page._moved(0)
+        page.moved(0)
         assert np.degrees(page.configurations[0])[:2].round(6).tolist() == [10, 20]
         page.set_configuration(0, np.radians([10, 95, 0, 0, 0, 0]))
-        page._propose(0)
-        assert "nothing is too near" in page._said.content
-        assert "home = [" in page._texts[0].content
+        page.propose(0)
+        assert "nothing is too near" in page.said.content
+        assert "home = [" in page.texts[0].content
         page.set_configuration(0, np.radians([10, 20, 0, 0, 0, 0]))
         changed(file, ONE_ARM.replace("payload = 5.0", "payload = -5.0"))
-        wait_for(lambda: "payload is -5" in page._said.content)
+        wait_for(lambda: "payload is -5" in page.said.content)
         assert np.degrees(page.configurations[0])[:2].round(6).tolist() == [10, 20]
         changed(file, "name = ")
-        wait_for(lambda: "is not valid TOML" in page._said.content)
+        wait_for(lambda: "is not valid TOML" in page.said.content)
         assert page.configurations == []
         changed(file, INTO_TABLE)
-        wait_for(lambda: "home is too near" in page._said.content)
+        wait_for(lambda: "home is too near" in page.said.content)
         assert np.degrees(page.configurations[0]).round(6).tolist() == [0, 95, 0, 0, 0, 0]
         file.unlink()
-        wait_for(lambda: "not read again" in page._said.content)
+        wait_for(lambda: "not read again" in page.said.content)
         assert len(page.configurations) == 1
         assert isinstance(page, CellPage)
     finally:

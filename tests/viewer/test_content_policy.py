@@ -27,7 +27,7 @@ def source(script: str) -> str:
 
 def pack(content: bytes) -> str:
     """Write bytes as digits, as the build of viser's client does."""
-    alphabet, text = policies._ALPHABET, ""
+    alphabet, text = policies.ALPHABET, ""
     for begin in range(0, len(content), 4):
         group = content[begin : begin + 4]
         value, digits = int.from_bytes(group, "big"), ""

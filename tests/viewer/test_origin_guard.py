@@ -33,7 +33,7 @@ def test_a_page_begins_at_the_step_of_its_model(timeline: Timeline) -> None:
     model.go_to(2)
     opened = Page(model, port=PORT + 1)
     try:
-        assert opened.play._slider.value == 2
+        assert opened.play.slider.value == 2
     finally:
         opened.close()
 

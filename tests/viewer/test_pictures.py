@@ -17,7 +17,6 @@ from falsework.cli.main import main
 from falsework.errors import InputError
 from falsework.search import load_plan, save_plan, save_state_graph
 from falsework.search.problem.state_graph import StateGraph
-from falsework.utils.kernels import Kernel
 from falsework.viewer.palette import BOUNDARY, RAMP, ROBOTS, SELECTED
 from falsework.viewer.pictures.drawing import drawing, flat_axis, outlines
 from falsework.viewer.pictures.graph_picture import covered, graph_figure, places_of
@@ -62,13 +61,9 @@ def has(picture: np.ndarray, color: str) -> bool:
     return int((picture == value).all(axis=2).sum()) > 100
 
 
-def test_pictures_need_no_numba(plan_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("without_numba")
+def test_pictures_need_no_numba(plan_file: Path) -> None:
     """Arguments of the kernels have the types of the portable code, with parts that show through and without."""
-
-    def refuse(kernel: Kernel) -> None:
-        pytest.fail(f"numba is asked to compile {kernel.__name__}")
-
-    monkeypatch.setattr(Kernel, "dispatcher", property(refuse))
     assert main(["picture", str(plan_file), "--out", str(plan_file.with_name("plan.png"))]) == 0
 
 
@@ -198,9 +193,7 @@ def test_sorting_rows_crosses_less(graph: StateGraph, monkeypatch: pytest.Monkey
             count += int((((same[:, 0, 1] - ends[k, 0, 1]) * (same[:, 1, 1] - ends[k, 1, 1])) < 0).sum())
         return count
 
-    sorted_ones = crossings(places_of(graph))
-    monkeypatch.setattr("falsework.viewer.pictures.graph_picture._SWEEPS", 0)
-    assert sorted_ones < crossings(places_of(graph))
+    assert crossings(places_of(graph)) < crossings(places_of(graph, sweeps=0))
 
 
 def test_coverage_counts_states_of_the_graph_alone(graph: StateGraph) -> None:

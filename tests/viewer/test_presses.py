@@ -190,14 +190,14 @@ def test_the_scene_of_the_page_has_the_arrow(arch: tuple[Assembly, Plan], presse
     try:
         page.model.go_to(place)
         page.refresh()
-        assert "/arrows/presses" in page.scene._shown
-        page.look._presses.value = False
+        assert "/arrows/presses" in page.scene.shown
+        page.look.presses.value = False
         page.refresh()
-        assert "/arrows/presses" not in page.scene._shown
-        page.look._presses.value = True
+        assert "/arrows/presses" not in page.scene.shown
+        page.look.presses.value = True
         page.model.go_to(place - 1)
         page.refresh()
-        assert "/arrows/presses" not in page.scene._shown
+        assert "/arrows/presses" not in page.scene.shown
     finally:
         page.close()
 

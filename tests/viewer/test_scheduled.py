@@ -184,7 +184,7 @@ def test_a_page_has_seconds_and_a_chart_as_long_as_there_is_a_schedule(
     model = opened(scheduled, cell, arch[0], Direction.DISASSEMBLY)
     page = Page(model, port=8250)
     try:
-        slider, chart, marker = page.play._slider, page.play._gantt, page.play._marker
+        slider, chart, marker = page.play.slider, page.play.gantt, page.play.marker
         assert slider.label == "Seconds"
         assert scheduled.makespan <= slider.max < scheduled.makespan + 0.1
         first = marker.content
@@ -193,15 +193,15 @@ def test_a_page_has_seconds_and_a_chart_as_long_as_there_is_a_schedule(
         assert "<svg" in chart.content
         assert chart.content.count("/go?seconds=") == len(bars_of(scheduled))
         assert marker.content != first
-        page.play._speed.value = 8.0
-        page.play._toggle()
+        page.play.speed.value = 8.0
+        page.play.toggle()
         end = time.monotonic() + 60
-        while page.play._playing.is_set():
+        while page.play.playing.is_set():
             assert time.monotonic() < end, "the plan is not played to its end"
             time.sleep(0.05)
         assert model.seconds == scheduled.makespan
         assert slider.value == slider.max
-        assert page.play._where.content.startswith(f"{scheduled.makespan:.1f} s of {scheduled.makespan:.1f} s")
+        assert page.play.where.content.startswith(f"{scheduled.makespan:.1f} s of {scheduled.makespan:.1f} s")
         model.arms = Arms(replace(scheduled, schedule=None), cell, Direction.DISASSEMBLY)
         page.plan_changed("other arms")
         assert (slider.label, slider.max, chart.content) == ("Step", len(scheduled), "")

@@ -210,13 +210,13 @@ def test_the_scene_of_the_page_has_the_part_and_its_way(clamp: Assembly) -> None
     page = Page(ViewerState(Timeline.from_state(clamp, complete_state(clamp.boundary))), port=0)
     try:
         page.refresh()
-        shown = set(page.scene._shown)
+        shown = set(page.scene.shown)
         assert f"/parts/colour/{SLIDING[1:]}" in shown  # at once: no plan has said that this state stands
         assert {"/motion", "/arrows/sliding"} <= shown  # without being asked for
-        assert page.scene._nodes["/motion"][1][0].color == rgb(SLIDING)
-        assert page.look._motion.visible
-        page.look._motion.value = False
+        assert page.scene.nodes["/motion"][1][0].color == rgb(SLIDING)
+        assert page.look.motion.visible
+        page.look.motion.value = False
         page.refresh()
-        assert not {"/motion", "/arrows/sliding"} & set(page.scene._shown)
+        assert not {"/motion", "/arrows/sliding"} & set(page.scene.shown)
     finally:
         page.close()

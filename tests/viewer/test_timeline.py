@@ -80,14 +80,13 @@ def test_ways_out_are_those_of_the_clearance_table(timeline) -> None:
         )
 
 
-def test_a_guessed_way_out_leads_away_from_what_is_touched(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("falsework.viewer.timeline.EXACT_UP_TO", 0)
+def test_a_guessed_way_out_leads_away_from_what_is_touched() -> None:
     stack = load_structure("stack:blocks=4")
     state = np.where(stack.boundary, 2, 1).astype(np.uint8)
     top = int(np.argmax(stack.mass.center[:, 2]))
-    np.testing.assert_allclose(exit_direction_of(stack, state, top), [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(exit_direction_of(stack, state, top, exact_up_to=0), [0, 0, 1], atol=1e-9)
     alone = np.where(stack.boundary, 2, 0).astype(np.uint8)
-    np.testing.assert_allclose(exit_direction_of(stack, alone, top), [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(exit_direction_of(stack, alone, top, exact_up_to=0), [0, 0, 1], atol=1e-9)
 
 
 def test_a_plan_of_another_structure_is_refused(arch) -> None:

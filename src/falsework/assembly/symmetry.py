@@ -44,16 +44,16 @@ def symmetries(assembly: Assembly) -> NDArray[np.intp]:
     # Line and point contacts have hardly any area, and yet a part may rest on them: they are compared separately.
     narrow = assembly.contacts.narrow_pushes(parts)
     found = {tuple(identity): identity}
-    for turn in _motions(place[movable], mass[movable], size):
+    for turn in rigid_motions(place[movable], mass[movable], size):
         image = _image(place, place @ turn.T, mass, fixed, size)
         if image is None:
             continue
-        if _same_contacts(push, turn, image) and _same_contacts(narrow, turn, image):
+        if same_contacts(push, turn, image) and same_contacts(narrow, turn, image):
             found.setdefault(tuple(image), image)
     return np.array(list(found.values()), dtype=np.intp)
 
 
-def _motions(place: NDArray[np.float64], mass: NDArray[np.float64], size: float) -> list[NDArray[np.float64]]:
+def rigid_motions(place: NDArray[np.float64], mass: NDArray[np.float64], size: float) -> list[NDArray[np.float64]]:
     """Return candidates for symmetries: rotations and reflections that map one part to a similar one."""
     radius = np.linalg.norm(place[:, :2], axis=1)
     alike = (
@@ -100,7 +100,8 @@ def _image(
     return image
 
 
-def _same_contacts(push: NDArray[np.float64], turn: NDArray[np.float64], image: NDArray[np.intp]) -> bool:
+def same_contacts(push: NDArray[np.float64], turn: NDArray[np.float64], image: NDArray[np.intp]) -> bool:
+    """Return whether a motion takes each contact to one of the same area and normal between the images of its parts."""
     areas = np.linalg.norm(push, axis=2)
     if not areas.any():
         return True

@@ -156,7 +156,7 @@ def _parse(arguments: list[str]) -> Command | None:
 
     named = _named(arguments)
     if named is not None:
-        kind: Any = _command_class(named)
+        kind: Any = command_class(named)
         rest = arguments[len(named.split()) :]
         shown: _Shown = "everything" if {*_HELP, _HELP_ALL}.isdisjoint(rest) else "brief"
         _prepare(kind, "without structure" if _HELP_ALL in rest else shown)
@@ -170,7 +170,7 @@ def _parse(arguments: list[str]) -> Command | None:
             raise _UsageError(_no_subcommand(arguments))
         classes = [
             Annotated[kind, tyro.conf.subcommand(name.split()[-1] if group else name, description=_first_line(name))]
-            for name, kind in ((name, _command_class(name)) for name in group or COMMANDS)
+            for name, kind in ((name, command_class(name)) for name in group or COMMANDS)
         ]
         program, rest = ("falsework", arguments) if not group else (f"falsework {arguments[0]}", arguments[1:])
         program = f"falsework {group[0]}" if len(group) == 1 else program
@@ -264,7 +264,8 @@ def _prepare(kind: Any, shown: _Shown) -> None:
         fields_by_name[name] = fields_by_name.pop(name)
 
 
-def _command_class(name: str) -> type[Command]:
+def command_class(name: str) -> type[Command]:
+    """Return the class of a subcommand, whose module is imported here."""
     module, kind = _place(name)
     return getattr(importlib.import_module(f"falsework.cli.{module}"), kind)
 

@@ -92,7 +92,7 @@ def instructions_pdf(
     canvas = Canvas(buffer, pagesize=_PAGE, pageCompression=1, invariant=1)
     canvas.setTitle(f"{sheet.assembly.name}: how to build it")
     canvas.setCreator("falsework")
-    rows = _rows(sheet)
+    rows = table_rows(sheet)
     room = int((_PAGE[1] - _MARGIN - _TOP) // _ROW)
     pages = [rows[begin : begin + room] for begin in range(0, len(rows), room)]
     stock = _cover(canvas, sheet, camera)
@@ -116,7 +116,7 @@ def instructions_pdf(
     return buffer.getvalue()
 
 
-def _rows(sheet: AssemblyInstructions) -> list[tuple[AssemblyInstruction, ...]]:
+def table_rows(sheet: AssemblyInstructions) -> list[tuple[AssemblyInstruction, ...]]:
     """Return the steps of each row: one, or a placing by one support and the release right after it."""
     rows: list[tuple[AssemblyInstruction, ...]] = []
     for step in sheet.steps:
@@ -181,7 +181,7 @@ def _axes(canvas: Canvas, camera: Camera, x: float, y: float, length: float) -> 
         write_line(canvas, x + 1.25 * length * across - 2, y + 1.25 * length * up - 2, name, REGULAR, 7)
 
 
-def _arrows(sheet: AssemblyInstructions, step: AssemblyInstruction) -> Arrows:
+def step_arrows(sheet: AssemblyInstructions, step: AssemblyInstruction) -> Arrows:
     """Return the arrows along which the parts of a step come in, each outside of its part."""
     assert step.directions is not None
     length, ends = _ARROW * diagonal(sheet.assembly), []
@@ -194,7 +194,7 @@ def _arrows(sheet: AssemblyInstructions, step: AssemblyInstruction) -> Arrows:
 
 def _box(sheet: AssemblyInstructions) -> NDArray[np.float64]:
     """Return the box that all pictures show: the structure and the arrows of insertions, shape (2, 3)."""
-    arrows = [_arrows(sheet, step).ends.reshape(-1, 3) for step in sheet.steps if step.place]
+    arrows = [step_arrows(sheet, step).ends.reshape(-1, 3) for step in sheet.steps if step.place]
     points = np.concatenate([bounds_of(sheet.assembly), *arrows])
     box = np.stack([points.min(axis=0), points.max(axis=0)])
     box[0, 2] = bounds_of(sheet.assembly)[0, 2]
@@ -334,7 +334,7 @@ def _picture(sheet: AssemblyInstructions, step: AssemblyInstruction, camera: Cam
     look = appearance_at(sheet.timeline, step.number, marks=marks, travelling=False)
     arrows = list(arrows_of_step(sheet.timeline, step.number).values())
     if step.place:
-        arrows.append(_arrows(sheet, step))
+        arrows.append(step_arrows(sheet, step))
     return _jpeg(draw(sheet.assembly, look, camera, bounds=box, arrows=arrows, samples=2))
 
 

@@ -232,7 +232,7 @@ class Planner:
         task = self.task.postpone(self._trial)
         for name, packed in header["beams"].items():
             inner = {key.removeprefix(f"{name}_"): array for key, array in arrays.items() if key.startswith(f"{name}_")}
-            beam = BackjumpingBeam.unpack(packed, inner, task, self._oracle, guide=self._beam_guide(name))
+            beam = BackjumpingBeam.unpack(packed, inner, task, self._oracle, guide=self.beam_guide(name))
             self._beams[name] = beam
 
     def _advance(self, report: Progress, stop: Stop | None) -> bool:
@@ -240,7 +240,7 @@ class Planner:
         portfolio, name = self._portfolio, self._left[self._turn]
         if name not in self._beams:
             rules = self.task.postpone(self._trial), self._oracle, portfolio, self.settings.seed
-            self._beams[name] = start(name, *rules, self._beam_guide)
+            self._beams[name] = start(name, *rules, self.beam_guide)
         beam, paused = self._beams[name], False
 
         def halt() -> bool:
@@ -361,7 +361,8 @@ class Planner:
         known = self.tests.replayer is not None or self.task.holds_keep_stable
         return getattr(guide, what, lambda _: None)(self.task) if known else None
 
-    def _beam_guide(self, beam: str) -> Guide | None:
+    def beam_guide(self, beam: str) -> Guide | None:
+        """Return the guide of a beam, by its name."""
         if beam == EDGES:
             return self._edge_guide
         return NoveltyGuide(self._guide, self.routes) if self._stage == "alternatives" else self._guide

@@ -28,7 +28,7 @@ class Metrics:
         self._turned_away = Counter("turned_away", "Requests that found the queue full", **names)
         self._restarts = Counter("worker_restarts", "Workers that were lost and replaced", ("kind",), **names)
         self._queue = Gauge("queue_length", "Requests that wait", **names)
-        self._workers = Gauge("workers_ready", "Workers that take requests", **names)
+        self.workers = Gauge("workers_ready", "Workers that take requests", **names)
 
     def answered(self, path: str, status: int, seconds: float) -> None:
         """Count an answered request."""
@@ -59,5 +59,5 @@ class Metrics:
     def text(self, queue: int, workers: int) -> bytes:
         """Return all metrics in the text format of Prometheus."""
         self._queue.set(queue)
-        self._workers.set(workers)
+        self.workers.set(workers)
         return generate_latest(self._registry)

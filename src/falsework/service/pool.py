@@ -105,7 +105,7 @@ class Pool:
             kind: WorkerConfig(assembly, kind, run if kind == "replan" else None, settings.criterion) for kind in KINDS
         }
         self._metrics = metrics
-        self._workers: list[_Worker] = []
+        self.workers: list[_Worker] = []
         self._queues: dict[Kind, list[tuple[float, int, PendingRequest]]] = {kind: [] for kind in KINDS}
         self._planned: dict[Kind, asyncio.TimerHandle] = {}
         self._failures: dict[Kind, int] = dict.fromkeys(KINDS, 0)
@@ -119,7 +119,7 @@ class Pool:
     @property
     def busy(self) -> int:
         """Workers that have requests."""
-        return sum(worker.busy is not None for worker in self._workers)
+        return sum(worker.busy is not None for worker in self.workers)
 
     @property
     def waiting(self) -> int:
@@ -129,7 +129,7 @@ class Pool:
     @property
     def ready(self) -> dict[Kind, int]:
         """Workers that take requests, of each kind that starts with the service."""
-        return {kind: sum(worker.ready for worker in self._workers if worker.kind == kind) for kind in STANDING}
+        return {kind: sum(worker.ready for worker in self.workers if worker.kind == kind) for kind in STANDING}
 
     async def start(self) -> None:
         """Start all workers and wait until each has loaded the structure.
@@ -161,7 +161,7 @@ class Pool:
             for _, _, ticket in queue:
                 _give(ticket, Reply(503, refusal("the service is stopping")))
             queue.clear()
-        for worker in list(self._workers):
+        for worker in list(self.workers):
             for ticket in (worker.busy or {}).values():
                 _give(ticket, Reply(503, refusal("the service is stopping")))
             self._drop(worker)
@@ -206,7 +206,7 @@ class Pool:
 
     def _hand_out(self, kind: Kind) -> None:
         self._planned.pop(kind, None)
-        team = [worker for worker in self._workers if worker.kind == kind]
+        team = [worker for worker in self.workers if worker.kind == kind]
         idle = [worker for worker in team if worker.ready and worker.busy is None]
         most = {"replan": self.settings.batch, "stability": STABILITY_BATCH, "picture": 1}[kind]
         for place, worker in enumerate(idle):
@@ -215,7 +215,7 @@ class Pool:
             batch = self._take(kind, limit, share=len(idle) - place)
             if not batch:
                 return
-            self._send(worker, batch)
+            self.send(worker, batch)
 
     def _take(self, kind: Kind, limit: int, share: int) -> list[PendingRequest]:
         """Return the most urgent requests for one of `share` idle workers; one that was tried before goes by itself."""
@@ -233,7 +233,8 @@ class Pool:
                     break
         return batch
 
-    def _send(self, worker: _Worker, batch: list[PendingRequest]) -> None:
+    def send(self, worker: _Worker, batch: list[PendingRequest]) -> None:
+        """Give a batch to a worker, and stop it where it does not answer in time."""
         loop = asyncio.get_running_loop()
         now = loop.time()
         items = [Item(ticket.number, ticket.payload, ticket.deadline - now - _HEAD_START) for ticket in batch]
@@ -260,7 +261,7 @@ class Pool:
                 loop.call_soon_threadsafe(self._lost, worker)
 
     def _take_in(self, worker: _Worker, message: Ready | Failed | Done | None) -> None:
-        if worker not in self._workers:
+        if worker not in self.workers:
             return
         if isinstance(message, Done):
             ticket = (worker.busy or {}).pop(message.number, None)
@@ -289,7 +290,7 @@ class Pool:
 
     def _lost(self, worker: _Worker) -> None:
         """Retry the requests of a lost worker once, and replace the worker."""
-        if worker not in self._workers:
+        if worker not in self.workers:
             return
         begun = worker.ready
         self._drop(worker)
@@ -317,7 +318,7 @@ class Pool:
 
     def _drop(self, worker: _Worker) -> None:
         """Forget a worker, which is gone or about to be ended."""
-        self._workers.remove(worker)
+        self.workers.remove(worker)
         if worker.watchdog is not None:
             worker.watchdog.cancel()
 
@@ -346,7 +347,7 @@ class Pool:
             process.terminate()
             return
         worker = _Worker(kind, process, mine)
-        self._workers.append(worker)
+        self.workers.append(worker)
         listener = threading.Thread(target=self._listen, args=(worker, asyncio.get_running_loop()), daemon=True)
         listener.start()
 

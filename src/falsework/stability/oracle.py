@@ -59,7 +59,7 @@ class StabilityOracle:
         self._criterion = criterion_solver(assembly, self.problem, settings)
         self._gpu = gpu_solver(assembly, settings, self.problem)
         self._cache = VerdictCache(holds_keep_stable=self.holds_keep_stable)
-        self._guesses = Guesses(self._criterion.memory(), assembly.boundary, holds_keep_stable=self.holds_keep_stable)
+        self.guesses = Guesses(self._criterion.memory(), assembly.boundary, holds_keep_stable=self.holds_keep_stable)
 
     @cached_property
     def exact(self) -> ExactSolver:
@@ -202,9 +202,9 @@ class StabilityOracle:
         self, states: States, near: States, rows: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], Verdicts | None]:
         """Return those of some rows of which, or of whose near states, something is remembered, and their verdicts."""
-        own = {row: guess for row in rows if (guess := self._guesses.get(states[row])) is not None}
+        own = {row: guess for row in rows if (guess := self.guesses.get(states[row])) is not None}
         others = [row for row in rows if row not in own]
-        new = {row: guess for row in others if (guess := self._guesses.get(near[row])) is not None}
+        new = {row: guess for row in others if (guess := self.guesses.get(near[row])) is not None}
         known = own | new
         chosen = np.array(list(known), dtype=np.intp)
         if self._criterion.cpu is None or not known:
@@ -250,7 +250,7 @@ class StabilityOracle:
         self.counters.by_monotonicity += int(by_monotonicity.sum())
         self.counters.cached += int(((verdict != 0) & ~by_monotonicity).sum())
         if near is not None:
-            self._guesses.pass_on(states[verdict == Verdict.STABLE], near[verdict == Verdict.STABLE])
+            self.guesses.pass_on(states[verdict == Verdict.STABLE], near[verdict == Verdict.STABLE])
         rest = np.flatnonzero(verdict == 0)
         if len(rest):
             first, back = unique_rows(states[rest])
@@ -270,7 +270,7 @@ class StabilityOracle:
             return self.exact.check(states).without_certificates()
         verdicts = Verdicts.all_undecided(len(states))
         # Look up the near states first: storing what is found may evict them.
-        known = [None] * len(states) if near is None else [self._guesses.get(origin) for origin in near]
+        known = [None] * len(states) if near is None else [self.guesses.get(origin) for origin in near]
         size = max(_BATCH // max(self._criterion.no_guess(1).nbytes, 1), 16)
         for first in range(0, len(states), size):
             rows = np.arange(first, min(first + size, len(states)))
@@ -283,7 +283,7 @@ class StabilityOracle:
                         self.counters.warm += 1
             solved = solver.check(states[rows], certificates=False, parents=origins, guess=guess)
             if guess is not None:
-                self._guesses.remember(states[rows][solved.stable], guess[solved.stable])
+                self.guesses.remember(states[rows][solved.stable], guess[solved.stable])
             verdicts.put(rows, solved)
         rest = np.flatnonzero(verdicts.undecided)
         if len(rest) and solver is self._gpu and self._criterion.cpu is not None:
@@ -299,7 +299,7 @@ class StabilityOracle:
         """Remember the certificates of stable states, from which others start."""
         guess = self._criterion.guess_of(verdicts)
         if guess is not None:
-            self._guesses.remember(states[verdicts.stable], guess[verdicts.stable])
+            self.guesses.remember(states[verdicts.stable], guess[verdicts.stable])
 
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
         """Return whether the checker accepts each verdict; count the rejected ones."""

@@ -63,7 +63,7 @@ class StateMemory:
             limit: bytes; one array is kept whatever it takes.
         """
         self._rows, self._limit = rows, limit
-        self._values = np.zeros((1, BLOCK, width))
+        self.values = np.zeros((1, BLOCK, width))
         self._users = np.ones(1, dtype=np.int64)
         """Arrays that have each block; the first block is zero, and never given up."""
         self._count, self._free = 1, np.zeros(0, dtype=np.int32)
@@ -73,7 +73,7 @@ class StateMemory:
     @property
     def nbytes(self) -> int:
         """Bytes that the arrays take, without room for more."""
-        block = self._values[0].nbytes + self._users.itemsize
+        block = self.values[0].nbytes + self._users.itemsize
         return (self._count - len(self._free)) * block + len(self) * self._nothing.nbytes
 
     def __len__(self) -> int:
@@ -88,16 +88,16 @@ class StateMemory:
         if number is None:
             return None
         self._last = number
-        return self._values[number].reshape(-1, self._values.shape[2])[: self._rows]
+        return self.values[number].reshape(-1, self.values.shape[2])[: self._rows]
 
     def __setitem__(self, key: bytes, array: NDArray[np.floating]) -> None:
         """Store an array, shape (rows, width)."""
-        blocks = np.zeros((len(self._nothing), *self._values.shape[1:]))
+        blocks = np.zeros((len(self._nothing), *self.values.shape[1:]))
         blocks.reshape(-1, blocks.shape[2])[: self._rows] = array
-        new = (blocks.view(np.uint64) != self._values[self._last].view(np.uint64)).any(axis=(1, 2))
+        new = (blocks.view(np.uint64) != self.values[self._last].view(np.uint64)).any(axis=(1, 2))
         number = self._last.copy()
         number[new] = self._room(int(new.sum()))
-        self._values[number[new]] = blocks[new]
+        self.values[number[new]] = blocks[new]
         self._users[number] += 1  # the zero block alone may be there twice
         if key in self:
             self._give_up(self._numbers[key])
@@ -109,10 +109,10 @@ class StateMemory:
         """Return numbers of blocks that no array has."""
         reused, self._free = self._free[:count], self._free[count:]
         first, self._count = self._count, self._count + count - len(reused)
-        if self._count > len(self._values):
+        if self._count > len(self.values):
             # In place, so that old and new memory are never both in use.
-            size = max(self._count, int(GROWTH * len(self._values)))
-            self._values.resize((size, *self._values.shape[1:]), refcheck=False)
+            size = max(self._count, int(GROWTH * len(self.values)))
+            self.values.resize((size, *self.values.shape[1:]), refcheck=False)
             self._users.resize(size, refcheck=False)
         return np.concatenate([reused, np.arange(first, self._count, dtype=np.int32)])
 
@@ -137,17 +137,17 @@ class Guesses:
             holds_keep_stable: whether forces prove a state with more parts held too; displacements do not, and are kept
                 in float32.
         """
-        self._memory, self._boundary, self._holds_keep_stable = memory, boundary, holds_keep_stable
+        self.memory, self._boundary, self._holds_keep_stable = memory, boundary, holds_keep_stable
 
     def get(self, state: States) -> NDArray[np.floating] | None:
         """Return the guess stored for a state; where holds keep states stable, also for it with parts not yet held."""
-        found = self._memory.get(state.tobytes())
+        found = self.memory.get(state.tobytes())
         if found is not None or not self._holds_keep_stable:
             return found
         held, before = np.flatnonzero((state == HELD) & ~self._boundary)[:_UNHELD], state.copy()
         for values in product((REMOVED, INSTALLED, HELD), repeat=len(held)):
             before[held] = values
-            if (found := self._memory.get(before.tobytes())) is not None:
+            if (found := self.memory.get(before.tobytes())) is not None:
                 break
         return found
 
@@ -155,10 +155,10 @@ class Guesses:
         """Let states that were cached as stable share the guess of their parents."""
         for state, origin in zip(states, origins, strict=True):
             key = state.tobytes()
-            if key not in self._memory and (known := self.get(origin)) is not None:
-                self._memory[key] = known
+            if key not in self.memory and (known := self.get(origin)) is not None:
+                self.memory[key] = known
 
     def remember(self, states: States, found: NDArray[np.float64]) -> None:
         """Store what was found for states, shape (batch, points, 3) or (batch, parts, 6)."""
         for state, guess in zip(states, found, strict=True):
-            self._memory[state.tobytes()] = guess.astype(np.float64 if self._holds_keep_stable else np.float32)
+            self.memory[state.tobytes()] = guess.astype(np.float64 if self._holds_keep_stable else np.float32)

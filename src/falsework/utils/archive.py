@@ -38,7 +38,7 @@ def write_archive(path: Path | str, form: str, header: Mapping[str, Any], arrays
 
 
 def read_archive(
-    path: Path | str, form: str, names: frozenset[str] | None = None
+    path: Path | str, form: str, names: frozenset[str] | None = None, *, room: int = _ROOM
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read what `write_archive` wrote.
 
@@ -48,6 +48,7 @@ def read_archive(
         path: file to read.
         form: the one format and version that is accepted.
         names: the arrays that must be there and no others; unchecked if not given.
+        room: bytes of arrays that are read in any case.
 
     Raises:
         InputError: no such file, not such a file, damaged, of another format or version, or one whose arrays are far
@@ -60,7 +61,7 @@ def read_archive(
             if len(entries) < len(archive.infolist()):
                 raise ValueError("an entry occurs twice")
             sizes = sum(entry.file_size for entry in entries.values())
-            if sizes > (most := max(_ROOM, _EXPANSION * path.stat().st_size)):
+            if sizes > (most := max(room, _EXPANSION * path.stat().st_size)):
                 raise InputError(
                     f"{path} has {path.stat().st_size} bytes and claims arrays of {sizes}, more than the {most} that "
                     f"are read from such a file; it is damaged or not a {form} file; write it again"

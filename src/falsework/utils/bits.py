@@ -28,12 +28,13 @@ def unpack(words: Words) -> NDArray[np.bool_]:
 def intersect(one: Words, two: Words) -> NDArray[np.bool_]:
     """Return whether each set of `one` shares a member with each of `two`, shape (len(one), len(two))."""
     found = np.zeros((len(one), len(two)), dtype=np.bool_)
-    _intersect(np.ascontiguousarray(one), np.ascontiguousarray(two), found)
+    intersect_into(np.ascontiguousarray(one), np.ascontiguousarray(two), found)
     return found
 
 
 @njit(cache=True)
-def _intersect(one: Words, two: Words, found: NDArray[np.bool_]) -> None:  # pragma: no cover - compiled
+def intersect_into(one: Words, two: Words, found: NDArray[np.bool_]) -> None:  # pragma: no cover - compiled
+    """Set the entries of `found`, false at first, whose sets share a member."""
     for i in range(len(one)):
         for j in range(len(two)):
             for word in range(one.shape[1]):

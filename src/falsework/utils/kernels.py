@@ -2,8 +2,8 @@
 
 A kernel is written for numba. Those that plans need come with the package as portable code (`kernel_code.py`), which
 takes LLVM a few seconds to compile; numba, which takes two minutes from the source, is then not even imported.
-It compiles all other kernels, and these too where their portable code does not fit: after a change of the source, for
-arguments of other types, or on a machine without 64-bit little-endian words.
+It compiles all other kernels, and these too where no portable code fits: where it was not made, after a change of the
+source, for arguments of other types, or on a machine without 64-bit little-endian words.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Kernel:
     @cached_property
     def _portable(self) -> kernel_code.Code | None:
         """Machine code, where the portable code fits the source."""
-        return kernel_code.load(self.__module__, self.__name__)
+        return kernel_code.ARCHIVE.load(self.__module__, self.__name__)
 
     def _flatten_tuple(self, argument: tuple[Any, ...]) -> Flat:
         """Return kinds and words of a tuple, which seldom changes, from an earlier call."""

@@ -232,13 +232,13 @@ def exit_directions(assembly: Assembly, state: States, parts: Sequence[int]) -> 
     return np.array([exit_direction_of(assembly, state, part) for part in parts])
 
 
-def exit_direction_of(assembly: Assembly, state: States, part: int) -> Array:
+def exit_direction_of(assembly: Assembly, state: States, part: int, *, exact_up_to: int = EXACT_UP_TO) -> Array:
     """Return the unit vector along which a part can leave a state; shape (3,).
 
-    From the clearance table, or if that is not computed (many parts) or has no direction: away from the parts that it
-    touches.
+    From the clearance table, or if that is not computed (more than `exact_up_to` parts) or has no direction: away from
+    the parts that it touches.
     """
-    if assembly.part_count <= EXACT_UP_TO:
+    if assembly.part_count <= exact_up_to:
         way = assembly.clearance.exit_direction(state, part)
         if way is not None:
             return way

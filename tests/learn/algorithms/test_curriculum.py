@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 from falsework.assembly import load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn.algorithms.blended_starts import BlendedStarts  # noqa: E402
-from falsework.learn.algorithms.curriculum import _CORRECTED_AFTER, Curriculum  # noqa: E402
+from falsework.learn.algorithms.curriculum import CORRECTED_AFTER, Curriculum  # noqa: E402
 from falsework.learn.algorithms.ppo import PPO  # noqa: E402
 from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.config.ppo import REINFORCEMENT, CurriculumSettings  # noqa: E402
@@ -59,8 +59,8 @@ def test_every_state_is_drawn_before_any_is_drawn_again(arch, generator) -> None
     rest = len(curriculum) - len(rows)
     draw: Any = curriculum.sample(25, generator)
     assert not set(draw.rows[:rest].tolist()) & set(rows.tolist())
-    assert torch.equal(draw.states, curriculum._starts[draw.rows])
-    assert not environment.rules.reached(curriculum._starts).any()
+    assert torch.equal(draw.states, curriculum.starts[draw.rows])
+    assert not environment.rules.reached(curriculum.starts).any()
 
 
 def test_states_of_high_surrogate_loss_are_drawn_by_their_rank(arch, generator) -> None:
@@ -76,10 +76,10 @@ def test_states_of_high_surrogate_loss_are_drawn_by_their_rank(arch, generator) 
     expected = torch.arange(1, count + 1, dtype=torch.float32).pow(-0.8)
     assert torch.allclose(share, expected / expected.sum(), atol=0.01)
     # Fully corrected, every state weighs as if it had been drawn evenly.
-    curriculum.updates = _CORRECTED_AFTER
+    curriculum.updates = CORRECTED_AFTER
     drawn = curriculum.sample(1000, generator)
     assert drawn.weight is not None
-    weight = curriculum._probability(torch.ones(count, dtype=torch.bool))[drawn.rows] * drawn.weight
+    weight = curriculum.probability(torch.ones(count, dtype=torch.bool))[drawn.rows] * drawn.weight
     assert torch.allclose(weight, weight[0].expand(1000), rtol=1e-3)
     assert drawn.weight.max() == 1
 
@@ -93,15 +93,15 @@ def test_entropy_rises_where_rollouts_keep_failing(arch, generator) -> None:
     for success in (False, False, False, False, True):
         draw: Any = curriculum.sample(count, generator)
         curriculum.record_outcomes(draw.rows, torch.full((count,), success), torch.ones(count))
-        seen.append(float(curriculum._entropy[draw.rows[0]]))
-        curriculum._visited.zero_()
+        seen.append(float(curriculum.entropy[draw.rows[0]]))
+        curriculum.visited.zero_()
     assert seen == pytest.approx([0.007, 0.009, 0.01, 0.01, 0.005])
 
 
 def test_it_grows_back_to_the_complete_structure_as_rollouts_succeed(arch, generator) -> None:
     environment, states = arch
     curriculum = make(environment.rules, states, growing=True, stages=5, pass_mark=0.6)
-    left = environment.rules.steps_left(curriculum._starts)
+    left = environment.rules.steps_left(curriculum.starts)
     horizons = [curriculum.horizon]
     for _ in range(10):
         draw = tell(curriculum, generator, 64, success=False)
@@ -184,14 +184,14 @@ def test_blended_starts_are_a_curriculum_and_any_solvable_states_within_its_hori
     batch: Any = starts.sample(40, generator)
     assert len(batch.states) == 40
     assert len(batch.rows) == 30
-    assert torch.equal(batch.states[:30], curriculum._starts[batch.rows])
+    assert torch.equal(batch.states[:30], curriculum.starts[batch.rows])
     assert (environment.rules.steps_left(batch.states) <= curriculum.horizon).all()
     assert solved.contains(batch.states).all()
     assert len(batch.entropy) == len(batch.weight) == 40
     assert (batch.weight > 0).all()
     transitions: Any = SimpleNamespace(success=torch.arange(40) < 30)
     starts.record(batch, transitions, torch.ones(40), generator)
-    assert curriculum._visited.sum() == len(batch.rows.unique())
-    assert curriculum._far[1] == curriculum._far[0]  # of its own, all succeeded
+    assert curriculum.visited.sum() == len(batch.rows.unique())
+    assert curriculum.far[1] == curriculum.far[0]  # of its own, all succeeded
     assert len(SolvableStates(environment.rules, near).within(0, 5, generator)) == 0
     assert not make(environment.rules, states, growing=False).widening

@@ -186,23 +186,23 @@ def test_padding_counts_for_nothing() -> None:
 def test_every_transition_is_seen_once_an_epoch(stack: Environment) -> None:
     ppo = learner(stack, replace(SCRATCH, batch=7))
     for count in (1, 6, 7, 8, 50):
-        pieces = ppo._minibatches(count)
+        pieces = ppo.minibatches(count)
         assert len({len(rows) for rows, _ in pieces}) == 1
         seen = torch.cat([rows[counts > 0] for rows, counts in pieces])
         assert sorted(seen.tolist()) == list(range(count))
-    assert ppo._minibatches(0) == []
+    assert ppo.minibatches(0) == []
 
 
 def test_a_single_pass_takes_full_batches(stack: Environment) -> None:
     """No more than asked for, no transition twice; what makes no full batch is left out unless there is no other."""
     ppo = learner(stack, replace(SCRATCH, batch=7, epochs=1))
     for count, most, sizes in ((50, None, [7] * 7), (50, 3, [7] * 3), (6, None, [6]), (13, 5, [7])):
-        pieces = ppo._minibatches(count, most)
+        pieces = ppo.minibatches(count, most)
         assert [len(rows) for rows, _ in pieces] == sizes
         assert all(bool((counts == 1).all()) for _, counts in pieces)
         seen = torch.cat([rows for rows, _ in pieces])
         assert len(seen.unique()) == len(seen)
-    (nothing,) = ppo._minibatches(0)
+    (nothing,) = ppo.minibatches(0)
     assert nothing[1].tolist() == [0.0]  # one step of imitation alone
 
 
@@ -248,7 +248,7 @@ def test_hindsight_teaches_paths_to_visited_states() -> None:
     for weight in (0.0, 5.0):
         ppo = with_targets(arch, starts, targets, replace(SCRATCH, batch=64, hindsight=weight or 1e-9))
         played = collect(arch, ppo.policy, starts, targets)
-        (((_, (states, goals, valid)),),) = ppo._demonstrations(played, 1)
+        (((_, (states, goals, valid)),),) = ppo.demonstrations(played, 1)
         assert goals is not None
         assert valid is not None
         mask = arch.rules.moves(states, goals)
@@ -288,8 +288,8 @@ def test_every_action_of_every_rollout_is_stored(arch: Assembly, data: Dataset) 
 def test_rollouts_that_cannot_begin_have_no_transitions(arch: Assembly, data: Dataset) -> None:
     """From the empty structure nothing is left to do, which is success; an update with nothing changes no weight."""
     ppo = fine_tuner(arch, data, settings=replace(SMALL, imitation=0.0))
-    empty = ppo._environment.rules.goals(torch.as_tensor(data.train[:3]))
-    played = collect(ppo._environment, ppo.policy, empty)
+    empty = ppo.environment.rules.goals(torch.as_tensor(data.train[:3]))
+    played = collect(ppo.environment, ppo.policy, empty)
     assert len(played) == 0
     assert played.success.all()
     before = weights_of(ppo)
@@ -333,7 +333,7 @@ def test_tasks_are_drawn_anew_and_imitated(bottle: Assembly, bottle_graph: State
     def learned(imitation: float) -> float:
         settings = replace(SMALL, imitation=imitation)
         ppo = with_targets(environment, states[:1], targets[:1], settings, tasks=ways)
-        batch = ppo._sampler.sample(64, ppo.generator)
+        batch = ppo.sampler.sample(64, ppo.generator)
         assert batch.targets is not None
         assert len(torch.unique(torch.cat([batch.states, batch.targets], dim=1), dim=0)) > 0.9 * 64
         ppo.block(60, (0.0, 1.0))
@@ -349,22 +349,22 @@ def test_no_loss_is_taken_at_held_out_states(arch: Assembly, data: Dataset) -> N
     ppo = fine_tuner(arch, data)
     seen = recorded(ppo)
     ppo.block(20, (0.0, 0.5))
-    assert ppo._solved.is_held_out(collect(ppo._environment, ppo.policy, torch.as_tensor(data.train)).states).any()
+    assert ppo.solved.is_held_out(collect(ppo.environment, ppo.policy, torch.as_tensor(data.train)).states).any()
     assert seen
-    assert not ppo._solved.is_held_out(torch.cat(seen)).any()
-    assert not ppo._solved.is_held_out(ppo._solved.states).any()
+    assert not ppo.solved.is_held_out(torch.cat(seen)).any()
+    assert not ppo.solved.is_held_out(ppo.solved.states).any()
 
 
 def recorded(ppo: PPO) -> list[Tensor]:
     """States, and targets if there are any, that a loss is taken at from now on."""
     seen: list[Tensor] = []
-    network: Callable[..., Any] = ppo._network
+    network: Callable[..., Any] = ppo.network
 
     def record(states: Tensor, targets: Tensor | None = None) -> Any:
         seen.extend([states] if targets is None else [states, targets])
         return network(states, targets)
 
-    ppo._network = record  # type: ignore[assignment]
+    ppo.network = record  # type: ignore[assignment]
     return seen
 
 
@@ -399,7 +399,7 @@ def test_saved_learning_goes_on_the_same(stack: Environment, arch: Assembly, dat
     whole, first, second = make(3), make(3), make(5)
     whole.block(6, (0.0, 0.5))
     first.block(6, (0.0, 0.5))
-    second._solved.load(first._solved.tensors())
+    second.solved.load(first.solved.tensors())
     saved = [{name: one.clone() for name, one in part().items()} for part in (first.state_dict, first.local_state_dict)]
     second.load_state_dict(saved[0], saved[1])
     reports = [one.block(6, (0.5, 1.0)) for one in (whole, second)]
@@ -425,16 +425,16 @@ def test_the_weight_of_the_entropy_rises_below_its_floor(stack: Environment) -> 
     """Up to a limit, less late in the phase, and it is part of the checkpoint."""
     ppo = learner(stack, replace(SCRATCH, batch=64, entropy_floor=10.0))
     for _ in range(9):
-        ppo.update(ppo._sampler.sample(4, ppo.generator), progress=0.5)
-    assert ppo._entropy_factor == 20.0
+        ppo.update(ppo.sampler.sample(4, ppo.generator), progress=0.5)
+    assert ppo.entropy_factor == 20.0
     other = learner(stack, replace(SCRATCH, batch=64, entropy_floor=10.0))
     other.load_state_dict(ppo.state_dict(), ppo.local_state_dict())
-    assert other._entropy_factor == 20.0
-    other.update(other._sampler.sample(4, other.generator), progress=1.0)
-    assert other._entropy_factor == pytest.approx(20.0 / 1.5)  # the floor has fallen to zero
+    assert other.entropy_factor == 20.0
+    other.update(other.sampler.sample(4, other.generator), progress=1.0)
+    assert other.entropy_factor == pytest.approx(20.0 / 1.5)  # the floor has fallen to zero
     free = learner(stack, replace(SCRATCH, batch=64, entropy_floor=0.0))
-    free.update(free._sampler.sample(4, free.generator))
-    assert free._entropy_factor == 1.0
+    free.update(free.sampler.sample(4, free.generator))
+    assert free.entropy_factor == 1.0
 
 
 def test_learning_rate(stack: Environment) -> None:
@@ -447,7 +447,7 @@ def test_an_update_ends_early_once_the_policy_has_moved_far(stack: Environment) 
     counts = []
     for limit in (0.0, 1e-9):
         ppo = learner(stack, replace(SCRATCH, batch=10_000, target_divergence=limit, epochs=4))
-        ppo.update(ppo._sampler.sample(16, ppo.generator))
+        ppo.update(ppo.sampler.sample(16, ppo.generator))
         counts.append(ppo.steps)
     assert counts[0] == 4
     assert counts[1] < 4
@@ -486,7 +486,7 @@ def test_a_step_that_is_not_finite_is_left_out_and_its_batch_saved(
     path = tmp_path / f"not-finite-step-{step}.safetensors"
     assert str(path) in str(caught.value)
     batch = load_file(path)
-    assert batch["states"].shape[1] == ppo._environment.part_count
+    assert batch["states"].shape[1] == ppo.environment.part_count
     assert len(batch["states"]) == len(batch["advantage"]) > 0
     assert list(tmp_path.iterdir()) == [path]
 
@@ -507,7 +507,7 @@ def test_the_guard_names_the_step_that_failed_even_where_nothing_can_be_written(
 
 def test_illegal_actions_have_probability_zero_in_every_rollout(stack: Environment) -> None:
     ppo = learner(stack)
-    ppo.update(ppo._sampler.sample(32, ppo.generator))
+    ppo.update(ppo.sampler.sample(32, ppo.generator))
     played = collect(stack, ppo.policy, stack.rules.complete(32))
     assert played.mask.gather(1, played.actions[:, None]).all()
     logits, _ = ppo.policy(played.states)

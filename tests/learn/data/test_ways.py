@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 from falsework.assembly import Assembly  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn.data.goal_pairs import PairSource  # noqa: E402
-from falsework.learn.data.random_walks import RandomWalkGoals, _Reach  # noqa: E402
+from falsework.learn.data.random_walks import RandomWalkGoals, Reach  # noqa: E402
 from falsework.learn.env.environment import Environment  # noqa: E402
 from falsework.search import Direction, StateGraph  # noqa: E402
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
@@ -32,8 +32,8 @@ def test_the_action_leads_to_the_target_inside_the_graph(bottle_graph: StateGrap
     assert (valid.sum(dim=1) == 1).all()
     source = PairSource(graph)
     ends = graph.index.find(targets.numpy())
-    leads = source._leads_to(ends)
-    after = source._after[graph.index.find(states.numpy()), valid.numpy().argmax(axis=1)]
+    leads = source.leads_to(ends)
+    after = source.after[graph.index.find(states.numpy()), valid.numpy().argmax(axis=1)]
     column = np.arange(len(ends))
     assert (leads[after, column // 64] >> (column % 64).astype(np.uint64) & np.uint64(1)).all()
 
@@ -88,7 +88,7 @@ def test_walks_go_as_far_as_walks_one_by_one(bottle_graph: StateGraph) -> None:
         mean[row] = 1.0 + sum(mean[one] for one in there) / len(there) if there else 0.0
         longest[row] = 1 + max(longest[one] for one in there) if there else 0
     levels = graph.edges_by_level()[::-1]
-    reach = _Reach.over(levels, graph.source, graph.target, np.ones(len(graph), dtype=bool))
+    reach = Reach.over(levels, graph.source, graph.target, np.ones(len(graph), dtype=bool))
     np.testing.assert_allclose(reach.mean, [mean[row] for row in range(len(graph))], rtol=1e-12)
     assert reach.longest.tolist() == [longest[row] for row in range(len(graph))]
     assert reach.meets.tolist() == [row in after for row in range(len(graph))]

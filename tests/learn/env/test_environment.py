@@ -223,7 +223,7 @@ def test_a_hold_after_which_a_part_slides_ends_a_rollout(bottle: Assembly) -> No
         assert rollouts.length.tolist() == [1]
         assert np.array_equal(rollouts.states[rollouts.passed()].numpy(), before[None])
         assert environment.counters.states_asked == 1
-    assert (environment._verdicts._verdict == Verdict.SLIDES).sum() == 1
+    assert (environment.verdict_cache.verdict == Verdict.SLIDES).sum() == 1
     balanced = Environment(bottle, 2, oracle=StabilityOracle(bottle, EQUILIBRIUM), device="cpu")
     step = balanced.step(torch.from_numpy(before)[None], torch.tensor([taken]), check=True)
     assert not step.unstable.any()
@@ -237,8 +237,8 @@ def test_verdicts_are_right_when_slots_are_fought_over(bottle: Assembly) -> None
     environment, rollouts = random_rollouts(bottle, 500)
     states = rollouts.states.view(-1, environment.part_count)
     states = states[torch.randperm(len(states), generator=torch.Generator().manual_seed(0))]
-    environment._verdicts = VerdictTable(environment.rules, memory=1)
-    environment._verdicts._slots = 32
+    environment.verdict_cache = VerdictTable(environment.rules, memory=1)
+    environment.verdict_cache.slots = 32
     truth = torch.from_numpy(StabilityOracle(bottle, EQUILIBRIUM).verdicts(states.numpy()).stable)
     for begin in range(0, len(states), 700):
         rows = slice(begin, begin + 700)
@@ -261,7 +261,7 @@ class HalfBlind:
 
 def half_blind_oracle(assembly: Assembly) -> DeviceOracle:
     oracle = DeviceOracle.__new__(DeviceOracle)
-    oracle._solver, oracle._fallback = HalfBlind(assembly), StabilityOracle(assembly, EQUILIBRIUM)  # type: ignore[assignment]
+    oracle.solver, oracle.fallback = HalfBlind(assembly), StabilityOracle(assembly, EQUILIBRIUM)  # type: ignore[assignment]
     return oracle
 
 
@@ -269,13 +269,13 @@ def test_states_left_open_go_to_the_exact_solver_unless_they_may_be_given_up(arc
     """Given up they count as not proven, and are not remembered as such."""
     environment = Environment(arch, 2, oracle=StabilityOracle(arch, EQUILIBRIUM), device="cpu")
     oracle = half_blind_oracle(arch)
-    environment._on_device = oracle
+    environment.on_device = oracle
     _, rollouts = random_rollouts(arch, 60)
     states = torch.unique(rollouts.states.flatten(0, 1), dim=0)
     truth = torch.from_numpy(StabilityOracle(arch, EQUILIBRIUM).verdicts(states.numpy()).stable)
     assert truth.any()
     assert not truth.all()
-    solver: Any = oracle._solver
+    solver: Any = oracle.solver
     environment.exact = False
     first = environment.stable(states, states)
     assert not first[::2].any()

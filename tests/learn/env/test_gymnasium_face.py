@@ -231,7 +231,7 @@ def test_pictures_show_what_changes(arch: Assembly) -> None:
         assert not np.array_equal(before, after)
         unstable = info["unstable"]
         assert unstable or not done
-    assert environment._fell
+    assert environment.fell
     environment.reset(seed=0)
     assert np.array_equal(first, render())
 

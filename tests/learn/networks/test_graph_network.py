@@ -13,7 +13,7 @@ from falsework.learn.config.policy import PolicySettings
 from falsework.learn.networks import graph_attention as graph_network
 from falsework.learn.networks.factory import make_policy
 from falsework.learn.networks.force_torque_graph import ForceTorqueGraph
-from falsework.learn.networks.graph_attention import GraphAttentionPolicy, _Layer
+from falsework.learn.networks.graph_attention import GraphAttentionPolicy, Layer
 
 Nodes = dict[str, dict[int, Tensor]]
 
@@ -43,7 +43,7 @@ def attend(
     return out
 
 
-def layer_by_edges(layer: _Layer, nodes: Nodes, edges: dict[tuple[str, str, str], list[tuple[int, int]]]) -> Nodes:
+def layer_by_edges(layer: Layer, nodes: Nodes, edges: dict[tuple[str, str, str], list[tuple[int, int]]]) -> Nodes:
     """One layer, from explicit lists of edges between nodes that are there."""
     h = layer.heads
     norms = {"part": layer.norm_part, "force": layer.norm_force, "torque": layer.norm_torque}
@@ -103,7 +103,7 @@ def evaluate_by_edges(
         nodes["torque"][torque] = policy.torque_in(torch.tensor(graph.levers.reshape(-1, 3)[torque]))
     edges = {kind: [(a, b) for a, b in pairs.tolist()] for kind, pairs in graph.edges().items()}
     for layer in policy.layers:
-        assert isinstance(layer, _Layer)
+        assert isinstance(layer, Layer)
         nodes = layer_by_edges(layer, nodes, edges)
     final = {part: policy.norm(value) for part, value in nodes["part"].items()}
     logits = torch.zeros(2, graph.part_count)
@@ -188,7 +188,7 @@ def test_extreme_scores_do_not_break_the_softmax() -> None:
 
 def test_the_norm_by_products_is_layer_norm() -> None:
     generator = torch.Generator().manual_seed(4)
-    norm = graph_network._Norm(16)
+    norm = graph_network.Norm(16)
     with torch.no_grad():
         norm.weight.uniform_(0.5, 2.0, generator=generator)
         norm.bias.uniform_(-1.0, 1.0, generator=generator)

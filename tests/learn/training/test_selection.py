@@ -99,11 +99,11 @@ def scripted(monkeypatch: pytest.MonkeyPatch, validation: list[int]) -> list[Any
     def succeed(self: Any, sets: Any) -> dict[str, Success]:
         if "validation" not in sets:
             return {name: Success(1, 1) for name in sets}
-        weights.append({name: one.clone() for name, one in self._exported.state_dict().items()})
+        weights.append({name: one.clone() for name, one in self.exported.state_dict().items()})
         place = min(len(weights), len(validation)) - 1
         return {"train": Success(1, 1), "validation": Success(10, validation[place])}
 
-    monkeypatch.setattr(module.Trainer, "_succeeded", succeed)
+    monkeypatch.setattr(module.Trainer, "succeeded", succeed)
     return weights
 
 

@@ -234,7 +234,7 @@ def test_no_loss_is_taken_at_test_states(name: str, goal_conditioned: bool, monk
     settings = replace(SMALL, phases=phases if goal_conditioned else PHASES[name], policy=policy, pairs=300)
     train(arch, settings, folder=None, device="cpu")
     trainer = kept["trainer"]
-    solved, data = trainer._solved, trainer._data
+    solved, data = trainer.solved, trainer.data
     test = torch.cat(
         [torch.from_numpy(one) for one in (*data.curve["validation"], *data.test["test"]) if one is not None]
     )

@@ -1,4 +1,4 @@
-"""Planning scenes in a bag, as a reader without falsework sees them."""
+"""Messages in a bag, as a reader without falsework sees them."""
 
 from __future__ import annotations
 
@@ -9,17 +9,24 @@ import numpy as np
 import pytest
 
 
-def planning_scenes(path: Path) -> list[tuple[int, Any]]:
-    """The planning scenes of a bag with their times in nanoseconds."""
+def messages(path: Path, *topics: str) -> list[tuple[str, int, Any]]:
+    """Topic, nanoseconds and content of each message of a bag, in the order of their times; of some topics or all."""
     reader = pytest.importorskip("mcap.reader", reason="bags need mcap; pip install 'falsework[schedule]'")
     typesys = pytest.importorskip("rosbags.typesys", reason="bags need rosbags; pip install 'falsework[schedule]'")
-    store, scenes = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE), []
+    store, known, found = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE), set(), []
     with path.open("rb") as file:
-        for schema, _, message in reader.make_reader(file).iter_messages(topics=["/planning_scene"]):
-            if not scenes:
-                store.register(typesys.get_types_from_msg(schema.data.decode(), schema.name))
-            scenes.append((message.log_time, store.deserialize_cdr(message.data, schema.name)))
-    return scenes
+        for schema, channel, message in reader.make_reader(file).iter_messages(topics=topics or None):
+            if schema.name not in known:
+                known.add(schema.name)
+                defined = typesys.get_types_from_msg(schema.data.decode(), schema.name)
+                store.register({name: fields for name, fields in defined.items() if name not in store.types})
+            found.append((channel.topic, message.log_time, store.deserialize_cdr(message.data, schema.name)))
+    return found
+
+
+def planning_scenes(path: Path) -> list[tuple[int, Any]]:
+    """The planning scenes of a bag with their times in nanoseconds."""
+    return [(time, scene) for _, time, scene in messages(path, "/planning_scene")]
 
 
 def corners(thing: Any) -> np.ndarray:
@@ -30,10 +37,6 @@ def corners(thing: Any) -> np.ndarray:
 
 def wrenches(path: Path, topic: str) -> list[tuple[int, Any]]:
     """The wrenches on a topic of a bag with their times in nanoseconds."""
-    reader = pytest.importorskip("mcap.reader", reason="bags need mcap; pip install 'falsework[schedule]'")
-    typesys = pytest.importorskip("rosbags.typesys", reason="bags need rosbags; pip install 'falsework[schedule]'")
-    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    with path.open("rb") as file:
-        found = list(reader.make_reader(file).iter_messages(topics=[topic]))
-    assert {schema.name for schema, _, _ in found} == {"geometry_msgs/msg/WrenchStamped"}
-    return [(message.log_time, store.deserialize_cdr(message.data, schema.name)) for schema, _, message in found]
+    found = messages(path, topic)
+    assert {message.__msgtype__ for _, _, message in found} == {"geometry_msgs/msg/WrenchStamped"}
+    return [(time, message) for _, time, message in found]

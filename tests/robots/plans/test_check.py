@@ -148,7 +148,7 @@ def test_parts_that_overlap_in_the_model(make_boxes: Callable[..., Assembly], ce
     """A part is shrunk by the tolerance, and by more for a neighbour only where the meshes overlap by more."""
     plain = make_boxes((-0.1, -0.1, 0.0), (0.1, -0.1, 0.0))
     judge = PinocchioCollisionChecker(cell, place_parts(plain, cell.placement), 0.0005)
-    assert [len(others) for _, others in judge._loose(0)] == [2]
+    assert [len(others) for _, others in judge.loose(0)] == [2]
     assert judge.slack == 0.0005
 
 

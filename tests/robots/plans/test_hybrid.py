@@ -255,7 +255,7 @@ def test_dead_ends_at_one_state_count_once(
                 yield Edge(part, 0, (), search.graph.start(state, (homes[0] + 0.1 * grip, *homes[1:]), (part, None)))
         yield Edge(0, 0, (), search.graph.start(search.task.target, homes, nobody))
 
-    monkeypatch.setattr(search, "_options", options)
+    monkeypatch.setattr(search, "options", options)
     monkeypatch.setattr(search.solvability, "falls", lambda _: None)
     chain = search.depth_first_search(root, np.random.default_rng(0))
     assert (chain is not None) == found

@@ -41,10 +41,10 @@ def test_grips_that_go_together_are_those_of_the_collision_world(
     mine, theirs = graph.grips(0, 1, state)[::40], graph.grips(1, 2, state)[::40]
     assert mine
     assert theirs
-    one, other = graph.joint._swept(mine), graph.joint._swept(theirs)
+    one, other = graph.joint.swept(mine), graph.joint.swept(theirs)
     apart = ~conflicts((one, one), (other, other), cell.margins.line)
     clear = np.where(apart.any(axis=1), apart.argmax(axis=1), -1)
-    table = graph.joint._clear(mine, theirs)
+    table = graph.joint.clear(mine, theirs)
     assert table.shape == (len(mine), len(theirs))
     np.testing.assert_array_equal(np.where(table.any(axis=1), table.argmax(axis=1), -1), clear)
     values = np.array([grip.configuration for grip in theirs])
@@ -86,7 +86,7 @@ def test_three_parts_that_only_two_arms_reach(column: Assembly, cell: Cell) -> N
 
 
 def test_grasps_with_which_a_part_cannot_leave_do_not_count(column: Assembly, cell: Cell) -> None:
-    grips = KeyframeGraph(column, cell)._grips
+    grips = KeyframeGraph(column, cell).grasp_configurations
     state = held(column, 1, 2)
     assert not JointHolds(grips, lambda *_: True).learn((1, 2), state)
     assert JointHolds(grips, lambda grip, part, _: part != 2).learn((1, 2), state)

@@ -11,7 +11,7 @@ from falsework.assembly.model import Assembly
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
 from falsework.robots.motion.collision_world import NO_CONTACT, Attached, Scene
-from falsework.robots.motion.motion_cache import MotionCache, _digest
+from falsework.robots.motion.motion_cache import MotionCache, scene_digest
 
 
 @pytest.fixture(scope="module")
@@ -31,11 +31,11 @@ def test_scenes_that_differ_are_told_apart(graph: KeyframeGraph, cell: Cell) -> 
     lying = [replace(home, elsewhere=((part, np.eye(4)),)) for part in (1, 257)]
     held = [carrying(home, robot, part) for robot in (0, 1) for part in (1, 257)]
     other = home.with_configuration(1, home.configurations[1] + 0.1)
-    digests = [_digest(scene, 0) for scene in (home, *lying, *held, other, home.with_removed(1))]
+    digests = [scene_digest(scene, 0) for scene in (home, *lying, *held, other, home.with_removed(1))]
     assert len(set(digests)) == len(digests)
-    assert _digest(home, 0) != _digest(home, 1)
+    assert scene_digest(home, 0) != scene_digest(home, 1)
     # Where the robot that moves is now says nothing of what it can run into.
-    assert _digest(home.with_configuration(0, home.configurations[0] + 0.1), 0) == _digest(home, 0)
+    assert scene_digest(home.with_configuration(0, home.configurations[0] + 0.1), 0) == scene_digest(home, 0)
 
 
 def test_a_view_is_made_once(graph: KeyframeGraph, cell: Cell) -> None:

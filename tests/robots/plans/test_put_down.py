@@ -26,7 +26,7 @@ from falsework.robots.exports.commands import Grip, events_of
 from falsework.robots.exports.export import export_plan
 from falsework.robots.kernels.coordination import conflicts, still
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.keyframes.putting_down import _downwards
+from falsework.robots.keyframes.putting_down import downwards
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Cell, Obstacle, cell_identity
@@ -332,7 +332,7 @@ def test_faces_are_turned_downwards_by_the_least_rotation(seed: int) -> None:
     rng = np.random.default_rng(seed)
     for normal in (*rng.normal(size=(20, 3)), np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])):
         unit = normal / np.linalg.norm(normal)
-        turn = _downwards(unit)
+        turn = downwards(unit)
         np.testing.assert_allclose(turn @ unit, (0.0, 0.0, -1.0), atol=1e-7)
         np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-7)
         assert np.linalg.det(turn) == pytest.approx(1.0)

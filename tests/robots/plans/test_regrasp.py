@@ -296,7 +296,7 @@ def test_a_planned_release_is_carried_out_at_once(
 
     def prepared(check: SolvabilityCheck, stop: Any = None) -> Any:
         result = prepare(check, stop)
-        check._follow([RegraspRoute.from_states(np.array(states))])
+        check.follow([RegraspRoute.from_states(np.array(states))])
         return result
 
     task = make_task(sunk, begun, allow_regrasp=True)

@@ -13,7 +13,7 @@ pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'fal
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
-from falsework.robots.interleaving.reordering import _follow, _views, reorder
+from falsework.robots.interleaving.reordering import follow, reorder, views
 from falsework.robots.interleaving.search import OrderSearch
 from falsework.robots.interleaving.work import Work
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
@@ -105,7 +105,7 @@ def test_the_end_of_an_order_is_that_of_a_schedule(case: Case, builds: bool) -> 
     assert search.best[-1].end < planned.end
     ends = [max(partial.free) for partial in search.best]
     assert all(early <= late for early, late in pairwise(ends))
-    chain = _follow(case.graph, case.root, [step.edge for step in search.best[-1].steps], {})
+    chain = follow(case.graph, case.root, [step.edge for step in search.best[-1].steps], {})
     assert not isinstance(chain, int)
     plan = case.plan(chain)
     rows = Itineraries(plan.reverse() if builds else plan, CollisionWorld(case.cell, case.graph.parts))
@@ -132,7 +132,7 @@ def test_motions_get_the_scene_of_their_new_place(case: Case) -> None:
     """They are shortened in it afterwards; lines are not, since they keep to an exit direction."""
     node = case.root
     for edge in case.reordered():
-        for segment, view in zip(edge.segments, _views(case.graph, node, edge), strict=True):
+        for segment, view in zip(edge.segments, views(case.graph, node, edge), strict=True):
             assert segment.view is (None if segment.kind == "line" else view)
         node = edge.node
 
@@ -146,8 +146,8 @@ def test_without_time_the_plan_stays(case: Case) -> None:
 
 def test_a_window_without_a_better_order_is_not_searched_again(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
     search, searched = case.search(), []
-    completed = search._completed
-    monkeypatch.setattr(search, "_completed", lambda *window: searched.append(window[:2]) or completed(*window))
+    completed = search.completed
+    monkeypatch.setattr(search, "completed", lambda *window: searched.append(window[:2]) or completed(*window))
     search.run()
     best = search.order
     searched.clear()
@@ -174,11 +174,11 @@ def test_steps_whose_motions_fail_are_not_taken_there_again(case: Case) -> None:
 
 def test_an_arm_takes_a_part_from_behind_the_end_of_a_window(case: Case) -> None:
     search = case.search()
-    behind = search._behind(2)
+    behind = search.behind(2)
     assert [unit.part for unit in behind] == [unit.part for unit in search.units[1:]]
-    for order in search._completed(0, 2, 1, 0, behind):
+    for order in search.completed(0, 2, 1, 0, behind):
         assert sorted(step.edge.action for step in order.steps) == sorted(edge.action for edge in case.chain)
-    assert {order.steps[0].unit.part for order in search._completed(0, 2, 1, 0, behind)} - {search.units[0].part}
+    assert {order.steps[0].unit.part for order in search.completed(0, 2, 1, 0, behind)} - {search.units[0].part}
 
 
 def test_a_search_that_goes_on_never_ends_with_a_worse_order(case: Case) -> None:
@@ -203,11 +203,11 @@ def test_a_fallen_replay_excludes_its_history_alone(case: Case) -> None:
     search = case.search()
     order = search.best[-1]
     last = tuple(step.edge.action for step in order.steps[-3:])
-    assert search._may(order)
-    search._fallen.add(last[::-1])
-    assert search._may(order)
-    search._fallen.add(last)
-    assert not search._may(order)
+    assert search.allows(order)
+    search.fallen.add(last[::-1])
+    assert search.allows(order)
+    search.fallen.add(last)
+    assert not search.allows(order)
 
 
 def test_parts_below_others_stay_until_these_have_left(

@@ -15,7 +15,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.interleaving.next_steps import grippers_allow
-from falsework.robots.interleaving.reordering import _follow, _lies_free, _views, reorder
+from falsework.robots.interleaving.reordering import follow, lies_free, reorder, views
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node
 from falsework.robots.model.cell import Cell
@@ -102,11 +102,11 @@ def test_motions_are_proven_in_the_scenes_that_they_were_planned_in(planned: Pla
     """In the old order the queries of every free motion are those of the planner: lying parts are where they lie."""
     node = planned.root
     for edge in planned.chain:
-        for segment, view in zip(edge.segments, _views(planned.graph, node, edge), strict=True):
+        for segment, view in zip(edge.segments, views(planned.graph, node, edge), strict=True):
             if segment.kind == "free":
                 assert segment.view is not None
                 assert_equal_arrays(view, segment.view)
-        assert _lies_free(planned.graph, node, edge)
+        assert lies_free(planned.graph, node, edge)
         node = edge.node
 
 
@@ -122,9 +122,9 @@ def test_a_part_is_not_put_down_where_something_stands(planned: Planned) -> None
     number, edge = next((k, edge) for k, edge in enumerate(planned.chain) if edge.put_down is not None)
     node = planned.chain[number - 1].node
     in_place = replace(edge, put_down=np.eye(4))
-    assert not _lies_free(planned.graph, node, in_place)
+    assert not lies_free(planned.graph, node, in_place)
     chain = [*planned.chain[:number], in_place, *planned.chain[number + 1 :]]
-    assert _follow(planned.graph, planned.root, chain, {}) == number
+    assert follow(planned.graph, planned.root, chain, {}) == number
 
 
 def test_grippers_hold_one_part_and_hand_it_over_at_once() -> None:

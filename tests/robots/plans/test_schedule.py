@@ -35,7 +35,6 @@ from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.simulation import simulate
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.task import Direction
-from falsework.utils.kernels import Kernel
 from tests.older_files import as_robot_version_2
 from tests.robots.plans.orders import APART
 
@@ -58,15 +57,9 @@ def graph_of(plan: RobotPlan) -> TemporalPlanGraph:
     return plan.schedule
 
 
-def test_arguments_have_the_types_of_the_portable_code(
-    row: Assembly, wide: Cell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.usefixtures("without_numba")
+def test_arguments_have_the_types_of_the_portable_code(row: Assembly, wide: Cell) -> None:
     """Numba, which takes twenty seconds where LLVM takes two, compiles nothing for a plan and its schedule."""
-
-    def refuse(kernel: Kernel) -> None:
-        pytest.fail(f"numba is asked to compile {kernel.__name__}")
-
-    monkeypatch.setattr(Kernel, "dispatcher", property(refuse))
     plan = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, seed=1, together=True)).plan
     assert plan is not None
     assert plan.schedule is not None

@@ -105,15 +105,14 @@ def test_a_choice_that_led_to_a_dead_end_is_not_made_again(rules: Any) -> None:
     beam = BackjumpingBeam(task, oracle, guide=misled)
     beam.search = narrow(task, oracle)
     beam.search.run()
-    assert beam._jump_back()
+    assert beam.jump_back()
     rows, actions = beam.search.conflicts.barred(task.target[None])
     assert (rows.tolist(), actions.tolist()) == ([0], [8 + 7])
     assert beam.run(1).found
 
 
-def test_forgets_the_states_used_longest_ago(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("falsework.search.beam.nogoods._REMEMBERED_STATES", 2)
-    conflicts, states = Nogoods(), np.eye(3, dtype=np.uint8)
+def test_forgets_the_states_used_longest_ago() -> None:
+    conflicts, states = Nogoods(remembered=2), np.eye(3, dtype=np.uint8)
     for row, action in ((0, 4), (1, 5), (0, 6), (0, 6), (2, 7)):
         conflicts.learn(states[row], action)
     rows, actions = conflicts.barred(states)

@@ -21,7 +21,6 @@ from falsework.search import (
     SupportGuide,
     Task,
 )
-from falsework.search.beam import scores as scores_module
 from falsework.search.beam.frontier import Level, PackedLevel, expand, pack
 from falsework.search.beam.scores import Priorities, Scores
 from falsework.search.problem.hashing import StateHash
@@ -323,11 +322,8 @@ def test_frontiers_have_each_state_once(rules: Any, direction: Direction) -> Non
 @pytest.mark.parametrize("direction", Direction)
 @pytest.mark.parametrize("ties", [False, True])
 @pytest.mark.parametrize("few", [0, 1000])
-def test_the_best_are_the_first_of_all(
-    rules: Any, direction: Direction, ties: bool, few: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_best_are_the_first_of_all(rules: Any, direction: Direction, ties: bool, few: int) -> None:
     """Sorting those that may be among the best is sorting all, with equal ones in the same random order."""
-    monkeypatch.setattr(scores_module, "_FEW", few)
     random, task = np.random.default_rng(1), Task.from_rules(rules.ground(9), 3).judged_by(rules.tower(9))
     level = task.origin(direction)[None]
     for step in range(9):
@@ -335,7 +331,7 @@ def test_the_best_are_the_first_of_all(
         shapes = (len(level),), (len(level), 18)
         before, guide = (random.random(shape).round(0 if ties else 9) for shape in shapes)
         scores = Scores(frontier, before, guide)
-        promise = Priorities(scores, np.random.default_rng(step))
+        promise = Priorities(scores, np.random.default_rng(step), few)
         rows = np.flatnonzero(frontier.fixing)
         everything = scores.of(frontier.candidates())
         gap = np.ptp(everything) + 1.0

@@ -181,8 +181,8 @@ def test_words_that_collide_do_not_merge_states(rules: Any) -> None:
     expected = BeamSearch(task, oracle, BeamSettings(width=10_000))
     expected.run()
     search = beam(task, oracle, width=10_000)
-    search._rules._words[:] = search._rules._words[0].clone()
-    search._levels[0].hashes = search._rules.hashes(search._levels[0].states)
+    search.rules.hash_words[:] = search.rules.hash_words[0].clone()
+    search._levels[0].hashes = search.rules.hashes(search._levels[0].states)
     search.run()
     assert [rows_of(level.states) for level in search.levels] == [rows_of(level.states) for level in expected.levels]
 

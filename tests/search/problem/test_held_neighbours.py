@@ -51,7 +51,7 @@ def test_the_planner_uses_it_where_contact_histories_matter() -> None:
     actions = np.ones((1, 2 * arch.part_count), dtype=bool)
 
     def differs(oracle: StabilityOracle) -> bool:
-        used = Planner(task, oracle, guide=guide)._beam_guide("assembly")
+        used = Planner(task, oracle, guide=guide).beam_guide("assembly")
         assert used is not None
         return not np.array_equal(used(state, actions, Direction.ASSEMBLY), guide(state, actions, Direction.ASSEMBLY))
 

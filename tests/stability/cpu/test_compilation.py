@@ -14,7 +14,6 @@ from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
-from falsework.utils.kernels import Kernel
 
 
 def judge_all(assembly: Assembly, states: NDArray[np.uint8]) -> None:
@@ -27,21 +26,10 @@ def judge_all(assembly: Assembly, states: NDArray[np.uint8]) -> None:
     Replayer(assembly).replay(states)
 
 
-def refuse(kernel: Kernel) -> None:
-    """Stand in for numba."""
-    pytest.fail(f"{kernel.__name__} goes to numba")
-
-
-@pytest.fixture(scope="module")
-def arch() -> Assembly:
-    """An arch, on whose states every kernel has run once."""
-    assembly = load_structure("arch:blocks=5")
-    judge_all(assembly, np.stack([complete_state(assembly.boundary)] * 2))
-    return assembly
-
-
+@pytest.mark.usefixtures("without_numba")
 @pytest.mark.parametrize("case", ["read-only states", "every second state", "a structure without contacts"])
-def test_no_kernel_needs_numba(arch: Assembly, case: str) -> None:
+def test_no_kernel_needs_numba(case: str) -> None:
+    arch = load_structure("arch:blocks=5")
     states = np.stack([complete_state(arch.boundary)] * 4)
     if case == "read-only states":
         states.setflags(write=False)
@@ -51,6 +39,4 @@ def test_no_kernel_needs_numba(arch: Assembly, case: str) -> None:
         solids = gather([box("a", (0, 0, 0), (1, 1, 1), fixed=True), box("b", (5, 5, 0), (6, 6, 1), fixed=True)])
         arch = Assembly.from_meshes(solids.meshes, boundary=solids.boundary, name="apart")
         states = np.stack([complete_state(arch.boundary)] * 2)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Kernel, "dispatcher", property(refuse))
-        judge_all(arch, states)
+    judge_all(arch, states)

@@ -138,7 +138,7 @@ def test_forces_are_passed_on_by_holds(vault: Assembly) -> None:
 def test_forces_are_kept_as_they_were_accepted(vault: Assembly) -> None:
     oracle, complete = StabilityOracle(vault, EQUILIBRIUM), complete_state(vault.boundary)
     assert oracle.verdicts(complete[None], near=complete[None]).stable.all()
-    kept = oracle._guesses._memory.get(complete.tobytes())
+    kept = oracle.guesses.memory.get(complete.tobytes())
     assert kept is not None
     assert (kept != kept.astype(np.float32)).any()  # rounded, they may leave parts out of balance
     again = oracle.verdicts(complete, near=complete, require_certificate=True)

@@ -150,7 +150,7 @@ def test_what_the_gpu_leaves_open_is_settled_on_the_processor(scenes: Any, on_ho
             return tuple(torch.from_numpy(each) for each in on_host(assembly, tired).check_tensor(given.numpy()))
 
     oracle = DeviceOracle.__new__(DeviceOracle)
-    oracle._solver, oracle._fallback = OnTensors(), StabilityOracle(assembly, tired)  # type: ignore[assignment]
+    oracle.solver, oracle.fallback = OnTensors(), StabilityOracle(assembly, tired)  # type: ignore[assignment]
     given = torch.from_numpy(states)
     alone = oracle.without_fallback()(given, given).numpy()
     expected = StabilityOracle(assembly).verdicts(states, require_certificate=True).verdict

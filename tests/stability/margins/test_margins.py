@@ -225,8 +225,8 @@ def test_large_loads_need_no_exact_solver(monkeypatch: pytest.MonkeyPatch) -> No
     settings = StabilitySettings(criterion="equilibrium")
     oracle = StabilityOracle(arch, settings)
     asked: list[Any] = []
-    exact = type(oracle.prober)._exact
-    monkeypatch.setattr(type(oracle.prober), "_exact", lambda *given: (asked.append(given[2]), exact(*given))[1])
+    exact = type(oracle.prober).exact
+    monkeypatch.setattr(type(oracle.prober), "exact", lambda *given: (asked.append(given[2]), exact(*given))[1])
     (found,) = oracle.margins(state, ("push",))
     assert found.push is not None
     prove(arch, settings, state, found.push)
@@ -237,12 +237,12 @@ def test_iterations_that_end_undecided_are_continued(monkeypatch: pytest.MonkeyP
     arch = load_structure("arch:blocks=7")
     state, prober = complete_state(arch.boundary), StabilityOracle(arch).prober
     assert prober.ask(state, prober.own()).stands
-    monkeypatch.setattr(prober, "_contact_options", prober._contact_options._replace(steps=2))
+    monkeypatch.setattr(prober, "contact_options", prober.contact_options._replace(steps=2))
     continued = prober.ask(state, prober.own())
     assert continued.stands
     assert prober.certify(state, continued).stable[0]
     assert prober.refine(state, continued) is continued
-    monkeypatch.setattr(prober, "_further_options", prober._further_options._replace(warm_steps=0))
+    monkeypatch.setattr(prober, "further_options", prober.further_options._replace(warm_steps=0))
     undecided = prober.ask(state, prober.own())
     assert not undecided.stands
     assert not undecided.moves_away

@@ -52,12 +52,13 @@ class LockedSets:
         own = np.unique(np.round(signed, 9) + 0.0, axis=0)
         return np.concatenate([own, sphere_directions(_PLANES)])
 
-    def find(self, movable: NDArray[np.integer], largest: int) -> tuple[PartSet, ...]:
+    def find(self, movable: NDArray[np.integer], largest: int, most: int = _MOST) -> tuple[PartSet, ...]:
         """Return the candidates of two parts and more.
 
         Args:
             movable: parts that can be among them.
             largest: parts of a set at most.
+            most: sets that are examined.
 
         Raises:
             InputError: so many sets that they cannot be examined.
@@ -67,7 +68,7 @@ class LockedSets:
         stack = sorted(seen, reverse=True)
         while stack:
             parts = stack.pop()
-            joined, near = self._neighbours(parts, movable)
+            joined, near = self.neighbours(parts, movable)
             if len(parts) > 1 and joined and self._cycles(parts):
                 found.append(parts)
             for part in near.tolist() if len(parts) < largest else ():
@@ -75,18 +76,18 @@ class LockedSets:
                 if more not in seen:
                     seen.add(more)
                     stack.append(more)
-            if len(seen) > _MOST:
+            if len(seen) > most:
                 raise InputError(
-                    f"more than {_MOST} sets of up to {largest} parts may lock each other, too many to examine; allow "
+                    f"more than {most} sets of up to {largest} parts may lock each other, too many to examine; allow "
                     "fewer parts at once"
                 )
         return tuple(sorted(found, key=lambda parts: (len(parts), parts)))
 
     def may_lock(self, parts: PartSet) -> bool:
         """Return whether a set of two parts and more is a candidate."""
-        return self._neighbours(parts, np.array(parts))[0] and self._cycles(parts)
+        return self.neighbours(parts, np.array(parts))[0] and self._cycles(parts)
 
-    def _neighbours(self, parts: PartSet, movable: NDArray[np.integer]) -> tuple[bool, NDArray[np.integer]]:
+    def neighbours(self, parts: PartSet, movable: NDArray[np.integer]) -> tuple[bool, NDArray[np.integer]]:
         """Return whether no plane splits a set, and parts one of which every larger set without a split has.
 
         A plane splits a set if the set spans no interval along its normal. Then one part must fill the gap beside the
@@ -115,7 +116,7 @@ class LockedSets:
         circles = np.concatenate(list(separators.values()))
         if not len(circles) or len(circles) > _CIRCLES:
             return True
-        directions = _one_in_each_cell(circles)
+        directions = one_in_each_cell(circles)
         blocks = np.ones((len(directions), len(parts), len(parts)), dtype=bool)
         for (a, b), normals in separators.items():
             along = directions @ normals.T
@@ -136,7 +137,7 @@ class LockedSets:
         return np.where(side[chosen], -1.0, 1.0)[:, None] * self._normals[chosen]
 
 
-def _one_in_each_cell(normals: Array) -> Array:
+def one_in_each_cell(normals: Array) -> Array:
     """Return a direction in each region into which great circles with some normals cut the sphere.
 
     Each region has a corner, where circles cross, unless all circles are one. So directions beside all corners are

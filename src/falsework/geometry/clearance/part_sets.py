@@ -65,13 +65,13 @@ class SetClearance:
             singles: clearance of single parts.
             tolerance: overlap of touching parts that modelling may leave, metres.
         """
-        self._meshes, self._contacts, self._singles, self._tolerance = meshes, contacts, singles, tolerance
+        self._meshes, self._contacts, self.singles, self._tolerance = meshes, contacts, singles, tolerance
         self._sets: dict[tuple[int, bytes], tuple[PartSet, ...]] = {}
         self._exits: dict[PartSet, _SetExits] = {}
 
     def __reduce__(self) -> tuple[type[SetClearance], tuple[Any, ...]]:
         """Pickle what it is made of; what was found is found again."""
-        return SetClearance, (self._meshes, self._contacts, self._singles, self._tolerance)
+        return SetClearance, (self._meshes, self._contacts, self.singles, self._tolerance)
 
     def sets(self, movable: Mask, largest: int) -> tuple[PartSet, ...]:
         """Return the sets of two parts and more that may leave together from some state.
@@ -110,8 +110,8 @@ class SetClearance:
         for row in np.flatnonzero(alone & ~leaves & ~fewer) if apart else ():
             there = states[row] > 0
             there[list(parts)] = True
-            smaller = any(self._apart.motion(some, there) is not None for some in self._fewer(parts))
-            leaves[row] = not smaller and self._apart.motion(parts, there) is not None
+            smaller = any(self.apart.motion(some, there) is not None for some in self._fewer(parts))
+            leaves[row] = not smaller and self.apart.motion(parts, there) is not None
         return leaves
 
     def exit_motion(self, parts: PartSet, state: NDArray[np.uint8]) -> Array | None:
@@ -125,7 +125,7 @@ class SetClearance:
         free = np.flatnonzero(~(exits.blockers & present).any(axis=1))
         if len(free):
             return np.repeat(exits.directions[free[:1]], len(parts), axis=0)
-        motion = self._apart.motion(parts, np.asarray(state) > 0)
+        motion = self.apart.motion(parts, np.asarray(state) > 0)
         return None if motion is None else motion.velocities.copy()
 
     def can_begin_to_move(self, parts: PartSet, state: NDArray[np.uint8]) -> bool:
@@ -135,7 +135,7 @@ class SetClearance:
     def caveat(self, sets: Sequence[PartSet]) -> str:
         """Explain why some sets that were asked about may have unlisted exits; empty if all are exact."""
         unsure = [parts for parts in sets if parts in self._exits and not self._exits[parts].exact]
-        diverging = [parts for parts in sets if parts in self._apart.unsure]
+        diverging = [parts for parts in sets if parts in self.apart.unsure]
         if diverging and not unsure:
             names = " and ".join(self._meshes[part].name for part in diverging[0])
             return (
@@ -155,13 +155,14 @@ class SetClearance:
         return Sweeper(self._meshes, self._contacts, self._tolerance)
 
     @cached_property
-    def _apart(self) -> RelativeMotions:
+    def apart(self) -> RelativeMotions:
+        """Motions of two sets along different directions."""
         return RelativeMotions(self._contacts, self._sweeper, len(self._meshes))
 
     def _blockers(self, part: int) -> Words:
         """Return what blocks each way of a part alone, shape (exits, words)."""
-        start = self._singles.start
-        return self._singles.blockers[start[part] : start[part + 1]]
+        start = self.singles.start
+        return self.singles.blockers[start[part] : start[part + 1]]
 
     def _fewer(self, parts: PartSet) -> list[PartSet]:
         """Return the sets of two and more, but not all, of some parts that may leave together."""

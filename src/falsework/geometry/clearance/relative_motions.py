@@ -141,7 +141,7 @@ class RelativeMotions:
                 continue
             if any(np.abs(motion.velocities - velocity).max() < _STILL for motion in motions):
                 continue
-            if any(self._collide(parts[a], parts[b], between) for (a, b), between in relative.items()):
+            if any(self.collide(parts[a], parts[b], between) for (a, b), between in relative.items()):
                 continue
             hit = np.zeros(self._parts, dtype=bool)
             for part, own in zip(parts, velocity, strict=True):
@@ -149,7 +149,7 @@ class RelativeMotions:
             hit[list(parts)] = False
             motions.append(RelativeMotion(velocity, pack(hit[None])[0]))
 
-    def _collide(self, a: int, b: int, between: Array) -> bool:
+    def collide(self, a: int, b: int, between: Array) -> bool:
         """Return whether two parts collide at a relative velocity."""
         size = float(np.linalg.norm(between))
         if size < _STILL:

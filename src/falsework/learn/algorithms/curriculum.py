@@ -16,7 +16,7 @@ _FAR = 0.75
 """Share of the horizon beyond which rollouts decide whether the horizon moves on."""
 _FAR_ROLLOUTS = 32
 """Rollouts from there that decide it."""
-_CORRECTED_AFTER = 500
+CORRECTED_AFTER = 500
 """Updates until importance weights correct completely for how often states are drawn."""
 
 
@@ -57,13 +57,13 @@ class Curriculum:
         self._rules = rules
         self._shards = shards
         device = starts.device
-        self._starts = starts[:0]
+        self.starts = starts[:0]
         self._targets = None if targets is None else targets[:0]
         self._left = torch.zeros(0, dtype=torch.int64, device=device)
-        self._visited = torch.zeros(0, dtype=torch.bool, device=device)
+        self.visited = torch.zeros(0, dtype=torch.bool, device=device)
         self._surrogate = torch.zeros(0, device=device)
-        self._entropy = torch.zeros(0, device=device)
-        self._far = torch.zeros(2, device=device)
+        self.entropy = torch.zeros(0, device=device)
+        self.far = torch.zeros(2, device=device)
         """Rollouts from the far end of what is drawn, and successes among them, since the horizon moved."""
         self.add(starts, targets)
         if len(self) == 0:
@@ -71,7 +71,7 @@ class Curriculum:
         self.horizon = self._next_horizon() if settings.growing else self._longest()
 
     def __len__(self) -> int:
-        return len(self._starts)
+        return len(self.starts)
 
     def add(self, starts: torch.Tensor, targets: torch.Tensor | None = None) -> None:
         """Take in more states, shape (count, parts), not drawn yet; equal ones are not looked for.
@@ -86,11 +86,11 @@ class Curriculum:
         left = self._rules.steps_left(starts, targets)
         rows = (left > 0).nonzero()[:, 0]
         new = {
-            "_starts": starts[rows],
+            "starts": starts[rows],
             "_left": left[rows],
-            "_visited": torch.zeros(len(rows), dtype=torch.bool, device=starts.device),
+            "visited": torch.zeros(len(rows), dtype=torch.bool, device=starts.device),
             "_surrogate": torch.zeros(len(rows), device=starts.device),
-            "_entropy": torch.full((len(rows),), self.settings.entropy, device=starts.device),
+            "entropy": torch.full((len(rows),), self.settings.entropy, device=starts.device),
         }
         if targets is not None:
             new["_targets"] = targets[rows]
@@ -112,16 +112,16 @@ class Curriculum:
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
         """See `StartSampler`."""
         inside = self._left <= self.horizon
-        fresh = (inside & ~self._visited).nonzero()[:, 0]
+        fresh = (inside & ~self.visited).nonzero()[:, 0]
         order = torch.randperm(len(fresh), generator=generator, device=fresh.device)
         rows = fresh[order[:count]]
-        probability = self._probability(inside)
+        probability = self.probability(inside)
         if len(rows) < count:
             more = torch.multinomial(probability, count - len(rows), replacement=True, generator=generator)
             rows = torch.cat([rows, more])
         targets = None if self._targets is None else self._targets[rows]
         weight = self._correction(probability[rows])
-        return StartBatch(self._starts[rows], targets, self._entropy[rows], weight, rows)
+        return StartBatch(self.starts[rows], targets, self.entropy[rows], weight, rows)
 
     def record(
         self, batch: StartBatch, transitions: Transitions, surrogate: torch.Tensor, generator: torch.Generator
@@ -135,28 +135,28 @@ class Curriculum:
         rows = gather_rows(rows, self._shards)
         success = gather_rows(success, self._shards)
         surrogate = gather_rows(surrogate, self._shards)
-        self._visited[rows] = True
+        self.visited[rows] = True
         # Rows may be there several times: means, and one success is enough to be called one.
         times = torch.zeros_like(self._surrogate).index_add_(0, rows, torch.ones_like(surrogate))
         drawn = times > 0
         total = torch.zeros_like(times).index_add_(0, rows, surrogate)
         solved = torch.zeros_like(times).index_add_(0, rows, success.float()) > 0
         self._surrogate = torch.where(drawn, total / times.clamp(min=1), self._surrogate)
-        risen = (self._entropy + self.settings.entropy_rise).clamp(max=self.settings.entropy_most)
-        entropy = torch.where(solved, self.settings.entropy, torch.maximum(risen, self._entropy))
-        self._entropy = torch.where(drawn, entropy, self._entropy)
+        risen = (self.entropy + self.settings.entropy_rise).clamp(max=self.settings.entropy_most)
+        entropy = torch.where(solved, self.settings.entropy, torch.maximum(risen, self.entropy))
+        self.entropy = torch.where(drawn, entropy, self.entropy)
         self.updates += 1
         if self.settings.growing:
             far = self._left[rows] > _FAR * self.horizon
-            self._far += torch.stack([far.sum(), (far & success).sum()])
+            self.far += torch.stack([far.sum(), (far & success).sum()])
             self._grow()
 
     def report(self) -> dict[str, float]:
         """Report progress: the horizon as a share of the distance, and the share of states drawn so far."""
         return {
             "curriculum_horizon": self.horizon / max(self._longest(), 1),
-            "curriculum_visited": float(self._visited.float().mean()),
-            "curriculum_entropy": float(self._entropy.mean()),
+            "curriculum_visited": float(self.visited.float().mean()),
+            "curriculum_entropy": float(self.entropy.mean()),
         }
 
     def state_dict(self) -> dict[str, torch.Tensor]:
@@ -175,12 +175,12 @@ class Curriculum:
         device = self._left.device
         for name in ("starts", "visited", "surrogate", "entropy", "far"):
             setattr(self, f"_{name}", tensors[name].to(device).clone())
-        self._visited = self._visited.bool()
+        self.visited = self.visited.bool()
         self._targets = tensors["targets"].to(device).clone() if "targets" in tensors else None
-        self._left = self._rules.steps_left(self._starts, self._targets)
+        self._left = self._rules.steps_left(self.starts, self._targets)
         self.updates, self.horizon = tensors["counts"].tolist()
 
-    def _probability(self, inside: torch.Tensor) -> torch.Tensor:
+    def probability(self, inside: torch.Tensor) -> torch.Tensor:
         """Return the probability of drawing each state: by its rank in surrogate loss, zero beyond the horizon."""
         surrogate = torch.where(inside, self._surrogate, -1.0)
         order = torch.argsort(surrogate, descending=True, stable=True)
@@ -191,7 +191,7 @@ class Curriculum:
 
     def _correction(self, probability: torch.Tensor) -> torch.Tensor:
         """Return the weights of samples drawn with these probabilities (Schaul et al. 2016), at most 1."""
-        done = min(self.updates / _CORRECTED_AFTER, 1.0)
+        done = min(self.updates / CORRECTED_AFTER, 1.0)
         power = min(self.settings.correction + (1.0 - self.settings.correction) * done, 1.0)
         if power == 0 or self.settings.rank_power == 0:
             return torch.ones_like(probability)
@@ -210,9 +210,9 @@ class Curriculum:
         return min(max(self.horizon + stage, nearest), longest)
 
     def _grow(self) -> None:
-        seen, solved = self._far.tolist()
+        seen, solved = self.far.tolist()
         if seen >= _FAR_ROLLOUTS and solved >= self.settings.pass_mark * seen:
             self.horizon = max(self._next_horizon(), self.horizon)
-            self._far.zero_()
+            self.far.zero_()
         elif seen >= 8 * _FAR_ROLLOUTS:  # outdated results say nothing about the present policy
-            self._far *= 0.5
+            self.far *= 0.5

@@ -98,12 +98,12 @@ class PPO(Learner):
         )
         self.updates = 0
         """Collections learned from."""
-        self._entropy_factor = 1.0
+        self.entropy_factor = 1.0
         """Of the weight of the entropy; above 1 where the entropy was below its floor."""
-        self._environment, self._sampler, self._settings = environment, starts, settings
-        self._solved = SolvableStates(environment.rules) if solved is None else solved
+        self.environment, self.sampler, self._settings = environment, starts, settings
+        self.solved = SolvableStates(environment.rules) if solved is None else solved
         self._tasks, self._begin, self._reward = tasks, begin, reward
-        self._network = Network(policy, precision, compiled=compiled)
+        self.network = Network(policy, precision, compiled=compiled)
         self._playing = Network(policy, precision)
         self._share = max(settings.batch // shards.size, 1)
         """Transitions per step of this process."""
@@ -111,7 +111,7 @@ class PPO(Learner):
     @property
     def widening(self) -> bool:
         """See `Learner.widening`."""
-        return self._sampler.widening
+        return self.sampler.widening
 
     def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
         """See `Learner.block`; where there are several epochs, an update that begins is finished."""
@@ -121,14 +121,14 @@ class PPO(Learner):
             rollouts = max(self._settings.rollouts // self.shards.size, 1)
             if self._settings.epochs == 1:
                 # No more than the remaining steps can use, for instance in the last minute of a slow network.
-                useful = round(left * self._share / self._sampler.mean_steps)
+                useful = round(left * self._share / self.sampler.mean_steps)
                 rollouts = max(min(rollouts, useful), _FEWEST_ROLLOUTS)
             done = 1.0 - left / steps
             place = progress[0] + (progress[1] - progress[0]) * done
-            batch = self._sampler.sample(rollouts, self.generator)
+            batch = self.sampler.sample(rollouts, self.generator)
             numbers = self.update(batch, most=left, progress=place)
             left -= max(self.steps - before, 1)
-            numbers |= {"updates": float(self.updates), "solved": float(len(self._solved))}
+            numbers |= {"updates": float(self.updates), "solved": float(len(self.solved))}
             self.listener(numbers)
         return numbers
 
@@ -152,7 +152,7 @@ class PPO(Learner):
         settings, device = self._settings, batch.states.device
         self.policy.eval()
         transitions = collect_transitions(
-            self._environment,
+            self.environment,
             self._playing,
             batch.states,
             batch.targets,
@@ -161,17 +161,17 @@ class PPO(Learner):
             gae_lambda=settings.gae_lambda,
             reward=self._reward,
         )
-        if batch.targets is None and len(self._solved) < _MOST_SOLVED:
-            self._solved.add(transitions.states[transitions.success[transitions.rollout]])
+        if batch.targets is None and len(self.solved) < _MOST_SOLVED:
+            self.solved.add(transitions.states[transitions.success[transitions.rollout]])
         explained = explained_variance(transitions.advantage, transitions.returns, self.shards)
-        learnable = transitions.take((~self._solved.is_held_out(transitions.states)).nonzero()[:, 0])
+        learnable = transitions.take((~self.solved.is_held_out(transitions.states)).nonzero()[:, 0])
         learnable = replace(learnable, advantage=normalized(learnable.advantage, self.shards))
         count = len(learnable)
         if count == 0:  # zero weight: other processes average their gradients with this one
-            learnable = _padding(batch, self._environment.part_count)
+            learnable = _padding(batch, self.environment.part_count)
         rollouts = len(batch.states)
         entropy = torch.full((rollouts,), settings.entropy, device=device) if batch.entropy is None else batch.entropy
-        entropy = entropy * self._entropy_factor
+        entropy = entropy * self.entropy_factor
         weight = torch.ones(rollouts, device=device) if batch.weight is None else batch.weight
         rate = self.learning_rate(progress)
         sums, surrogate = torch.zeros(6, device=device), torch.zeros(rollouts, device=device)
@@ -179,8 +179,8 @@ class PPO(Learner):
         taken = self.steps
         self.policy.train()
         for _ in range(settings.epochs):
-            pieces = self._minibatches(count, most)
-            imitated = self._demonstrations(transitions, len(pieces))
+            pieces = self.minibatches(count, most)
+            imitated = self.demonstrations(transitions, len(pieces))
             divergence = torch.zeros((), device=device)
             for (rows, counts), shown in zip(pieces, imitated, strict=True):
                 piece = learnable.take(rows)
@@ -199,12 +199,12 @@ class PPO(Learner):
         self.policy.eval()
         self.updates += 1
         seen = torch.bincount(learnable.rollout[:count], minlength=rollouts)
-        self._sampler.record(batch, transitions, surrogate / (epochs * seen).clamp(min=1), self.generator)
+        self.sampler.record(batch, transitions, surrogate / (epochs * seen).clamp(min=1), self.generator)
         numbers = self._report(transitions, sums / max(self.steps - taken, 1))
         low = numbers["entropy"] < settings.entropy_floor * (1.0 - self._through(progress))
-        factor = self._entropy_factor * (_ENTROPY_STEP if low else 1.0 / _ENTROPY_STEP)
-        self._entropy_factor = min(max(factor, 1.0), _ENTROPY_MOST)
-        return {**numbers, "explained_variance": explained, "learning_rate": rate, **self._sampler.report()}
+        factor = self.entropy_factor * (_ENTROPY_STEP if low else 1.0 / _ENTROPY_STEP)
+        self.entropy_factor = min(max(factor, 1.0), _ENTROPY_MOST)
+        return {**numbers, "explained_variance": explained, "learning_rate": rate, **self.sampler.report()}
 
     def learning_rate(self, progress: float) -> float:
         """Return the learning rate of the next update."""
@@ -216,22 +216,22 @@ class PPO(Learner):
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """See `Learner.state_dict`."""
-        saved = {f"starts.{name}": tensor for name, tensor in self._sampler.state_dict().items()}
-        counts = {"updates": torch.tensor([self.updates]), "entropy_factor": torch.tensor([self._entropy_factor])}
+        saved = {f"starts.{name}": tensor for name, tensor in self.sampler.state_dict().items()}
+        counts = {"updates": torch.tensor([self.updates]), "entropy_factor": torch.tensor([self.entropy_factor])}
         return {**super().state_dict(), **saved, **counts}
 
     def local_state_dict(self) -> dict[str, torch.Tensor]:
         """See `Learner.local_state_dict`."""
-        saved = {f"starts.{name}": tensor for name, tensor in self._sampler.local_state_dict().items()}
+        saved = {f"starts.{name}": tensor for name, tensor in self.sampler.local_state_dict().items()}
         return {**saved, **super().local_state_dict()}
 
     def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
         """See `Learner.load_state_dict`."""
         super().load_state_dict(tensors, local)
-        self.updates, self._entropy_factor = int(tensors["updates"][0]), float(tensors["entropy_factor"][0])
-        self._sampler.load_state_dict(below("starts.", tensors), None if local is None else below("starts.", local))
+        self.updates, self.entropy_factor = int(tensors["updates"][0]), float(tensors["entropy_factor"][0])
+        self.sampler.load_state_dict(below("starts.", tensors), None if local is None else below("starts.", local))
 
-    def _minibatches(self, count: int, most: int | None = None) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    def minibatches(self, count: int, most: int | None = None) -> list[tuple[torch.Tensor, torch.Tensor]]:
         """Draw all transitions in random order, in equally many minibatches of one size in every process.
 
         In a single pass minibatches have the full size, since a compiled network needs one size, and the remainder is
@@ -258,7 +258,7 @@ class PPO(Learner):
         used = (torch.arange(number * size, device=device) < len(order)).float()
         return list(zip(rows.split(size), used.split(size), strict=True)) if number else []
 
-    def _demonstrations(self, transitions: Transitions, steps: int) -> list[list[tuple[float, Demonstrations]]]:
+    def demonstrations(self, transitions: Transitions, steps: int) -> list[list[tuple[float, Demonstrations]]]:
         """Draw the demonstrations for each of some steps, with their weight in the loss."""
         settings, generator = self._settings, self.generator
         shown: list[list[tuple[float, Demonstrations]]] = [[] for _ in range(steps)]
@@ -267,14 +267,14 @@ class PPO(Learner):
             drawn = (column.split(count) for column in self._tasks.draw(steps * count, generator))
             for one, columns in zip(shown, zip(*drawn, strict=True), strict=True):
                 one.append((settings.imitation, columns))
-        elif settings.imitation and transitions.targets is None and len(self._solved):
+        elif settings.imitation and transitions.targets is None and len(self.solved):
             device = transitions.states.device
             for one in shown:
-                rows = torch.randint(len(self._solved), (count,), generator=generator, device=device)
-                one.append((settings.imitation, (self._solved.states[rows], None, None)))
+                rows = torch.randint(len(self.solved), (count,), generator=generator, device=device)
+                one.append((settings.imitation, (self.solved.states[rows], None, None)))
         if steps and settings.hindsight and transitions.targets is not None:
             failed = transitions.take((~transitions.success[transitions.rollout]).nonzero()[:, 0])
-            states, goals, actions = relabel(failed, steps * count, self._solved, generator)
+            states, goals, actions = relabel(failed, steps * count, self.solved, generator)
             valid = torch.zeros((len(states), transitions.mask.shape[1]), dtype=torch.bool, device=states.device)
             valid.scatter_(1, actions[:, None], True)
             for one, columns in zip(
@@ -295,7 +295,7 @@ class PPO(Learner):
         targets = batch.targets
         if targets is not None:
             targets = torch.cat([targets, *(one[1] for _, one in shown if one[1] is not None)])
-        logits, value = self._network(states, targets)
+        logits, value = self.network(states, targets)
         sizes = [len(batch), *(len(one[0]) for _, one in shown)]
         own, *others = logits.split(sizes)
         loss = ppo_loss(
@@ -307,8 +307,8 @@ class PPO(Learner):
         )
         total = loss.total
         for (share, (known, goals, valid)), answer in zip(shown, others, strict=True):
-            mask = self._environment.rules.moves(known, goals)
-            valid = self._solved.valid_actions(known, mask) if valid is None else valid
+            mask = self.environment.rules.moves(known, goals)
+            valid = self.solved.valid_actions(known, mask) if valid is None else valid
             total = total + share * imitation_loss(answer, mask, valid)
         return loss, total
 

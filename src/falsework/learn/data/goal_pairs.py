@@ -71,8 +71,8 @@ class PairSource:
             self._allowed = StateIndex(np.unique(held_out, axis=0)).find(states) < 0
         self._levels = [edges for edges in graph.edges_by_level() if edges.stop > edges.start]
         # Rows of `after` are the successors of each state; the last row, which holds no target, belongs to no state.
-        self._after = np.full((len(states), 2 * states.shape[1]), len(states), dtype=np.int32)
-        self._after[graph.source, graph.action] = graph.target
+        self.after = np.full((len(states), 2 * states.shape[1]), len(states), dtype=np.int32)
+        self.after[graph.source, graph.action] = graph.target
         has_way = np.zeros(len(states), dtype=bool)
         has_way[graph.target] = True
         self._ends = np.flatnonzero(self._allowed & has_way)
@@ -110,7 +110,7 @@ class PairSource:
 
     def _pairs(self, ends: NDArray[np.intp], per_target: int, rng: np.random.Generator) -> Pairs:
         graph = self.graph
-        leads = self._leads_to(ends)
+        leads = self.leads_to(ends)
         chosen = []
         block = np.empty((0, 0), dtype=bool)
         for column, end in enumerate(ends):
@@ -124,11 +124,11 @@ class PairSource:
                 chosen.append(np.stack([rng.choice(rows, size=per_target), np.full(per_target, column)]))
         row, column = np.concatenate(chosen, axis=1) if chosen else np.empty((2, 0), dtype=np.intp)
         word, bit = column // _WORD, (column % _WORD).astype(np.uint64)
-        after = self._after[row]
+        after = self.after[row]
         valid = (leads[after, word[:, None]] >> bit[:, None]) & np.uint64(1)
         return Pairs(graph.states[row], graph.states[ends[column]], valid.astype(bool))
 
-    def _leads_to(self, ends: NDArray[np.intp]) -> NDArray[np.uint64]:
+    def leads_to(self, ends: NDArray[np.intp]) -> NDArray[np.uint64]:
         """Return the ends that each state leads to: bit `k` of a row is set if a path leads to `ends[k]`.
 
         Returns:

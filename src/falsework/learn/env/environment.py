@@ -152,8 +152,8 @@ class Environment:
         rollouts wait; otherwise they count as not proven stable."""
         self.record: Callable[[torch.Tensor], object] | None = None
         """Called with the states after every step, shape (batch, parts)."""
-        self._on_device = _tensor_oracle(self.oracle, self.device)
-        self._verdicts = VerdictTable(self.rules)
+        self.on_device = _tensor_oracle(self.oracle, self.device)
+        self.verdict_cache = VerdictTable(self.rules)
 
     @property
     def part_count(self) -> int:
@@ -181,7 +181,7 @@ class Environment:
 
         def ask(asked: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
             self.counters.states_asked += len(asked)
-            oracle = self._on_device if self.exact else without_fallback(self._on_device)
+            oracle = self.on_device if self.exact else without_fallback(self.on_device)
             if parents is not None:
                 return oracle(asked.contiguous(), parents[rows].contiguous())
             if isinstance(oracle, HostOracle):
@@ -189,7 +189,7 @@ class Environment:
             return oracle(asked, asked)
 
         with self.timed("seconds_verdicts"):
-            return self._verdicts.stable(states, needed, ask, final=self.exact)
+            return self.verdict_cache.stable(states, needed, ask, final=self.exact)
 
     def step(
         self,

@@ -103,7 +103,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         self.action_space = gymnasium.spaces.Discrete(2 * parts)
         self._state = self._starts[0].copy()
         self._mask = self._legal(self._state)
-        self._last, self._fell = "", False
+        self._last, self.fell = "", False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -124,7 +124,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         else:
             self._state = self._starts[self.np_random.integers(len(self._starts))].copy()
         self._mask = self._legal(self._state)
-        self._last, self._fell = "", False
+        self._last, self.fell = "", False
         return self._observe(), self._tell()
 
     def step(self, action: np.int64 | int) -> tuple[NDArray[np.int64], float, bool, bool, dict[str, Any]]:
@@ -145,7 +145,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         self._last = describe_action(action, self.assembly.names)
         needed = self._task.needs_verdict(actions, Direction.DISASSEMBLY)[0]
         stands = not needed or bool(self._oracle.verdicts(self._state[None], near=before[None]).stable[0])
-        self._fell = not stands
+        self.fell = not stands
         success = stands and self._reached(self._state)
         failed = not stands or (not success and not self._mask.any())
         info = self._tell(success=success, unstable=not stands)
@@ -168,7 +168,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         if self.render_mode is None:
             return None
         if self.render_mode == "rgb_array":
-            words = self._last + (", which is not stable" if self._fell else "")
+            words = self._last + (", which is not stable" if self.fell else "")
             return frame_of(self.assembly, self._state, self.robots, words)
         return "".join(_LETTERS[int(value)] for value in self._state) + (f" {self._last}" if self._last else "")
 

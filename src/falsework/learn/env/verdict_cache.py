@@ -30,12 +30,12 @@ class VerdictTable:
         slots = _LEAST
         while 2 * slots * (rules.part_count + 9) <= memory and slots < _MOST:
             slots *= 2
-        self._slots = slots
+        self.slots = slots
         # Sums of random words, taken from the top bits; which of several states a slot holds is all that depends on it.
         self._words = mix(torch.arange(rules.part_count, device=rules.device), 1)
         # One extra slot, written by rows without a result.
         self._states = torch.zeros((slots + 1, rules.part_count), dtype=torch.uint8, device=rules.device)
-        self._verdict = torch.zeros(slots + 1, dtype=torch.int8, device=rules.device)
+        self.verdict = torch.zeros(slots + 1, dtype=torch.int8, device=rules.device)
         self._ticket = torch.zeros(slots + 1, dtype=torch.int64, device=rules.device)
         self._next_ticket = 1
 
@@ -62,10 +62,10 @@ class VerdictTable:
         """
         count = len(states)
         row = torch.arange(count, device=states.device)
-        slot = ((states * self._words).sum(dim=1) >> 40) & (self._slots - 1)
-        verdict = torch.where((self._states[slot] == states).all(dim=1), self._verdict[slot], _UNKNOWN)
+        slot = ((states * self._words).sum(dim=1) >> 40) & (self.slots - 1)
+        verdict = torch.where((self._states[slot] == states).all(dim=1), self.verdict[slot], _UNKNOWN)
         if needed is not None:
-            slot = torch.where(needed, slot, self._slots)
+            slot = torch.where(needed, slot, self.slots)
             verdict = torch.where(needed, verdict, _STABLE)
         # Of the rows that share a slot the last one leads: rows with the same state follow it, others ask themselves.
         first = self._next_ticket
@@ -82,7 +82,7 @@ class VerdictTable:
                 answer = torch.where(answer == _UNKNOWN, int(Verdict.UNSTABLE), answer)
             verdict[rows] = answer.to(torch.int8)
             verdict = torch.where(follows, verdict[leader], verdict)
-            place = torch.where(leads, slot, self._slots)
+            place = torch.where(leads, slot, self.slots)
             self._states[place] = states
-            self._verdict[place] = verdict
+            self.verdict[place] = verdict
         return verdict == _STABLE

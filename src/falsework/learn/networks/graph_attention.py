@@ -50,9 +50,9 @@ class GraphAttentionPolicy(Policy):
         self.force_in = nn.Linear(3, sizes.channels)
         self.torque_in = nn.Linear(3, sizes.channels)
         self.layers = nn.ModuleList(
-            _Layer(sizes.channels, sizes.heads, last=layer == sizes.layers - 1) for layer in range(sizes.layers)
+            Layer(sizes.channels, sizes.heads, last=layer == sizes.layers - 1) for layer in range(sizes.layers)
         )
-        self.norm = _Norm(sizes.channels)
+        self.norm = Norm(sizes.channels)
         self.action_hidden = nn.Linear(sizes.channels, sizes.channels)
         self.action_head = nn.Linear(sizes.channels, 2)
         self.value_hidden = nn.Linear(sizes.channels, sizes.channels)
@@ -184,7 +184,7 @@ class _There:
         self.part, self.force, self.torque = part, force, torque
 
 
-class _Norm(nn.LayerNorm):
+class Norm(nn.LayerNorm):
     """Layer norm over few channels.
 
     On a GPU, torch gives every row a block of threads of its own and goes to float32 and back. With 16 channels and two
@@ -192,6 +192,7 @@ class _Norm(nn.LayerNorm):
     """
 
     def forward(self, input: Tensor) -> Tensor:
+        """See `LayerNorm`."""
         return super().forward(input) if input.device.type == "cpu" else self.by_products(input)
 
     def by_products(self, features: Tensor) -> Tensor:
@@ -203,14 +204,14 @@ class _Norm(nn.LayerNorm):
         return off * scale * self.weight.to(features.dtype) + self.bias.to(features.dtype)
 
 
-class _Layer(nn.Module):
+class Layer(nn.Module):
     """One round of message passing along all kinds of edges, with pre-normalisation and a residual connection."""
 
     def __init__(self, channels: int, heads: int, last: bool) -> None:
         super().__init__()
         c, h = channels, heads
         self.heads = heads
-        self.norm_part, self.norm_force, self.norm_torque = (_Norm(c) for _ in range(3))
+        self.norm_part, self.norm_force, self.norm_torque = (Norm(c) for _ in range(3))
         # Self loop, with the bias of the node; then the sender and receiver terms of the attention scores, and the
         # linear # map of the mean, head by head.
         self.part_self = nn.Linear(c, c)
@@ -224,6 +225,7 @@ class _Layer(nn.Module):
     def forward(
         self, part: Tensor, force: Tensor, torque: Tensor, topology: _Topology, there: _There
     ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the features after one exchange between parts, forces and torques."""
         h = self.heads
         p, f, t = self.norm_part(part), self.norm_force(force), self.norm_torque(torque)
         torque_says, force_says, asks = self.torque_sends(t), self.force_sends(f), self.part_asks(p)

@@ -92,25 +92,25 @@ class Trainer:
             report=lambda text: self.report(0.0, text),
             note=self.notes.append,
         )
-        self._environment = Environment(
+        self.environment = Environment(
             assembly,
             settings.robots,
             oracle=oracle,
             device=device,
             clearance=settings.removable_only_if_clear,
         )
-        self._solved = SolvableStates(self._environment.rules)
-        self._policy = make_policy(assembly, settings.policy, device, settings.seed, given=plugins.policy)
-        self._exported = deepcopy(self._policy)
+        self.solved = SolvableStates(self.environment.rules)
+        self.policy = make_policy(assembly, settings.policy, device, settings.seed, given=plugins.policy)
+        self.exported = deepcopy(self.policy)
         """Weights that are evaluated, and in the end saved."""
-        same_weights(self._policy, shards)
-        self._asked = Network(self._exported, settings.precision)
+        same_weights(self.policy, shards)
+        self._asked = Network(self.exported, settings.precision)
         self._best = BestWeights(settings.patience)
         self._evaluations = settings.evaluations
         self._evaluated = 0
         self._ended = False
         """A callback has ended the training."""
-        lost = why_not_again(self._policy, settings.policy, assembly) if settings.policy.custom and folder else ""
+        lost = why_not_again(self.policy, settings.policy, assembly) if settings.policy.custom and folder else ""
         if lost:
             self.notes.append(f"load_run will need the policy handed over: {lost}")
 
@@ -123,23 +123,23 @@ class Trainer:
         if self.shards.is_main_process and self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_run(self.folder, self._metadata())
-        self._data = collect_training_data(
+        self.data = collect_training_data(
             self._run,
             kept=resume,
             dataset=dataset,
             enough=lambda: self.budget.progress(self.steps) >= _SEARCHED_BY,
         )
-        self.data_seconds = self._data.seconds
-        self._solved.hold_out(self._data.held_out)
+        self.data_seconds = self.data.seconds
+        self.solved.hold_out(self.data.held_out)
         self._record_visits(True)
         if saved is None:
-            self._solved.add(self._data.starts)
+            self.solved.add(self.data.starts)
         else:
             self._phase, self._phase_begun, self._phase_steps = (
                 saved[1][name] for name in ("phase", "phase_begun", "phase_steps")
             )
             self.data_seconds = saved[1]["data_seconds"]
-        if saved is None and not len(self._solved):
+        if saved is None and not len(self.solved):
             raise InputError(f"no state of {self.assembly.name} is left to learn from; use wider searches")
         learner = self._learner()
         if saved is not None:
@@ -158,11 +158,11 @@ class Trainer:
 
     def _blocks(self, learner: Learner, journal: Journal | None) -> TrainResult:
         settings, evaluated = self.settings, -1
-        success = {name: Success(0, 0) for name in (*self._data.curve, *self._data.test)}
+        success = {name: Success(0, 0) for name in (*self.data.curve, *self.data.test)}
         numbers: dict[str, float] = {}
         blocks = interrupted = 0
         here = time.perf_counter()
-        lines = ProgressLines(journal, self._environment, self.budget)
+        lines = ProgressLines(journal, self.environment, self.budget)
         while not self._over():
             if self.budget.stop_requested():
                 interrupted = decided(float(not self._ended), self.shards, self.device)
@@ -170,14 +170,14 @@ class Trainer:
             steps, progress = self.budget.next_block(self.steps, settings.block)
             if self._phase_is_over(progress[0]):
                 learner = self._next_phase(learner, progress[0])
-            known = len(self._solved)
+            known = len(self.solved)
             learner.listener = partial(self._listen, lines, learner, self.steps - learner.steps, self.steps + steps)
             numbers = learner.block(steps, progress)
-            share_solved(self._solved, known, self.shards)
+            share_solved(self.solved, known, self.shards)
             self.steps += steps
             blocks += 1
             if self._evaluation_is_due():
-                success, evaluated = self._evaluate(learner, self._data.curve), self.steps
+                success, evaluated = self._evaluate(learner, self.data.curve), self.steps
                 self._consider(learner, success["validation"])
                 self._log(journal, numbers, success)
             self.report(self.budget.progress(self.steps), self._message(numbers, success["validation"]))
@@ -185,7 +185,7 @@ class Trainer:
             if since >= settings.checkpoint_every:
                 self._save(learner)
         if evaluated != self.steps:
-            success = self._evaluate(learner, self._data.curve)
+            success = self._evaluate(learner, self.data.curve)
             self._consider(learner, success["validation"])
             self._log(journal, numbers, success)
         if not self.steps and not self._ended:
@@ -193,14 +193,14 @@ class Trainer:
                 f"nothing was trained: the search for data took {self.data_seconds:.0f} s of "
                 f"{60 * settings.minutes:.0f}; give more minutes"
             )
-        self._best.write(self._exported)
-        success |= self._succeeded({"train": self._data.curve["train"], **self._data.test})
+        self._best.write(self.exported)
+        success |= self.succeeded({"train": self.data.curve["train"], **self.data.test})
         success["validation"] = self._best.success
         result = self._result(success, bool(interrupted), time.perf_counter() - here)
         self._results = result.to_dict()
         self._save(learner)
         if self.shards.is_main_process and self.folder is not None:
-            save_run(self.folder, self._exported, self._metadata())
+            save_run(self.folder, self.exported, self._metadata())
         return replace(result, notes=tuple(self.notes))
 
     def _listen(
@@ -224,7 +224,7 @@ class Trainer:
     def _consider(self, learner: Learner, validation: Success) -> None:
         """Keep the evaluated weights if they are the best; a plateau while tasks still get harder is none."""
         progress = self.budget.progress(self.steps)
-        self._best.consider(self._exported, validation, self.steps, progress, waiting=learner.widening)
+        self._best.consider(self.exported, validation, self.steps, progress, waiting=learner.widening)
 
     def _evaluation_is_due(self) -> bool:
         """Return whether the run has passed the next of its equally spaced evaluations, alike in all processes."""
@@ -250,10 +250,10 @@ class Trainer:
         one_size = isinstance(phase, ImitationPhase) or phase.epochs == 1
         return learner_of(
             self._run,
-            self._environment,
-            self._policy,
-            self._solved,
-            self._data,
+            self.environment,
+            self.policy,
+            self.solved,
+            self.data,
             phase,
             begin=self._phase_begun,
             compiled=pays and one_size,
@@ -262,26 +262,26 @@ class Trainer:
 
     def _next_phase(self, learner: Learner, progress: float) -> Learner:
         """Begin the next phase with the final weights of the last one."""
-        learner.export_policy(self._exported)
+        learner.export_policy(self.exported)
         self._phase += 1
         self._phase_begun, self._phase_steps = progress, self.steps
         following = self._learner()
-        following.load_policy(self._exported)
+        following.load_policy(self.exported)
         return following
 
     def _evaluate(self, learner: Learner, sets: Sets) -> dict[str, Success]:
         """Measure the present weights."""
-        learner.export_policy(self._exported)
-        return self._succeeded(sets)
+        learner.export_policy(self.exported)
+        return self.succeeded(sets)
 
-    def _succeeded(self, sets: Sets) -> dict[str, Success]:
+    def succeeded(self, sets: Sets) -> dict[str, Success]:
         """Measure the weights that were exported last."""
         success = {}
         self._record_visits(False)
         for name, (states, targets) in sets.items():
             goals = None if targets is None else put(targets, self.device)
             success[name], _ = greedy_success(
-                self._environment, self._asked, put(states, self.device), goals, shards=self.shards
+                self.environment, self._asked, put(states, self.device), goals, shards=self.shards
             )
         self._record_visits(True)
         return success
@@ -291,12 +291,12 @@ class Trainer:
 
         Rollouts of an evaluation are not recorded, and leave no state open.
         """
-        self._environment.record = self._solved.record_visits if training else None
-        self._environment.exact = not training
+        self.environment.record = self.solved.record_visits if training else None
+        self.environment.exact = not training
 
     def _log(self, journal: Journal | None, numbers: dict[str, float], success: dict[str, Success]) -> None:
         line = {f"success/{name}": one.share for name, one in success.items()}
-        line |= {"seconds": round(self.budget.seconds, 3), "held_out_visit_rate": self._solved.held_out_visit_rate}
+        line |= {"seconds": round(self.budget.seconds, 3), "held_out_visit_rate": self.solved.held_out_visit_rate}
         line |= {f"train/{name}": value for name, value in numbers.items()}
         self._curve.append({"step": self.steps, **line})
         if journal is not None:
@@ -305,7 +305,7 @@ class Trainer:
     def _message(self, numbers: dict[str, float], held_out: Success) -> str:
         loss = f"loss {numbers['loss']:.3f}" if "loss" in numbers else ""
         tested = f"validation {100 * held_out.share:.1f} %" if held_out.states else ""
-        return ", ".join(text for text in (f"step {self.steps}", loss, f"{len(self._solved)} states", tested) if text)
+        return ", ".join(text for text in (f"step {self.steps}", loss, f"{len(self.solved)} states", tested) if text)
 
     def _save(self, learner: Learner) -> None:
         """Write a checkpoint, in all processes together; a full disk causes a note, and does not end the run."""
@@ -316,7 +316,7 @@ class Trainer:
         if not self.shards.is_main_process:
             return
         tensors = {f"learner.{name}": tensor for name, tensor in learner.state_dict().items()}
-        tensors |= {f"solved.{name}": tensor for name, tensor in self._solved.tensors().items()}
+        tensors |= {f"solved.{name}": tensor for name, tensor in self.solved.tensors().items()}
         tensors |= {f"best.{name}": tensor for name, tensor in self._best.tensors().items()}
         state = {
             "steps": self.steps,
@@ -336,7 +336,7 @@ class Trainer:
     def _load(self, learner: Learner, tensors: dict[str, torch.Tensor], state: dict[str, Any]) -> None:
         self.steps = state["steps"]
         self.budget.load_state_dict(state["budget"])
-        self._solved.load(below("solved.", tensors))
+        self.solved.load(below("solved.", tensors))
         self._best.load(tensors, state["best"], self.device)
         self._evaluated = state["evaluated"]
         local = local_of(tensors, self.shards)
@@ -354,13 +354,13 @@ class Trainer:
             success["train"],
             success["validation"],
             success["test"],
-            len(self._solved),
-            self._solved.held_out_visit_rate,
+            len(self.solved),
+            self.solved.held_out_visit_rate,
             interrupted,
             self.shards.size,
             torch.cuda.get_device_name(self.device) if gpu else platform.processor() or "cpu",
-            throughput(self._environment, seconds, self.shards),
-            self._exported,
+            throughput(self.environment, seconds, self.shards),
+            self.exported,
             tuple(self._curve),
             first=self.shards.is_main_process,
         )
@@ -369,7 +369,7 @@ class Trainer:
         return {
             "structure": self._structure,
             "settings": to_dict(self.settings),
-            "policy": describe(self._policy, self.settings.policy),
+            "policy": describe(self.policy, self.settings.policy),
             "results": self._results,
             "versions": {"falsework": __version__, "torch": torch.__version__, "python": platform.python_version()},
         }

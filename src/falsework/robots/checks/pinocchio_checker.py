@@ -280,7 +280,7 @@ class PinocchioCollisionChecker:
         name, joint = f"part {self.parts.names[part]}", self._joints[robot][-1]
         if not at_place:
             return [CollisionBody(name, self._parts[part], joint, placement)]
-        (least, _), *more = self._loose(part)
+        (least, _), *more = self.loose(part)
         tangled: frozenset[int] = frozenset().union(*(others for _, others in more))
         found = [CollisionBody(name, self._shrunk(part, least), joint, placement, spared=tangled)]
         return found + [
@@ -299,7 +299,7 @@ class PinocchioCollisionChecker:
             self._shrunken[part, slack] = self._surface(mesh, shrink(mesh, min(slack, mesh.thickness / 4)))
         return self._shrunken[part, slack]
 
-    def _loose(self, part: int) -> list[tuple[float, frozenset[int]]]:
+    def loose(self, part: int) -> list[tuple[float, frozenset[int]]]:
         """Return the distances by which a part is shrunk where it may touch its neighbours, and the neighbours of each.
 
         The tolerance, as long as the part does not collide with them in place then. Where the meshes themselves overlap

@@ -65,13 +65,13 @@ def reorder(
         search.run(graph.seed)
         if not search.changed:
             return list(chain)
-        found = _follow(graph, root, [step.edge for step in search.best[-1].steps], timed)
+        found = follow(graph, root, [step.edge for step in search.best[-1].steps], timed)
         if not isinstance(found, int):
             return found
         search.refuse(found)
 
 
-def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge], old: Container[PathSegment]) -> list[Edge] | int:
+def follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge], old: Container[PathSegment]) -> list[Edge] | int:
     """Return edges proven in their new order, or the index of the first that fails there.
 
     Free motions that are not old may still be shortened, so they get the scene that they are proven in here. Lines get
@@ -79,10 +79,10 @@ def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge], old: Contai
     """
     node, found = root, []
     for k, edge in enumerate(edges):
-        if not _lies_free(graph, node, edge):
+        if not lies_free(graph, node, edge):
             return k
         segments = []
-        for segment, view in zip(edge.segments, _views(graph, node, edge), strict=True):
+        for segment, view in zip(edge.segments, views(graph, node, edge), strict=True):
             path = _proven(segment, view, k)
             if path is None:
                 return k
@@ -94,7 +94,7 @@ def _follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge], old: Contai
     return found
 
 
-def _views(graph: KeyframeGraph, node: Node, edge: Edge) -> list[CollisionQuery]:
+def views(graph: KeyframeGraph, node: Node, edge: Edge) -> list[CollisionQuery]:
     """Return for each segment of an edge the collision queries of its scene, with the pairs that may touch."""
     margins, robot, part = graph.cell.margins, edge.robot, edge.action % len(node.state)
     found: list[CollisionQuery] = []
@@ -121,7 +121,7 @@ def _with_load(graph: KeyframeGraph, scene: Scene, robot: int, load: Load | None
     return scene.with_attached(robot, load.part, inverse_pose(load.pose) @ tool)
 
 
-def _lies_free(graph: KeyframeGraph, node: Node, edge: Edge) -> bool:
+def lies_free(graph: KeyframeGraph, node: Node, edge: Edge) -> bool:
     """Return whether the part of an edge, if it is put down on the way, lies free of all that is there."""
     if edge.put_down is None:
         return True

@@ -85,7 +85,7 @@ class OrderSearch:
             self.next.know(edge.node.state)
         self._acceptance = Acceptance(oracle.replayer)
         """Replays of orders, in which robots press where it is needed, whatever they did in the plan."""
-        self._fallen: set[tuple[int, ...]] = set()
+        self.fallen: set[tuple[int, ...]] = set()
         """Last actions of orders that end the replay in assembly order, which carries forces from state to state."""
         holds = [unit.seconds[0] for unit in self.units if unit.movable]
         self._hold = sum(holds) / max(len(holds), 1)
@@ -135,7 +135,7 @@ class OrderSearch:
         since, left = 0, rng.permutation(windows).tolist()
         while left and since < len(self.units) and not self.stop():
             first, size = left.pop()
-            if not self.improve(first, size, far=self._behind(min(first + size, steps)), worse=_WORSE):
+            if not self.improve(first, size, far=self.behind(min(first + size, steps)), worse=_WORSE):
                 continue
             since += 1
             self._descend(first - size, first + 2 * size)
@@ -178,7 +178,7 @@ class OrderSearch:
         """The best order, to go back to."""
         return self.cost, list(self.units), self.best
 
-    def _behind(self, last: int) -> list[Unit]:
+    def behind(self, last: int) -> list[Unit]:
         """Return the next units from behind the end of a window, of each arm, that nothing blocks at its end."""
         node, found, seen = self.best[last].node, [], [0] * len(self.root.configurations)
         for step in self.best[-1].steps[last:]:
@@ -217,7 +217,7 @@ class OrderSearch:
             return False
         limit = cost * (1 + worse) if worse else cost - 1e-6
         for _ in range(_ENDS):  # what does not stand is excluded, and the window searched again
-            completed = [order for order in self._completed(first, last, own, others, far) if self._may(order)]
+            completed = [order for order in self.completed(first, last, own, others, far) if self.allows(order)]
             if worse:
                 completed = [order for order in completed if _signature(order) not in self._futile]
             better = sorted((order for order in completed if _cost(order) < limit), key=_cost)
@@ -241,10 +241,10 @@ class OrderSearch:
         _, units, self.best = order
         self.units = list(units)
 
-    def _may(self, order: Partial) -> bool:
+    def allows(self, order: Partial) -> bool:
         """Return whether the replay of an order is not known to end early."""
         actions = tuple(step.action for step in order.steps if not step.hands_over)
-        return all(actions[-len(last) :] != last for last in self._fallen)
+        return all(actions[-len(last) :] != last for last in self.fallen)
 
     def _stands(self, order: Partial) -> bool:
         """Return whether the states of an order are stable, and where it is the best so far its replay; note failures.
@@ -261,12 +261,12 @@ class OrderSearch:
         row = self._acceptance.falls_at(np.array(states[::-1], dtype=np.uint8))
         if row is not None:
             # The same state may stand with other forces from before it, so it is the history that is excluded.
-            self._fallen.add(tuple(actions[len(actions) - row :]))
+            self.fallen.add(tuple(actions[len(actions) - row :]))
         else:
             self._record = _cost(order)
         return row is None
 
-    def _completed(self, first: int, last: int, own: int, others: int, far: Sequence[Unit]) -> Iterator[Partial]:
+    def completed(self, first: int, last: int, own: int, others: int, far: Sequence[Unit]) -> Iterator[Partial]:
         """Yield complete orders with other steps in a window; what is left of it follows in the old order."""
         old = self.best
         for partial in self._beam(first, last, own, others, far)[:_ENDS]:

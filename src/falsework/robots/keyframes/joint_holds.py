@@ -115,7 +115,7 @@ class JointHolds:
                 continue
             for pair in itertools.combinations(keys, 2):
                 if pair not in clear:
-                    clear[pair] = self._clear(*(grips[key] for key in pair))
+                    clear[pair] = self.clear(*(grips[key] for key in pair))
             while (rows := _compatible([usable[key] for key in keys], keys, clear)) is not None:
                 # Only grasps that do not collide are asked whether they are usable.
                 useless = [
@@ -129,12 +129,13 @@ class JointHolds:
                     usable[key][row] = False
         return False
 
-    def _clear(self, mine: Sequence[GraspConfiguration], theirs: Sequence[GraspConfiguration]) -> Mask:
+    def clear(self, mine: Sequence[GraspConfiguration], theirs: Sequence[GraspConfiguration]) -> Mask:
         """Return which grasps of two arms do not collide, shape (mine, theirs)."""
-        one, other = self._swept(mine), self._swept(theirs)
+        one, other = self.swept(mine), self.swept(theirs)
         return ~conflicts((one, one), (other, other), self.cell.margins.line)
 
-    def _swept(self, grips: Sequence[GraspConfiguration]) -> Swept:
+    def swept(self, grips: Sequence[GraspConfiguration]) -> Swept:
+        """Return the bodies of an arm in configurations of it."""
         return self.grips.swept(grips[0].robot, np.array([grip.configuration for grip in grips]))
 
 

@@ -88,17 +88,17 @@ class KeyframeGraph:
         self.world = CollisionWorld(cell, self.parts)
         self.reasons = FailureLog()
         self.cache = MotionCache(self.world, nodes=settings.nodes, seed=seed)
-        self._grips = GraspConfigurations(assembly, self.cache, self.reasons, limit=settings.grasps)
-        self.given = self._grips.given
-        self.joint = JointHolds(self._grips, self._usable)
+        self.grasp_configurations = GraspConfigurations(assembly, self.cache, self.reasons, limit=settings.grasps)
+        self.given = self.grasp_configurations.given
+        self.joint = JointHolds(self.grasp_configurations, self._usable)
         self.accepts: Callable[[Edge], bool] = accept_all
         """Whether a hold or a removal may be part of a plan."""
         self.dead = DeadEnds()
         """Dead ends of the search that uses the graph."""
         self._alone: dict[tuple[int, int, bytes, bytes, bool, bool], bool] = {}
         self.withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
-        self.delivery = Delivery(self.cache, self.reasons, self._grips)
-        self.putting_down = PuttingDown(assembly, self.cache, self.reasons, self._grips, self.retreat)
+        self.delivery = Delivery(self.cache, self.reasons, self.grasp_configurations)
+        self.putting_down = PuttingDown(assembly, self.cache, self.reasons, self.grasp_configurations, self.retreat)
         self.exits = ExitDirections(assembly, self.parts.turn, present, leaving)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
@@ -155,7 +155,7 @@ class KeyframeGraph:
 
     def grips(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
         """Return all grasps of a part by a robot among the parts of a state; other robots are ignored."""
-        return self._grips.get(robot, part, state)
+        return self.grasp_configurations.get(robot, part, state)
 
     def exit_direction_of(self, part: int, state: States) -> tuple[States, Array]:
         """Return the state in which the least blocked exit of a part is free, and its free exit directions, (n, 3)."""
@@ -248,7 +248,7 @@ class KeyframeGraph:
         for row in np.flatnonzero(hits >= 0)[:1]:
             self.reasons.add("hold", part, robot, "a robot blocks every grasp", view.pair(int(hits[row])))
         open_grips = [grips[row] for row in np.flatnonzero(hits < 0)]
-        for grip in self._grips.best(open_grips, robot, node.scene, node.held, self.settings.candidates):
+        for grip in self.grasp_configurations.best(open_grips, robot, node.scene, node.held, self.settings.candidates):
             if not self.allow_regrasp and self.dead.repeated(node, part, robot):
                 return
             edge = self._try_grip(node, part, grip, view, lasting)

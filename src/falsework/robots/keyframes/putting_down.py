@@ -233,7 +233,7 @@ class PuttingDown:
             size = float(np.ptp(corners, axis=0).max())
             found = []
             for normal in planes[:, :3]:
-                turn = _downwards(normal)
+                turn = downwards(normal)
                 level = corners @ turn.T
                 base = MultiPoint(level[level[:, 2] <= level[:, 2].min() + 1e-4 * size, :2]).convex_hull
                 over = Point((turn @ center)[:2])
@@ -277,7 +277,7 @@ class PuttingDown:
         return self.cache.view(scene, robot, NO_CONTACT, self.cell.margins.free)
 
 
-def _downwards(normal: Array) -> Array:
+def downwards(normal: Array) -> Array:
     """Return the least rotation that turns a unit vector downwards, shape (3, 3)."""
     cosine = -float(normal[2])
     if cosine < -1 + 1e-9:

@@ -42,7 +42,7 @@ class MotionCache:
             start: shape (joints,).
             goal: shape (joints,).
         """
-        key = _digest(scene, robot) + np.round([start, goal], 6).tobytes()
+        key = scene_digest(scene, robot) + np.round([start, goal], 6).tobytes()
         if key not in self._motions:
             self.motions += 1
             view = self.view(scene, robot, NO_CONTACT, self.world.cell.margins.free)
@@ -61,7 +61,7 @@ class MotionCache:
             contact: pairs that may touch.
             margin: distance to keep from everything else, metres.
         """
-        place = _digest(scene, robot)
+        place = scene_digest(scene, robot)
         rules = repr(
             (sorted(contact.gripper), sorted(contact.carried), contact.carried_floor, contact.carried_supports, margin)
         )
@@ -81,7 +81,7 @@ class MotionCache:
         return views[rules]
 
 
-def _digest(scene: Scene, robot: int) -> bytes:
+def scene_digest(scene: Scene, robot: int) -> bytes:
     """Return a key of all data of a scene that a motion of one robot depends on."""
     others = [np.round(values, 6) + 0.0 for other, values in enumerate(scene.configurations) if other != robot]
     pieces = [bytes([robot]), np.packbits(scene.present).tobytes(), *(values.tobytes() for values in others)]

@@ -129,7 +129,7 @@ class HybridSearch:
             rng: random generator that perturbs the order of actions.
         """
         chain: list[Edge] = []
-        nodes, options = [root], [self._options(root, rng)]
+        nodes, options = [root], [self.options(root, rng)]
         # Causes of the dead ends after each keyframe: indices of earlier edges.
         causes: list[set[int]] = [set()]
         stuck: set[bytes] = set()  # states at which the search went no further, with any grasps
@@ -138,7 +138,7 @@ class HybridSearch:
         def restart(keep: int) -> None:
             """Go on from the last of the first keyframes."""
             del nodes[keep:], options[max(keep - 1, 0) :], causes[keep:], chain[max(keep - 1, 0) :]
-            options.extend(self._options(node, rng) for node in nodes[-1:])
+            options.extend(self.options(node, rng) for node in nodes[-1:])
 
         while nodes:
             if self.deadline_passed():
@@ -146,7 +146,7 @@ class HybridSearch:
             excluded = self.graph.joint.excluded
             edge = next(options[-1], None)
             if excluded < self.graph.joint.excluded and self.solvability.reroute(nodes[-1].state):
-                options[-1] = self._options(nodes[-1], rng)
+                options[-1] = self.options(nodes[-1], rng)
                 continue
             if edge is None:
                 self.dead.add(nodes[-1])
@@ -179,7 +179,7 @@ class HybridSearch:
                 continue
             newest = edge.node
             nodes.append(newest)
-            options.append(self._options(newest, rng))
+            options.append(self.options(newest, rng))
             causes.append(set())
         return None
 
@@ -216,7 +216,7 @@ class HybridSearch:
         first = len(route.actions) - forbidden
         return int(np.searchsorted(np.cumsum([0, *(not edge.hands_over for edge in chain)]), first))
 
-    def _options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
+    def options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Yield edges out of a keyframe in order of trial."""
         if node.handed is not None:
             yield from (edge for edge in self.graph.leave(node) if edge.node not in self.dead)

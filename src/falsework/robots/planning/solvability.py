@@ -104,12 +104,12 @@ class SolvabilityCheck:
         if result.found:
             self.postponed = planner.postponed
             self.task = self.task.postpone(planner.postponed)
-            self._follow(planner.routes)
+            self.follow(planner.routes)
         elif self.task.allow_regrasp:
             again = Planner(self.task, self.oracle, settings, guide=self._guide)
             if again.regrasps:
                 result, self.fallen = again.run(stop=stop).unless_interrupted(stop), again.tests.fallen
-                self._follow(again.routes)
+                self.follow(again.routes)
         return result
 
     def perturb(self, seed: int) -> None:
@@ -117,7 +117,7 @@ class SolvabilityCheck:
         rng = np.random.default_rng([self._seed, seed])
         route = self.roll_out(rng, self._stop)
         if route is not None:
-            self._follow([route])
+            self.follow([route])
             return
 
         def disturbed(states: States, actions: Mask, direction: Direction) -> NDArray[np.floating]:
@@ -129,7 +129,7 @@ class SolvabilityCheck:
             beam = BackjumpingBeam(self.task, self.oracle, BackjumpingSettings(direction, seed=seed), guide=disturbed)
             routes = self._search(beam, _VARIED_WIDTH, _VARIED_VERDICTS)
             if routes:
-                self._follow(routes)
+                self.follow(routes)
                 return
 
     def falls(self, route: Route) -> int | None:
@@ -176,7 +176,7 @@ class SolvabilityCheck:
             beam = BackjumpingBeam(task, self.oracle, BackjumpingSettings(seed=self._seed), guide=self._guide)
             routes = self._search(beam, _VARIED_WIDTH, _VARIED_VERDICTS)
             if not routes or not any(self.joint.learn_from(route.states) for route in routes):
-                self._follow(routes)
+                self.follow(routes)
                 return bool(routes)
         return False
 
@@ -254,7 +254,8 @@ class SolvabilityCheck:
         place = self._preferred.get(state_after(state, action).tobytes(), -1)
         return place > self._preferred.get(state.tobytes(), -1)
 
-    def _follow(self, routes: Sequence[Route]) -> None:
+    def follow(self, routes: Sequence[Route]) -> None:
+        """Take the states of routes for solvable, and prefer the steps along them."""
         if routes:
             self._preferred = {state.tobytes(): k for route in routes for k, state in enumerate(route.states)}
             self._solvable |= self._preferred.keys()
@@ -268,7 +269,7 @@ class SolvabilityCheck:
         self._not_found.clear()
         # The known states surround the plan with the latest parts: add one for the new rules.
         beam = BackjumpingBeam(self.task, self.oracle, BackjumpingSettings(seed=self._seed), guide=self._guide)
-        self._follow(self._search(beam, _FIRST_BEAM_WIDTH))
+        self.follow(self._search(beam, _FIRST_BEAM_WIDTH))
 
     def legal(self, state: States) -> list[int]:
         """Return actions that the rules allow, stability and releases aside."""

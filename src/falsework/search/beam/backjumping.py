@@ -110,7 +110,7 @@ class BackjumpingBeam:
             result = self.search.run(progress=progress, stop=stop)
             if result.interrupted or result.found or self.infeasible:
                 return result
-            if not self._jump_back() and not self._restart(widest):
+            if not self.jump_back() and not self._restart(widest):
                 if not result.undecided and not result.sliding:
                     limit = f"beams up to a width of {self.search.settings.width} died; wider ones may come through"
                     result = replace(result, limit=limit)
@@ -143,7 +143,7 @@ class BackjumpingBeam:
         beam._farthest, beam._since = int(header["jumps"]["farthest"]), int(header["jumps"]["since"])
         return beam
 
-    def _jump_back(self) -> bool:
+    def jump_back(self) -> bool:
         """Learn from the dead end and jump back; False where that would be beyond the origin."""
         search, conflicts = self.search, self.search.conflicts
         level = len(search.levels) - 1

@@ -14,8 +14,9 @@ _REMEMBERED_STATES = 4096
 class Nogoods:
     """Memory of refuted choices: moves that fix a part in a state, from which the search died."""
 
-    def __init__(self) -> None:
-        """Begin without conflicts."""
+    def __init__(self, remembered: int = _REMEMBERED_STATES) -> None:
+        """Begin without conflicts; the refuted choices of so many states are remembered."""
+        self._remembered = remembered
         self.count = 0
         """Conflicts so far."""
         self.refuted: dict[str, list[int]] = {}
@@ -28,7 +29,7 @@ class Nogoods:
         refuted = self.refuted[key] = self.refuted.pop(key, [])  # the last used is the last forgotten
         if action not in refuted:
             refuted.append(action)
-        if len(self.refuted) > _REMEMBERED_STATES:
+        if len(self.refuted) > self._remembered:
             del self.refuted[next(iter(self.refuted))]
 
     def barred(self, states: States) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

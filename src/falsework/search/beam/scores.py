@@ -40,12 +40,12 @@ class Scores:
 class Priorities:
     """Order in which candidates are tried: those that leave more robots free first, then the better scored."""
 
-    def __init__(self, scores: Scores, rng: np.random.Generator) -> None:
-        """Begin without looking at any candidate; equal ones will be in random order."""
+    def __init__(self, scores: Scores, rng: np.random.Generator, few: int = _FEW) -> None:
+        """Begin without looking at any candidate; equal ones will be in random order, and up to `few` all sorted."""
         self._scores, self._frontier, self._rng = scores, scores.frontier, rng
         parts = scores.frontier.task.part_count
         self._begin = 0 if scores.frontier.direction is Direction.DISASSEMBLY else parts
-        self.few = scores.frontier.fixing.size <= _FEW
+        self.few = scores.frontier.fixing.size <= few
         """Whether sorting all candidates takes no longer than finding the best."""
         self._place: NDArray[np.int64] | None = None
 

@@ -135,7 +135,7 @@ class DeviceBeam(LevelSearch):
         self.shards = shards
         self.exhaustive = True
         """No state was left out so far: if the search dies now, there is no plan."""
-        self._rules = TensorRules(task, self.device, settings.direction)
+        self.rules = TensorRules(task, self.device, settings.direction)
         self._judge = BatchedTensorOracle(oracle, shards)
         self._side = torch.cuda.Stream(self.device) if self.device.type == "cuda" else None
         self._candidates = self._verdicts = 0
@@ -143,11 +143,11 @@ class DeviceBeam(LevelSearch):
         """Numbers of states that are not stable, and of these undecided and sliding."""
         self._rejected = np.empty((0, task.part_count), dtype=np.uint8)
         self._host: list[Level] = []
-        origin = self._rules.origin()
+        origin = self.rules.origin()
         self._dead = not task.contains(task.origin(settings.direction)[None])[0]
         if not self._dead:
             none = torch.zeros(1, dtype=torch.int64, device=self.device)
-            self._levels.append(_TensorLevel(origin, none, none - 1, self._rules.hashes(origin)))
+            self._levels.append(_TensorLevel(origin, none, none - 1, self.rules.hashes(origin)))
 
     @property
     def counters(self) -> SearchCounters:
@@ -227,7 +227,7 @@ class DeviceBeam(LevelSearch):
     def _expand(self, level: _TensorLevel) -> _Candidates:
         """Return every legal move from a level; states reached twice are kept once, dead ends not at all."""
         torch = import_torch()
-        rules = self._rules
+        rules = self.rules
         mask = rules.moves(level.states)
         parent, action, hashes = rules.children(level.states, level.hashes, mask)
         first, group = self._merge(level, hashes, parent, action)
@@ -261,14 +261,13 @@ class DeviceBeam(LevelSearch):
         previous = torch.roll(order, 1)
         for rows in self._chunks(count):
             one, two = (
-                self._rules.follow(level.states[parent[which[rows]]], action[which[rows]])
-                for which in (order, previous)
+                self.rules.follow(level.states[parent[which[rows]]], action[which[rows]]) for which in (order, previous)
             )
             differ += ((one != two).any(dim=1) & repeats[rows]).sum()
         distinct, collisions = torch.stack([count - repeats.sum(), differ]).tolist()
         if collisions:
             # Two states share a word of 64 bits: compare all states themselves; practically never.
-            states = self._rules.follow(level.states[parent], action)
+            states = self.rules.follow(level.states[parent], action)
             _, group = torch.unique(states, dim=0, return_inverse=True)
             distinct = int(group.max()) + 1
             order = torch.sort(group, stable=True).indices
@@ -303,7 +302,7 @@ class DeviceBeam(LevelSearch):
 
     def _written(self, level: _TensorLevel, candidates: _Candidates) -> torch.Tensor:
         """Return candidates written down as states, shape (candidates, parts)."""
-        return self._rules.follow(level.states[candidates.parent], candidates.action)
+        return self.rules.follow(level.states[candidates.parent], candidates.action)
 
     def _chunks(self, count: int) -> list[slice]:
         """Return rows whose states fit into a bounded piece of memory."""

@@ -66,8 +66,8 @@ class DeviceOracle:
         from falsework.stability.gpu.solver import GpuSolver
 
         self.holds_keep_stable = oracle.holds_keep_stable
-        self._solver = GpuSolver(oracle.assembly, oracle.problem, oracle.settings, str(device))
-        self._fallback: StabilityOracle | None = oracle
+        self.solver = GpuSolver(oracle.assembly, oracle.problem, oracle.settings, str(device))
+        self.fallback: StabilityOracle | None = oracle
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
         """See `TensorOracle`."""
@@ -75,15 +75,15 @@ class DeviceOracle:
 
     def begin(self, states: torch.Tensor, parents: torch.Tensor) -> Callable[[], torch.Tensor]:
         """Queue the kernels for some states; what comes back waits for them and gives the verdicts."""
-        verdict, _ = self._solver.check_tensor(states)
+        verdict, _ = self.solver.check_tensor(states)
 
         def finish() -> torch.Tensor:
-            if self._fallback is None:
+            if self.fallback is None:
                 return verdict
             rest = (verdict == 0).nonzero()[:, 0]
             if len(rest):
                 left, near = (given[rest].cpu().numpy() for given in (states, parents))
-                verdict[rest] = put(self._fallback.verdicts(left, near=near).verdict, states.device)
+                verdict[rest] = put(self.fallback.verdicts(left, near=near).verdict, states.device)
             return verdict
 
         return finish
@@ -91,7 +91,7 @@ class DeviceOracle:
     def without_fallback(self) -> DeviceOracle:
         """Return the same solver alone: no waiting, and the few undecided states remain undecided."""
         alone = copy(self)
-        alone._fallback = None
+        alone.fallback = None
         return alone
 
 

@@ -126,6 +126,7 @@ def parallel_beam_search(
     seed: int = 0,
     keep: int | None = None,
     device: torch.device | str = "cpu",
+    numbers: int = _NUMBERS,
 ) -> ParallelBeamResult:
     """Run beam searches that choose at random among the stable states of each level.
 
@@ -139,6 +140,7 @@ def parallel_beam_search(
         keep: states to return for each search, drawn uniformly, with all states on one path from the origin to each of
             them; None for all.
         device: where to search; the states are the same on each, as far as the verdicts are.
+        numbers: of the states of a level that are in memory at once; the searches run in groups.
 
     Raises:
         DependencyError: torch is not installed.
@@ -148,7 +150,7 @@ def parallel_beam_search(
         raise InputError("searches, their width and the states kept of each are counts; give at least 1")
     torch = import_torch()
     beams = _Beams(task, oracle, width, direction, seed, torch.device(device))
-    together = max(min(_NUMBERS // (width * task.part_count), 1 << _OWNER_BITS), 1)
+    together = max(min(numbers // (width * task.part_count), 1 << _OWNER_BITS), 1)
     pieces: list[States] = []
     found = np.zeros(count, dtype=bool)
     for first in range(0, count, together):

@@ -48,7 +48,7 @@ class TensorRules:
         self._stage = put(-STAGE if backward else STAGE, device)
         self._origin = put(task.origin(direction), device)
         self._to_come = put(task.start != REMOVED, device)
-        self._words = put(StateHash.for_parts(task.part_count).words, device)
+        self.hash_words = put(StateHash.for_parts(task.part_count).words, device)
         self._values = put(np.array([INSTALLED, HELD] if backward else [HELD, REMOVED], dtype=np.uint8), device)
         self._ways = ExitTable(task.clearance, task.part_count, device)
         can_leave = None if task.clearance is None else self._ways.can_leave
@@ -159,7 +159,7 @@ class TensorRules:
 
     def hashes(self, states: torch.Tensor) -> torch.Tensor:
         """Return the words of `StateHash`, as int64 of the same bits. Shape (batch,)."""
-        return hash_states(states, self._words)
+        return hash_states(states, self.hash_words)
 
     def hashes_after(self, states: torch.Tensor, hashes: torch.Tensor, actions: torch.Tensor, parent: torch.Tensor):
         """Return the hashes of the states that moves lead to, without expanding these.
@@ -175,7 +175,7 @@ class TensorRules:
         """
         part = actions % self.part_count
         old = states.view(-1)[parent * self.part_count + part].long()
-        words = self._words.view(-1)
+        words = self.hash_words.view(-1)
         return hashes[parent] ^ words[3 * part + old] ^ words[3 * part + self.moved_value(actions).long()]
 
     def children(

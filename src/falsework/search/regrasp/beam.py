@@ -135,7 +135,7 @@ class RegraspBeam:
                     break
                 if len(self._levels) > self._moves.removals:
                     route = self._to_goal()
-                if route is None and not self._advance(stop) and not self._jump_back(widest):
+                if route is None and not self._advance(stop) and not self.jump_back(widest):
                     break
                 if progress is not None:
                     seconds = self._seconds + time.perf_counter() - begun
@@ -354,7 +354,7 @@ class RegraspBeam:
             before = key
         return before
 
-    def _jump_back(self, widest: int) -> bool:
+    def jump_back(self, widest: int) -> bool:
         """Jump back from a dead end, or beyond the origin restart wider; False if that would be too wide."""
         level = len(self._levels) - 1
         if level > self._reached:

@@ -21,12 +21,12 @@ from falsework.stability.contact.newton import (
 )
 from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity, restrict, set_gravity
 from falsework.stability.cpu.neighbourhood import RINGS, freeze_outside_ball
+from falsework.stability.cpu.products import LANES, ROWS
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, limits_of
 from falsework.stability.problem import Problem
 from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
 from falsework.utils.kernels import njit
-from falsework.utils.products import LANES, ROWS
 
 NEAR_RINGS = RINGS[-1]
 """Distance from a changed part, in contacts, within which parts settle first; smaller where that is half of all."""

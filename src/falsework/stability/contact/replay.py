@@ -79,9 +79,9 @@ class Replayer:
             solver = ContactSolver(assembly, problem, settings)
         self.problem = solver.problem
         self._solver = solver
-        self._structure, self._contact = solver.structure, solver.contact_structure
+        self.structure, self.contact = solver.structure, solver.contact_structure
         first = replay.first_step
-        self._options = ContactOptions(
+        self.options = ContactOptions(
             settings.tolerance, replay.steps, _WARM_STEPS, _NEAR_STEPS, first, _LONGER_STEP * first
         )
         self._noise = self._draw_noise(replay)
@@ -234,14 +234,14 @@ class Replayer:
             moved[0], part[0] = history.moved, history.part
         start, pressed, wrench = pack_presses(presses)
         reached = replay_range(
-            self._structure,
-            self._contact,
+            self.structure,
+            self.contact,
             batch,
             history is None,
             start,
             pressed,
             (problem.whitening[pressed] @ wrench[:, :, None])[:, :, 0],
-            self._options,
+            self.options,
             self.replay_settings.increments,
             self._noise,
             displacement,

@@ -9,10 +9,10 @@ from falsework.stability.contact.law import gauge, gauge_gradient
 from falsework.stability.cpu.cones import NEGLIGIBLE
 from falsework.stability.cpu.layout import FAST
 from falsework.stability.cpu.panels import clear_panels
+from falsework.stability.cpu.products import congruence, square_product
 from falsework.utils.kernels import njit
-from falsework.utils.products import Congruence, SquareProduct
 
-_add_congruence, _add_product, _set_product = Congruence(), SquareProduct(1), SquareProduct(1, adds=False)
+_add_product, _set_product = square_product(), square_product(adds=False)
 
 
 @njit(fastmath=FAST)
@@ -80,7 +80,7 @@ def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
         if not closed:
             continue
         q, a, b = pair[p], slot_a[p], slot_b[p]
-        _add_congruence(rows, first[q], tangent, start[p + 1] - begin, turned)
+        congruence(rows, first[q], tangent, start[p + 1] - begin, turned)
         if a >= 0:
             _apply(turned, turned_a, q, images_a)
             _add_images(turned_a, q, images_a, upper, diagonal[a], width[supernode[a]])

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.stability.cpu.ordering import elimination_order
+from falsework.stability.cpu.products import LANES
 from falsework.stability.problem import Problem
 from falsework.utils.kernels import njit
-from falsework.utils.products import LANES
 
 _ALWAYS = 3
 """Parts up to which a supernode and the one that follows it become one, whatever zeros that stores."""

@@ -14,11 +14,11 @@ _LEAF = 30
 """Parts that are not dissected further."""
 
 
-def elimination_order(neighbours: Graph) -> list[int]:
-    """Return the parts of a contact graph in the order in which they are eliminated."""
+def elimination_order(neighbours: Graph, leaf: int = _LEAF) -> list[int]:
+    """Return the parts of a contact graph in the order of elimination; pieces of up to `leaf` are not dissected."""
     order, work = _minimum_degree(neighbours, [set(neighbours)])
     groups: list[set[int]] = []
-    _dissect(neighbours, set(neighbours), groups)
+    _dissect(neighbours, set(neighbours), groups, leaf)
     other, less = _minimum_degree(neighbours, groups)
     return other if less < work else order
 
@@ -46,18 +46,18 @@ def _minimum_degree(neighbours: Graph, groups: list[set[int]]) -> tuple[list[int
     return order, work
 
 
-def _dissect(neighbours: Graph, parts: set[int], groups: list[set[int]]) -> None:
+def _dissect(neighbours: Graph, parts: set[int], groups: list[set[int]], leaf: int) -> None:
     """Append groups of parts in the order of their elimination: the pieces, then what separates them."""
     while parts:
         piece = set(_distances(neighbours, parts, min(parts)))
         parts = parts - piece
-        if len(piece) <= _LEAF:
+        if len(piece) <= leaf:
             groups.append(piece)
             continue
-        one, other, between = _separate(neighbours, piece)
+        one, other, between = separate(neighbours, piece)
         if one and other:
-            _dissect(neighbours, one, groups)
-            _dissect(neighbours, other, groups)
+            _dissect(neighbours, one, groups, leaf)
+            _dissect(neighbours, other, groups, leaf)
             groups.append(between)
         else:
             groups.append(piece)
@@ -74,7 +74,7 @@ def _distances(neighbours: Graph, inside: set[int], start: int) -> dict[int, int
     return distance
 
 
-def _separate(neighbours: Graph, parts: set[int]) -> tuple[set[int], set[int], set[int]]:
+def separate(neighbours: Graph, parts: set[int]) -> tuple[set[int], set[int], set[int]]:
     """Return two sides of a connected graph and a small set of parts between them."""
     from_first = _distances(neighbours, parts, list(_distances(neighbours, parts, min(parts)))[-1])
     from_last = _distances(neighbours, parts, list(from_first)[-1])

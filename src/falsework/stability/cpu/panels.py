@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from falsework.stability.cpu.products import product
 from falsework.utils.kernels import njit
-from falsework.utils.products import Product
 
-_subtract_product, _set_product = Product(-1), Product(1, adds=False)
+_subtract_product, _set_product = product(-1), product(1, adds=False)
 
 RIDGE = 1e-14
 """Least share of the mean that is added to a diagonal that may be singular; what it leaves out of balance grows with

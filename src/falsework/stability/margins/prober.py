@@ -76,9 +76,9 @@ class Prober:
         self._options = kernel_options(self.settings)
         self._contact = solver.contact_structure if isinstance(solver, ContactSolver) else None
         if isinstance(solver, ContactSolver):
-            self._contact_options = solver.contact_options
-            self._quick_options = self._contact_options._replace(warm_steps=_QUICK_STEPS, steps=0, schedule=_SCHEDULE)
-            self._further_options = self._quick_options._replace(warm_steps=2 * _QUICK_STEPS)
+            self.contact_options = solver.contact_options
+            self._quick_options = self.contact_options._replace(warm_steps=_QUICK_STEPS, steps=0, schedule=_SCHEDULE)
+            self.further_options = self._quick_options._replace(warm_steps=2 * _QUICK_STEPS)
         self._no_motion = np.zeros((0, 3))
         self._end = np.inf
 
@@ -122,7 +122,7 @@ class Prober:
             raise OutOfTime
         if self.contact:
             known = near is not None and near.displacement is not None
-            options = self._quick_options if coarse and known else self._contact_options
+            options = self._quick_options if coarse and known else self.contact_options
             (answer,) = self._ask_contact(state, [condition], [near if known else None], [-1], moved, options)
             if answer.reached is not None and not answer.coarse:
                 # What the rules of verdicts leave undecided, the other ones often decide.
@@ -139,7 +139,7 @@ class Prober:
 
     def _exactly(self, state: States, condition: Condition) -> Answer:
         """Check whether a state is in equilibrium with the exact solver."""
-        exact = self._exact(state, condition)
+        exact = self.exact(state, condition)
         forces = exact.forces[0] if exact.stable[0] and exact.forces is not None else None
         velocity = exact.velocity[0] if exact.unstable[0] and exact.velocity is not None else None
         return Answer(condition, forces is not None, forces=forces, velocity=velocity)
@@ -273,7 +273,7 @@ class Prober:
             return answer
         if time.perf_counter() > self._end:
             raise OutOfTime
-        guess, options = replace(answer, displacement=answer.reached), self._further_options
+        guess, options = replace(answer, displacement=answer.reached), self.further_options
         (found,) = self._ask_contact(state, [answer.condition], [guess], [-1], None, options)
         return replace(found, coarse=answer.coarse)
 
@@ -342,14 +342,15 @@ class Prober:
             return verdicts
         verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
         if not verify_certificates(changed, state[None], verdicts, claim)[0]:
-            exact = self._exact(state, answer.condition)
+            exact = self.exact(state, answer.condition)
             if exact.unstable[0] or not self.contact:
                 verdicts.put(np.array([0]), exact)
             else:
                 verdicts.verdict[0] = Verdict.UNDECIDED
         return verdicts
 
-    def _exact(self, state: States, condition: Condition) -> Verdicts:
+    def exact(self, state: States, condition: Condition) -> Verdicts:
+        """Return the verdict of the exact solver on a state under a condition."""
         settings = replace(self.settings, criterion="equilibrium", cone=self.settings.friction_cone)
         return ExactSolver(condition.applied_to(self.assembly), settings).check(state)
 

@@ -19,7 +19,7 @@ from falsework.errors import InputError
 
 _STREAM = re.compile(r"/dev/std(out|err)|(?:/dev/fd|/proc/self/fd)/(\d+)")
 """Paths that name an open stream of this process."""
-_ABANDONED = 3600.0
+ABANDONED = 3600.0
 """Age from which a draft beside a file counts as left by a killed process, seconds."""
 
 
@@ -161,5 +161,5 @@ def _remove_abandoned(target: Path) -> None:
     draft = re.compile(rf"\.{re.escape(target.name)}\.[0-9a-f]{{8}}")
     with contextlib.suppress(OSError), os.scandir(target.parent) as entries:
         for entry in entries:
-            if draft.fullmatch(entry.name) and time.time() - entry.stat().st_mtime > _ABANDONED:
+            if draft.fullmatch(entry.name) and time.time() - entry.stat().st_mtime > ABANDONED:
                 os.unlink(entry.path)

@@ -97,8 +97,8 @@ class CellPage:
         except OSError as error:
             raise InputError(f"cannot listen at {host} port {port} ({error.strerror}); choose another") from None
         self.configurations: list[Array] = []
-        self._sliders: list[list[Any]] = []
-        self._texts: list[Any] = []
+        self.sliders: list[list[Any]] = []
+        self.texts: list[Any] = []
         self._folders: list[Any] = []
         self._quiet = False
         self._latest: dict[int, int] = {}
@@ -145,8 +145,8 @@ class CellPage:
             if self.sight.cell is not None and not pairs:
                 said.append("nothing is too near in these configurations")
             said += [html_text(self._news)] if self._news else []
-            self._said.content = _block("falsework-faults", "".join(f"<div>{text}</div>" for text in said))
-            for text, robot, values in zip(self._texts, self._robots, self.configurations, strict=True):
+            self.said.content = _block("falsework-faults", "".join(f"<div>{text}</div>" for text in said))
+            for text, robot, values in zip(self.texts, self._robots, self.configurations, strict=True):
                 line = f"home = {home_text(robot.model, values)}"
                 text.content = _block("falsework-home", f"<code>{html_text(line)}</code>")
 
@@ -162,7 +162,7 @@ class CellPage:
             shown = values / _units(self._robots[robot])
             self._quiet = True
             try:
-                for slider, value in zip(self._sliders[robot], shown.tolist(), strict=True):
+                for slider, value in zip(self.sliders[robot], shown.tolist(), strict=True):
                     slider.value = float(np.clip(value, slider.min, slider.max))
             finally:
                 self._quiet = False
@@ -194,7 +194,7 @@ class CellPage:
         camera.position = middle + np.array([0.70, -0.95, 0.55]) * size * 1.35 + aside
         camera.look_at = middle + aside
         camera.fov = np.radians(36.0)
-        self._said = gui.add_html("")
+        self.said = gui.add_html("")
         self._reach = gui.add_checkbox("Reach of the arms", initial_value=False)
         self._reach.on_update(lambda _: self.scene.show_reach(bool(self._reach.value)))
         legend = "".join(f"<span style='color:{color}'>&#9632;</span> {words} &nbsp; " for color, words in LEGEND)
@@ -226,28 +226,30 @@ class CellPage:
                     start = float(np.clip(round(start, 3), low, high))
                     unit = "m" if model.prismatic[joint] else "°"
                     sliders.append(gui.add_slider(f"{printable(name)}, {unit}", low, high, step, start))
-                    sliders[-1].on_update(lambda _, robot=number: self._moved(robot))
-                self._sliders.append(sliders)
+                    sliders[-1].on_update(lambda _, robot=number: self.moved(robot))
+                self.sliders.append(sliders)
                 home = gui.add_button("Home")
                 home.on_click(lambda _, robot=number: self.set_configuration(robot, self._robots[robot].home))
                 propose = gui.add_button("Propose a home from here")
-                propose.on_click(lambda _, robot=number: self._propose(robot))
-                self._texts.append(gui.add_html(""))
+                propose.on_click(lambda _, robot=number: self.propose(robot))
+                self.texts.append(gui.add_html(""))
         self.scene.show_reach(bool(self._reach.value))
         self.refresh()
 
-    def _moved(self, robot: int) -> None:
+    def moved(self, robot: int) -> None:
+        """Show the configuration that the sliders of a robot have."""
         if self._quiet:
             return
         mine = self._latest[robot] = self._latest.get(robot, 0) + 1
         with self._lock:
-            if mine != self._latest[robot] or robot >= len(self._sliders):
+            if mine != self._latest[robot] or robot >= len(self.sliders):
                 return  # a later value of a slider waits for its turn, or the arm is no longer there
-            shown = np.array([slider.value for slider in self._sliders[robot]], dtype=float)
+            shown = np.array([slider.value for slider in self.sliders[robot]], dtype=float)
             self.configurations[robot] = shown * _units(self._robots[robot])
             self.refresh()
 
-    def _propose(self, robot: int) -> None:
+    def propose(self, robot: int) -> None:
+        """Put a robot where its home could be, near its present configuration."""
         cell = self.sight.cell
         assert cell is not None
         found = propose_home(_with_homes(cell, self.configurations), self.sight.parts, robot)
@@ -299,7 +301,7 @@ class CellPage:
             for folder in self._folders:
                 folder.remove()
             self.scene.remove()
-            self._sliders, self._texts, self._folders = [], [], []
+            self.sliders, self.texts, self._folders = [], [], []
             self.sight = sight
             self.scene = CellScene(self.server.scene, sight)
             self._news = f"read again at {time.strftime('%H:%M:%S')}"

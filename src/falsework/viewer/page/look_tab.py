@@ -41,13 +41,13 @@ class LookTab:
             return box
 
         self._forces = {kind: toggle(kind.capitalize(), value=False) for kind in FORCES}
-        self._motion = toggle("Motion", value=True, hint="How parts would move, where the state is not stable.")
-        self._presses = toggle("Presses", value=True)
+        self.motion = toggle("Motion", value=True, hint="How parts would move, where the state is not stable.")
+        self.presses = toggle("Presses", value=True)
         self._arms = toggle("Arms", value=True)
         if model.policy is not None:
             self._chances = toggle("Probabilities of the policy", value=model.show_probabilities)
-        self._explode = gui.add_slider("Apart", min=0.0, max=1.0, step=0.05, initial_value=0.0)
-        self._explode.on_update(lambda event: page.guard(event, self._viewed))
+        self.explode = gui.add_slider("Apart", min=0.0, max=1.0, step=0.05, initial_value=0.0)
+        self.explode.on_update(lambda event: page.guard(event, self._viewed))
         self._axis = gui.add_dropdown(
             "Section", tuple(_SECTIONS), hint="Hides parts whose middle is beyond a plane; no part is cut."
         )  # fmt: skip
@@ -82,10 +82,10 @@ class LookTab:
         scene.show_arrows(arrows, moved, *([] if proof is None else [proof.motion_color]))
         scene.show_scale(arrows.values())
         falls = proof is not None and not proof.stable
-        self._motion.visible = falls
+        self.motion.visible = falls
         for kind in ("contact forces", "friction"):
             self._forces[kind].visible = not falls
-        self._presses.visible = any(model.timeline.presses)
+        self.presses.visible = any(model.timeline.presses)
         self._arms.visible = model.arms is not None
         self._about.content = about_text(model)
         self._legend.content = legend_text(model, arrows)
@@ -94,11 +94,11 @@ class LookTab:
         """Return the arrows to draw; none where parts are moved apart, away from their forces."""
         if self._page.model.view.explode:
             return {}
-        found = dict(presses) if self._presses.value else {}
+        found = dict(presses) if self.presses.value else {}
         if proof is None:
             return found
         kinds = [kind for kind, box in self._forces.items() if box.value]
-        kinds += _MOTIONS if self._motion.value else ()
+        kinds += _MOTIONS if self.motion.value else ()
         if PRESSES in found:
             kinds.append(PRESSES)
         return found | {kind: some for kind, some in proof.arrows.items() if kind in kinds}
@@ -106,7 +106,7 @@ class LookTab:
     def _viewed(self) -> None:
         axis = _SECTIONS[self._axis.value]
         self._keep.visible = bool(axis)
-        self._page.model.view = SceneView(self._explode.value, axis, self._keep.value)
+        self._page.model.view = SceneView(self.explode.value, axis, self._keep.value)
         self._page.refresh()
 
     def _taken(self, event: Any) -> None:

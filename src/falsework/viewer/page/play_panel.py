@@ -34,26 +34,26 @@ class PlayPanel:
         """
         self._page = page
         model = page.model
-        self._where = gui.add_markdown("")
-        self._slider = gui.add_slider("Step", min=0.0, max=1.0, step=1.0, initial_value=0.0)
-        self._slider.on_update(lambda event: page.guard(event, self._moved))
-        self._gantt = gui.add_html("")
-        self._marker = gui.add_html("")
+        self.where = gui.add_markdown("")
+        self.slider = gui.add_slider("Step", min=0.0, max=1.0, step=1.0, initial_value=0.0)
+        self.slider.on_update(lambda event: page.guard(event, self._moved))
+        self.gantt = gui.add_html("")
+        self.marker = gui.add_html("")
         self._arms: Arms | None = None
         self._margins = gui.add_html("")
         self._folder = gui.add_folder("Play")
         with self._folder:
             self._button = gui.add_button("Play", hint="Space plays, arrow keys go to the next step and back.")
-            self._button.on_click(lambda event: page.guard(event, self._toggle))
+            self._button.on_click(lambda event: page.guard(event, self.toggle))
             speed = 2.0 if model.arms is None else 0.5 if model.clock is None else 1.0
-            self._speed = gui.add_slider("Steps per second", min=0.5, max=8.0, step=0.5, initial_value=speed)
+            self.speed = gui.add_slider("Steps per second", min=0.5, max=8.0, step=0.5, initial_value=speed)
             self._order = gui.add_dropdown("Order", tuple(_WORDS.values()), initial_value=_WORDS[model.direction])
             self._order.on_update(lambda event: page.guard(event, self._turned))
         keys = (("Next step", "arrowright", 1), ("Previous step", "arrowleft", -1))
         for name, key, by in keys:
             gui.add_command(name, hotkey=key).on_trigger(lambda event, by=by: page.guard(event, lambda: self._step(by)))
-        gui.add_command("Play or pause", hotkey="space").on_trigger(lambda event: page.guard(event, self._toggle))
-        self._playing = threading.Event()
+        gui.add_command("Play or pause", hotkey="space").on_trigger(lambda event: page.guard(event, self.toggle))
+        self.playing = threading.Event()
         self._stop = threading.Event()
         self._player = threading.Thread(target=self._play, name="falsework-player", daemon=True)
         self._player.start()
@@ -61,23 +61,23 @@ class PlayPanel:
     def close(self) -> None:
         """End the playback."""
         self._stop.set()
-        self._playing.set()
+        self.playing.set()
         if self._player is not threading.current_thread():
             self._player.join(timeout=5)
 
     def pause(self) -> None:
         """Pause playing."""
-        self._playing.clear()
+        self.playing.clear()
         self._button.label = "Play"
 
     def update(self) -> None:
         """Show the place of the model, and what there is to control."""
-        model, slider = self._page.model, self._slider
+        model, slider = self._page.model, self.slider
         unit, step = ("Step", 1) if model.clock is None else ("Seconds", 0.1)
         with self._page.quiet():
             if slider.label != unit:
                 slider.label, slider.step, slider.precision = unit, step, int(step < 1)
-                self._speed.label = "Steps per second" if model.clock is None else "Seconds per second"
+                self.speed.label = "Steps per second" if model.clock is None else "Seconds per second"
             slider.max = max(np.ceil(model.last_reading / step) * step, 1)
             slider.value = min(round(model.reading / step) * step, slider.max)
             self._order.value = _WORDS[model.direction]
@@ -89,19 +89,19 @@ class PlayPanel:
     def say(self) -> None:
         """Update what changes within a step: the text and the marker of the chart."""
         model = self._page.model
-        self._where.content = where_text(model, ask=self._page.asks)
+        self.where.content = where_text(model, ask=self._page.asks)
         if model.arms is not self._arms:
             self._arms = model.arms
             scheduled = None if model.arms is None or model.clock is None else model.arms.plan
-            self._gantt.content = "" if scheduled is None else gantt_svg(scheduled)
-            self._marker.content = ""
+            self.gantt.content = "" if scheduled is None else gantt_svg(scheduled)
+            self.marker.content = ""
         if model.arms is not None and model.clock is not None:
             style = marker_style(model.seconds / max(model.clock.makespan, 1e-3))
-            if style != self._marker.content:
-                self._marker.content = style
+            if style != self.marker.content:
+                self.marker.content = style
 
     def _moved(self) -> None:
-        self._page.model.go_to_reading(self._slider.value)
+        self._page.model.go_to_reading(self.slider.value)
         self._page.refresh()
 
     def _step(self, by: int) -> None:
@@ -114,24 +114,25 @@ class PlayPanel:
         self._page.model.turn(Direction(self._order.value))
         self._page.refresh()
 
-    def _toggle(self) -> None:
+    def toggle(self) -> None:
+        """Play the plan, from its beginning where it has ended, or pause."""
         model = self._page.model
-        if self._playing.is_set():
+        if self.playing.is_set():
             self.pause()
         elif len(model.timeline):
             if model.at_end:
                 model.go_to(model.timeline.begin)
-            self._playing.set()
+            self.playing.set()
             self._button.label = "Pause"
 
     def _play(self) -> None:
         while not self._stop.is_set():
-            if not self._playing.wait(0.5) or self._stop.is_set():
+            if not self.playing.wait(0.5) or self._stop.is_set():
                 continue
             begun = time.perf_counter()
             model = self._page.model
             before = int(model.position)
-            model.advance(float(self._speed.value) / FRAMES)
+            model.advance(float(self.speed.value) / FRAMES)
             if int(model.position) != before:
                 self._page.refresh()
             else:

@@ -127,9 +127,9 @@ class RecordedScene(ViserScene):
         return node
 
     def _hide(self, name: str) -> None:
-        if name in self._shown:
-            del self._shown[name]
-            for node in self._nodes.pop(name)[1]:
+        if name in self.shown:
+            del self.shown[name]
+            for node in self.nodes.pop(name)[1]:
                 node.remove()
 
 

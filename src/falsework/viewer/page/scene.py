@@ -64,8 +64,8 @@ class ViserScene:
         self._lined = assembly.part_count <= EDGES_UP_TO
         self._edges = [sharp_edges(v, f) for v, f in zip(self._vertices, self._faces, strict=True)]
         self._chunk = np.zeros(assembly.part_count, dtype=np.int64)
-        self._shown: dict[str, bytes] = {}
-        self._nodes: dict[str, Any] = {}
+        self.shown: dict[str, bytes] = {}
+        self.nodes: dict[str, Any] = {}
         self._ghosts: dict[int, tuple[bytes, Any]] = {}
         self._labels: dict[int, tuple[str, Any]] = {}
         self._opacity: float | None = None
@@ -132,7 +132,7 @@ class ViserScene:
         sent = 0
         for name, parts in wanted.items():
             sent += self._merge(name, parts)
-        for name in [name for name in self._shown if name.startswith("/parts/") and name not in wanted]:
+        for name in [name for name in self.shown if name.startswith("/parts/") and name not in wanted]:
             self._hide(name)
         sent += self._show_ghosts(appearance)
         self._show_labels(appearance, labels or {})
@@ -244,14 +244,14 @@ class ViserScene:
         if opacity == self._opacity:
             return
         self._opacity = opacity
-        for name, (_, nodes) in self._nodes.items():
+        for name, (_, nodes) in self.nodes.items():
             if name.startswith("/parts/") and name != "/parts/pale":
                 nodes[0].opacity = opacity
 
     @property
     def node_count(self) -> int:
         """Number of nodes that the browser currently draws."""
-        return len(self._shown) + len(self._ghosts) + len(self._arms) + len(self._carried)
+        return len(self.shown) + len(self._ghosts) + len(self._arms) + len(self._carried)
 
     def _merge(self, name: str, parts: Sequence[int]) -> int:
         key = np.asarray(parts, dtype=np.int32).tobytes()
@@ -321,23 +321,23 @@ class ViserScene:
 
     def _fresh(self, name: str, key: bytes) -> bool:
         """Return whether a node must be sent; one that is only hidden is shown again."""
-        if self._shown.get(name) == key:
+        if self.shown.get(name) == key:
             return False
-        if name in self._nodes and self._nodes[name][0] == key:
-            for node in self._nodes[name][1]:
+        if name in self.nodes and self.nodes[name][0] == key:
+            for node in self.nodes[name][1]:
                 node.visible = True
-            self._shown[name] = key
+            self.shown[name] = key
             return False
         return True
 
     def _keep(self, name: str, key: bytes, *nodes: Any) -> None:
-        self._shown[name] = key
-        self._nodes[name] = (key, nodes)
+        self.shown[name] = key
+        self.nodes[name] = (key, nodes)
 
     def _hide(self, name: str) -> None:
-        if name in self._shown:
-            del self._shown[name]
-            for node in self._nodes[name][1]:
+        if name in self.shown:
+            del self.shown[name]
+            for node in self.nodes[name][1]:
                 node.visible = False
 
 

@@ -26,7 +26,7 @@ _SWEEPS = 6
 EDGE, USELESS, ROUTE, SEEN = "#b9bbbf", "#d8dadd", ROBOTS[1], ROBOTS[0]
 
 
-def places_of(graph: StateGraph) -> Array:
+def places_of(graph: StateGraph, sweeps: int = _SWEEPS) -> Array:
     """Return column and row of every state: columns by steps of assembly, rows ordered to reduce crossings.
 
     Returns:
@@ -39,7 +39,7 @@ def places_of(graph: StateGraph) -> Array:
     for states in members:
         row[states] = np.arange(len(states)) - (len(states) - 1) / 2
     # Order each column by the mean row of its neighbours in the column before it, forwards and backwards in turn.
-    for sweep in range(_SWEEPS):
+    for sweep in range(sweeps):
         forwards = sweep % 2 == 0
         here, there = (graph.source, graph.target) if forwards else (graph.target, graph.source)
         for states in members if forwards else members[::-1]:

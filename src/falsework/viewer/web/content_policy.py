@@ -20,7 +20,7 @@ from falsework.errors import DependencyError
 _SCRIPT = re.compile(r"<script([^>]*)>(.*?)</script>", re.DOTALL)
 _PACKED = re.compile(r'data-p="([^"]*)" data-ss="(\d+)" data-cs="(\d+)"')
 """Attributes of the script that unpacks: the packed text, and the sizes of style sheet and program in it, bytes."""
-_ALPHABET = (
+ALPHABET = (
     "!#$%()*+,-./0123456789:;=?@ABCDEFGHIJKLMNOPQRSTUVWXYZ[\\]^_abcdefghijklmnopqrstuvwxyz{|}~"  # digits of base 88
 )
 _GROUP = 5
@@ -77,13 +77,13 @@ def unpack(text: str, size: int) -> bytes:
     import zstandard
 
     value_of = np.full(128, -1)
-    value_of[np.frombuffer(_ALPHABET.encode(), np.uint8)] = np.arange(len(_ALPHABET))
+    value_of[np.frombuffer(ALPHABET.encode(), np.uint8)] = np.arange(len(ALPHABET))
     digits = value_of[np.frombuffer(text.encode("ascii"), np.uint8)]
     whole = len(digits) // _GROUP * _GROUP
-    groups = digits[:whole].reshape(-1, _GROUP) @ (len(_ALPHABET) ** np.arange(_GROUP)[::-1])
+    groups = digits[:whole].reshape(-1, _GROUP) @ (len(ALPHABET) ** np.arange(_GROUP)[::-1])
     last = 0
     for digit in digits[whole:].tolist():
-        last = last * len(_ALPHABET) + digit
+        last = last * len(ALPHABET) + digit
     ending = b"" if whole == len(digits) else last.to_bytes(len(digits) - whole - 1, "big")
     try:
         content = zstandard.ZstdDecompressor().decompress(groups.astype(">u4").tobytes() + ending, max_output_size=size)

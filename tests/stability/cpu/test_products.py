@@ -9,11 +9,11 @@ import pytest
 
 from falsework.assembly import load_structure
 from falsework.stability.contact.kernel import build_contact_structure
+from falsework.stability.cpu.products import Operation, congruence, product, square_product
 from falsework.stability.problem import build_problem
 from falsework.utils.kernels import njit
-from falsework.utils.products import Congruence, Product, SquareProduct
 
-_subtract, _set, _add_square, _congruence = Product(-1), Product(1, adds=False), SquareProduct(1), Congruence()
+_subtract, _set, _add_square = product(-1), product(1, adds=False), square_product()
 
 
 @njit()
@@ -23,7 +23,7 @@ def multiply(left, right, less, only, square, rows, point, matrices, sums):
     _subtract(left, 1, left.shape[1], right, 1, right.shape[1], less, 2, less.shape[1], sixes, columns)
     _set(left, 1, left.shape[1], right, 1, right.shape[1], only, 0, only.shape[1], sixes, columns)
     _add_square(left, 1, left.shape[1], right, 1, right.shape[1], square, 0, 8)
-    _congruence(rows, point, matrices, len(matrices), sums)
+    congruence(rows, point, matrices, len(matrices), sums)
 
 
 @pytest.mark.parametrize("columns", [2, 6, 8, 12, 22])
@@ -38,14 +38,19 @@ def test_products_agree_with_numpy_and_write_nothing_else(columns: int, sixes: i
     less, only, square, sums = numbers(6, columns + 3), numbers(6, columns + 3), numbers(6, 8), numbers(6, 8)
     before, old, first = less.copy(), only.copy(), square.copy()
     multiply(left, right, less, only, square, rows, 2, matrices, sums)
-    product = left[:, 1:7].T @ right[:, 1 : 1 + columns]
-    before[:, 2 : 2 + columns] -= product
-    old[:, :columns] = product
+    expected = left[:, 1:7].T @ right[:, 1 : 1 + columns]
+    before[:, 2 : 2 + columns] -= expected
+    old[:, :columns] = expected
     np.testing.assert_allclose(less, before, atol=1e-12)
     np.testing.assert_allclose(only, old, atol=1e-12)
     np.testing.assert_allclose(square, first + left[:6, 1:7].T @ right[:6, 1:9], atol=1e-12)
     basis, points = rows[2 : 2 + sixes], matrices.reshape(-1, 3, 3)
     np.testing.assert_allclose(sums, np.einsum("pir,pki,pkc->rc", basis[:, :, :6], points, basis), atol=1e-12)
+
+
+def test_operations_run_only_in_kernels() -> None:
+    with pytest.raises(TypeError, match="load is part of kernels"):
+        Operation("load", 8)(np.zeros(8), 0)
 
 
 def test_rows_of_eight_numbers_lie_in_a_row_whatever_the_number_of_pairs() -> None:

@@ -1,0 +1,69 @@
+"""Tests look at what is public: private names of the package in them, and constants that they replace, are few."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+TESTS = Path(__file__).parent
+MOST_PRIVATE = 25
+MOST_REPLACED = 19
+PUBLIC = {"_replace", "_asdict", "_fields", "_make", "_exit", "_repr_mimebundle_", "_repr_html_"}
+"""Names of named tuples, of `os` and of Jupyter, which are public in spite of the underscore."""
+PLACES = {"ARCHIVE", "STRUCTURES", "_COMES_WITH_PACKAGE"}
+"""Constants that say where something is."""
+PRIVATE = re.compile(r"_(?!_)\w+")
+
+
+def private_names(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yield private names of other objects, with lines: attributes, imports, and texts that name what is replaced."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute):
+            own = isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")
+            names = [] if own else [node.attr]
+        elif isinstance(node, ast.ImportFrom):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("setattr", "getattr")):
+            texts = [word.value for word in node.args if isinstance(word, ast.Constant) and isinstance(word.value, str)]
+            names = [text.rpartition(".")[2] for text in texts]
+        else:
+            continue
+        yield from ((node.lineno, name) for name in names if PRIVATE.fullmatch(name) and name not in PUBLIC)
+
+
+def replaced_constants(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yield constants of the package that a test replaces by other values, with lines; an argument would do."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith((".setattr", ".setitem")):
+            said = " ".join(ast.unparse(word) for word in node.args[:2]).replace("'", "")
+            found = None if "sys.modules" in said else re.search(r"(?:\.|^|\s)(_?[A-Z][A-Z_]{2,})\b", said)
+            if found and found[1] not in PLACES and "ctypes" not in said:
+                yield node.lineno, found[1]
+
+
+def listed(kind: Callable[[ast.AST], Iterator[tuple[int, str]]]) -> list[str]:
+    """Return what a function yields for all files of tests, by place."""
+    return [
+        f"{path.relative_to(TESTS)}:{line}: {name}"
+        for path in sorted(TESTS.rglob("*.py"))
+        for line, name in kind(ast.parse(path.read_text(encoding="utf-8")))
+    ]
+
+
+def test_private_names_are_few() -> None:
+    found = listed(private_names)
+    assert len(found) <= MOST_PRIVATE, "\n".join(found)
+
+
+def test_few_constants_are_replaced() -> None:
+    found = listed(replaced_constants)
+    assert len(found) <= MOST_REPLACED, "\n".join(found)
+
+
+def test_the_checks_see_them() -> None:
+    tree = ast.parse("from m import _a\nx._b\nself._c\np.setattr(m, '_D', 1)\np.setattr('m.EDGES', 2)\nt._replace()")
+    assert [name for _, name in private_names(tree)] == ["_a", "_b", "_D"]
+    replaced = ast.parse("p.setattr(m, '_FEW', 1)\np.setattr('m.MOST', 2)\np.setattr(m, 'ask', f)")
+    assert [name for _, name in replaced_constants(replaced)] == ["_FEW", "MOST"]
