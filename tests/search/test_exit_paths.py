@@ -344,6 +344,7 @@ def test_turns_are_shown_in_pictures_and_refused_by_name_elsewhere(screwed: tupl
     np.testing.assert_allclose(
         look.moved(0, assembly.meshes[0].vertices), apply(move.displacement(share), assembly.meshes[0].vertices)
     )
+    assert "from above, turning by 180°" in instructions_csv(assembly_instructions(plan, assembly))
     with pytest.raises(PlanError, match="a part turns on its way in, which these files cannot show"):
         tracks_of(plan, assembly)
 
