@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from falsework.assembly import Assembly
 from falsework.assembly.library.blocks import box, gather
-from falsework.assembly.library.voxels import surface
+from falsework.assembly.library.voxels import _grow, surface
 from falsework.errors import InputError, PlanError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.paths.moves import Move, apply
@@ -388,3 +388,23 @@ def test_what_turns_could_do_is_not_proven() -> None:
     assert "straight moves and turns were sought along the faces and edges of parts" in found.result.limit
     found = find_plans(roomy, robots=1, moves=9, stability=SETTINGS)
     assert found.result.outcome is Outcome.PROVED_IMPOSSIBLE
+
+
+@pytest.mark.parametrize(("seed", "first"), [(174, 1), (231, 0), (357, 1), (395, 1)])
+def test_interlocked_pieces_open_once_others_are_shifted(seed: int, first: int) -> None:
+    """Four pieces of a box, one of them fixed, of which none leaves in one move, and one once another is shifted."""
+    drawn = _grow([*product(range(4), range(3), range(3))], 4, np.random.default_rng(seed))
+    assert drawn is not None
+    *pieces, frame = map(set, drawn)
+    assembly, held = of_cubes(*pieces, frame=frame), np.array([[2, 2, 2, 2]], dtype=np.uint8)
+    clearance = make_task(assembly, 3, moves=2).clearance
+    assert clearance is not None
+    np.testing.assert_array_equal(np.flatnonzero(clearance.can_leave(held)[0, :3]), [first])
+    target = np.where(np.arange(4) == first, 0, 2)
+    one = find_plans(assembly, robots=3, removable_only_if_clear=True, stability=SETTINGS, target=target)
+    assert one.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    plan = find_plans(assembly, robots=3, moves=2, stability=SETTINGS, target=target).plans[0]
+    (path,) = filter(None, plan.exit_paths)
+    assert len(path) == 2
+    assert first not in path[0].parts
+    assert validate_plan(plan, assembly, SETTINGS).good
