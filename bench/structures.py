@@ -21,8 +21,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from falsework.assembly import Assembly, load_structure
 from falsework.assembly.library import built_in, is_built_in
+from falsework.assembly.load import load_structure
+from falsework.assembly.model import Assembly
 from falsework.assembly.store import FILE
 from falsework.assembly.store import FORMAT as ASSEMBLY_FORMAT
 from falsework.errors import InputError

@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 from record import report, spread, write_to
 
-from falsework.assembly.state import INSTALLED
+from falsework import StabilityOracle, find_plans
+from falsework.assembly import INSTALLED
 from falsework.interop import Brick, assemble_bricks
 from falsework.interop.bricks import HEIGHT, PITCH
-from falsework.search import find_plans
-from falsework.stability import StabilityOracle
 
 STATES = 40
 """Number of late states of a plan, with most bricks in place, whose verdicts are timed."""

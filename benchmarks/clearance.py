@@ -19,8 +19,8 @@ import tyro
 from record import report, spread, write_to
 from states import find, one_core, real_structures
 
-from falsework.assembly import load_structure
-from falsework.geometry import clearance_table
+from falsework import load_structure
+from falsework.geometry.clearance.table import clearance_table
 
 REAL = ("dome-72", "dome-37", "vault-62")
 BUILT_IN = ("dome", "vault")

@@ -31,11 +31,19 @@ import tyro
 from record import report, spread, write_to
 from states import Recorder, find
 
-from falsework.assembly import load_structure
-from falsework.assembly.state import HELD, REMOVED, complete_state
-from falsework.search import Planner, PlannerSettings, SupportGuide, find_plans, make_task
+from falsework import (
+    PlannerSettings,
+    StabilityOracle,
+    StabilitySettings,
+    Verdict,
+    find_plans,
+    load_structure,
+    make_task,
+)
+from falsework.assembly import HELD, REMOVED, complete_state
+from falsework.search import SupportGuide
 from falsework.search.find import PLANS
-from falsework.stability import StabilityOracle, StabilitySettings, Verdict
+from falsework.search.planner import Planner
 from falsework.stability.settings import EQUILIBRIUM
 
 STRUCTURES = ("vault", "vault-62", "dome-72", "dog-35", "dome-37", "bottle-12", "dome")

@@ -21,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,17 +31,12 @@ from record import report, spread, write_to
 from robots import STRUCTURES, structure
 from states import find
 
-from falsework.assembly import Assembly
-from falsework.robots.cells.cell_file import load_cell
+from falsework import Assembly, Task, load_cell, plan_robots
+from falsework.robots import Cell, HybridSettings, RobotPlan, interruption
 from falsework.robots.cells.warm_up import compile_kernels
 from falsework.robots.checks.check import check_robot_plan
-from falsework.robots.model.cell import Cell
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridSettings
-from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
-from falsework.robots.plans.timeline import Interruption, interruption
-from falsework.search.problem.task import Task
+from falsework.robots.plans.timeline import Interruption
 
 _OTHER_SEED = 1000
 """Added to the seed for the rest of a plan."""
@@ -106,8 +101,8 @@ def main(arguments: Arguments) -> None:
     cpu: dict[str, list[float]] = {"sequential": [], "together": [], "command": []}
     tried = found = good = holding = carrying = 0
     for seed in seeds:
-        settings = HybridSettings(seed=seed, deadline=arguments.deadline)
-        plan = plan_robots(assembly, cell, settings=replace(settings, together=True)).plan
+        settings = HybridSettings(seed=seed)
+        plan = plan_robots(assembly, cell, settings=settings, deadline=arguments.deadline, concurrent=True).value
         if plan is None:
             continue
         for share in np.random.default_rng(seed).random(arguments.interruptions):
@@ -118,14 +113,16 @@ def main(arguments: Arguments) -> None:
             holding += any(part is not None and now.state[part] for part in now.held)
             carrying += any(grip is not None for grip in now.gripped)
             given: dict[str, Any] = {"configurations": now.configurations, "held": now.held, "gripped": now.gripped}
-            settings = HybridSettings(seed=seed + _OTHER_SEED, deadline=arguments.deadline)
+            settings = HybridSettings(seed=seed + _OTHER_SEED)
             rest: list[RobotPlan | None] = []
             begun = time.process_time()
-            one = plan_robots(assembly, cell, task=task, settings=settings, **given).plan
+            one = plan_robots(assembly, cell, task=task, settings=settings, deadline=arguments.deadline, **given).value
             cpu["sequential"].append(time.process_time() - begun)
             rest.append(one)
             begun = time.process_time()
-            both = plan_robots(assembly, cell, task=task, settings=replace(settings, together=True), **given).plan
+            both = plan_robots(
+                assembly, cell, task=task, settings=settings, deadline=arguments.deadline, concurrent=True, **given
+            ).value
             cpu["together"].append(time.process_time() - begun)
             rest.append(both)
             with tempfile.TemporaryDirectory() as folder:

@@ -30,8 +30,8 @@ from inclined_pairs import random_inclined_pair
 from record import report, write_to
 from states import one_core
 
-from falsework.assembly import Assembly, ContactWarning
-from falsework.stability import StabilityOracle, StabilitySettings, verify_certificates
+from falsework import Assembly, StabilityOracle, StabilitySettings, verify_certificates
+from falsework.assembly import ContactWarning
 from falsework.stability.problem import TOLERANCE
 
 _COUNTS = ("pairs", "states", "unsafe", "cautious")

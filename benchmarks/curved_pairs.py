@@ -13,7 +13,7 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from falsework.assembly import Assembly
+from falsework import Assembly
 from falsework.geometry import TriangleMesh
 
 Array = NDArray[np.float64]

@@ -17,10 +17,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from falsework.assembly import Assembly
-from falsework.assembly.state import States
+from falsework import Assembly, Direction, StabilityOracle, StabilitySettings
+from falsework.assembly import States
 from falsework.assembly.symmetry import symmetries
-from falsework.learn.config.train import TrainSettings
+from falsework.learn import Environment, Policy, TrainSettings
 from falsework.learn.data.dataset import (
     VALIDATION_STATES,
     Dataset,
@@ -30,14 +30,10 @@ from falsework.learn.data.dataset import (
     training_task,
 )
 from falsework.learn.data.symmetry_augmentation import symmetric_images
-from falsework.learn.env.environment import Environment
 from falsework.learn.networks.autocast import Network
-from falsework.learn.networks.policy import Policy
 from falsework.learn.training.evaluate import greedy_success, sample
 from falsework.search.device.oracle import TensorOracle, without_fallback
 from falsework.search.problem.hashing import StateIndex
-from falsework.search.problem.task import Direction
-from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.utils.tensors import put
 
 TRAIN_WIDTH, TEST_WIDTH = 64, 128

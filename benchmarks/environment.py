@@ -28,18 +28,10 @@ import tyro
 from record import report, write_to
 from states import find
 
-from falsework.assembly import Assembly, load_structure
-from falsework.learn.algorithms.curriculum import Curriculum
-from falsework.learn.algorithms.ppo import PPO
-from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.ppo import REINFORCEMENT
+from falsework import Assembly, StabilityOracle, StateGraph, load_structure
+from falsework.learn import PPO, REINFORCEMENT, Curriculum, Environment, PolicySettings, make_policy, roll_out
 from falsework.learn.data.dataset import search_states, training_task
-from falsework.learn.env.environment import Environment
-from falsework.learn.env.rollout import roll_out
-from falsework.learn.networks.factory import make_policy
-from falsework.search import StateGraph
 from falsework.search.device.oracle import tensor_oracle
-from falsework.stability import StabilityOracle
 from falsework.utils.collectives import same_weights, summed
 from falsework.utils.distributed import ProcessGroup, init_distributed
 

@@ -29,16 +29,10 @@ import tyro
 from numpy.typing import NDArray
 from record import report, write_to
 
-from falsework.assembly import load_structure
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, complete_state
-from falsework.search.beam.beam import BeamSearch
-from falsework.search.beam.settings import BeamSettings
-from falsework.search.find import make_task
-from falsework.search.problem.guide import SupportGuide
-from falsework.search.problem.task import Direction
-from falsework.stability import StabilityOracle
-from falsework.stability.verdict import Verdicts
+from falsework import Assembly, Direction, StabilityOracle, load_structure, make_task
+from falsework.assembly import HELD, INSTALLED, REMOVED, States, complete_state
+from falsework.search import BeamSearch, BeamSettings, SupportGuide
+from falsework.stability import Verdicts
 
 Case = Literal["first", "strip", "last"]
 

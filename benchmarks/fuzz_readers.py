@@ -32,16 +32,16 @@ from typing import Any
 
 import numpy as np
 
-from falsework.assembly import Assembly, load_structure, save_assembly
+from falsework import Assembly, Plan, StabilityOracle, StateGraph, find_plans, load_structure, make_task
 from falsework.assembly.load import read_draft
+from falsework.assembly.store import save_assembly
 from falsework.cli.arguments import read_states
 from falsework.errors import FalseworkError
 from falsework.interop.compas_write import write_compas
 from falsework.interop.gltf import write_gltf
-from falsework.search import Plan, StateGraph, find_plans, load_plan, load_state_graph, make_task, save_plan
+from falsework.search.plans.plan_file import load_plan, save_plan
 from falsework.search.plans.plan_source import structure_of_plan
-from falsework.search.problem.state_graph import save_state_graph
-from falsework.stability import StabilityOracle
+from falsework.search.problem.state_graph import load_state_graph, save_state_graph
 
 SECONDS = 30
 """Longest time for an input."""
@@ -161,11 +161,11 @@ def _structures(assembly: Assembly, scratch: Path) -> Iterator[tuple[str, Kind]]
                 written if isinstance(written, bytes) else str(written).encode(), f"a.{suffix[:3]}", _read_structure, {}
             ),
         )
-    write_gltf(scratch / "a.glb", assembly)
+    write_gltf(assembly, scratch / "a.glb")
     yield "glb", _kind(scratch / "a.glb", _read_structure)
     for number, form in enumerate(("meshes", "assembly", "dem")):
         path = scratch / f"compas-{number}.json"
-        write_compas(path, assembly, form)  # type: ignore[arg-type]
+        write_compas(assembly, path, form)  # type: ignore[arg-type]
         yield f"compas {form}", _kind(path, _read_structure)
         if form != "meshes":
             yield f"interfaces of compas {form}", _kind(path, partial(load_structure, interfaces="compare"))
@@ -204,9 +204,10 @@ def kinds_apart(assembly: Assembly, scratch: Path) -> Iterator[tuple[str, Kind]]
 
 
 def _robots(plan: Plan, assembly: Assembly, scratch: Path) -> Iterator[tuple[str, Kind]]:
-    from falsework.robots.cells.cell_file import load_cell, parse_cell
+    from falsework import load_cell
+    from falsework.robots import Keyframe, RobotPlan, RobotStep, Trajectory
+    from falsework.robots.cells.cell_file import parse_cell
     from falsework.robots.model.cell import cell_identity
-    from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
     from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
     from falsework.robots.plans.robot_record import records_of
 
@@ -231,7 +232,7 @@ def _descriptions() -> Iterator[tuple[str, Kind]]:
         import yourdfpy  # noqa: F401 - reads them
     except ImportError:
         return
-    from falsework.robots.cells.urdf import load_urdf
+    from falsework.robots import load_urdf
 
     files = {"arm.urdf": URDF.encode(), "arm.srdf": SRDF.encode(), "arm.obj": WEDGE.encode()}
     for name, content in files.items():
@@ -245,11 +246,11 @@ def _learning(assembly: Assembly, plan: Plan, scratch: Path) -> Iterator[tuple[s
         import torch  # noqa: F401
     except ImportError:
         return
-    from falsework.learn.config.policy import PolicySettings
-    from falsework.learn.config.train import TrainSettings, to_dict
+    from falsework.learn import PolicySettings, TrainSettings, load_run, make_policy
+    from falsework.learn.config.train import to_dict
     from falsework.learn.data.dataset import Dataset, load_dataset, save_dataset, training_task
-    from falsework.learn.networks.factory import describe, make_policy
-    from falsework.learn.training.checkpoint import FILE, WEIGHTS, describe_structure, load_run, save_run
+    from falsework.learn.networks.factory import describe
+    from falsework.learn.training.checkpoint import FILE, WEIGHTS, describe_structure, save_run
 
     states = plan.states
     data = Dataset(

@@ -34,8 +34,9 @@ from experiments.general_cases import CASES, evaluate_case
 from experiments.structure_generator import generated
 from record import report, spread, write_to
 
+from falsework import load_policy
 from falsework.errors import FalseworkError, InputError
-from falsework.learn.config.policy import PolicySettings
+from falsework.learn import PolicySettings
 from falsework.learn.data.labelled_states import (
     LabelledStructure,
     LabelSettings,
@@ -44,7 +45,6 @@ from falsework.learn.data.labelled_states import (
     save_labelled,
 )
 from falsework.learn.data.structure_batches import StructureBatches
-from falsework.learn.training.checkpoint import load_policy
 from falsework.learn.training.general import GeneralSettings, GeneralTraining
 from falsework.utils.tensors import choose_device
 

@@ -32,12 +32,11 @@ import tyro
 from record import report, spread, write_to
 from states import find
 
-from falsework.assembly import Assembly, load_structure
-from falsework.search import BeamSearch, BeamSettings, StateGraph, Task
+from falsework import Assembly, StabilityOracle, StabilitySettings, StateGraph, Task, load_structure
+from falsework.search import BeamSearch, BeamSettings
 from falsework.search.device.beam import DeviceBeam
 from falsework.search.device.oracle import tensor_oracle
-from falsework.stability import StabilityOracle
-from falsework.stability.settings import Criterion, StabilitySettings
+from falsework.stability.settings import Criterion
 from falsework.utils.cores import core_count
 from falsework.utils.distributed import ProcessGroup, init_distributed
 

@@ -24,11 +24,11 @@ import tyro
 from record import report, spread, write_to
 from states import find
 
-from falsework.assembly import Assembly, load_structure
-from falsework.assembly.state import HELD, REMOVED, States, complete_state
-from falsework.stability import StabilitySettings, Verdict, build_problem
+from falsework import Assembly, StabilitySettings, Verdict, load_structure
+from falsework.assembly import HELD, REMOVED, States, complete_state
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.gpu.solver import GpuSolver
+from falsework.stability.problem import build_problem
 from falsework.utils.cores import core_count
 
 

@@ -27,11 +27,12 @@ from baselines.shared_inverse import SharedInverse, SharedInverseSettings
 from record import report, write_to
 from states import asked_states, find, real_structures
 
-from falsework.assembly import Assembly, load_structure
-from falsework.stability import Criterion, Problem, StabilitySettings, Verdict, build_problem, verify_certificates
+from falsework import Assembly, StabilitySettings, Verdict, load_structure, verify_certificates
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
+from falsework.stability.problem import Problem, build_problem
+from falsework.stability.verdict import Criterion
 
 _MOST = 1 << 16
 """Largest number of states of one structure."""

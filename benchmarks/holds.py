@@ -22,13 +22,13 @@ from record import report, spread, write_to
 from shells import NAMES, shell
 from states import find
 
-from falsework.assembly import Assembly, load_structure
-from falsework.search import PlannerSettings, find_plans
+from falsework import Assembly, PlannerSettings, find_plans, load_structure
 from falsework.search.find import PLANS
-from falsework.stability import Replayer
+from falsework.stability import HoldSettings
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.varied_replay import DRAWS, EnsembleReplayer, replay_varied
-from falsework.stability.holds import HoldMode, HoldSettings
-from falsework.stability.judges import BuildJudge
+from falsework.stability.holds import HoldMode
+from falsework.stability.judges.build_judge import BuildJudge
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import shapely
 from curved_pairs import Array, least_residual, solid, tessellation
 from numpy.typing import NDArray
 
-from falsework.assembly import Assembly
+from falsework import Assembly
 from falsework.geometry import ContactSettings, TriangleMesh
 
 _STEEPEST = 0.25

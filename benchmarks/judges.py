@@ -40,20 +40,19 @@ from runs import Run, append, kept, printed_by, read_runs, run_all
 from shells import NAMES, shell
 from states import REAL, find
 
-from falsework.assembly import Assembly, load_structure
-from falsework.assembly.state import HELD, complete_state
-from falsework.search import Plan, PlannerSettings, find_plans, make_task
+from falsework import Assembly, Plan, PlannerSettings, StabilityOracle, Verdict, find_plans, load_structure, make_task
+from falsework.assembly import HELD, complete_state
 from falsework.search.find import PLANS
-from falsework.stability import StabilityOracle, Verdict
 from falsework.stability.contact.varied_replay import DRAWS, replay_varied
-from falsework.stability.judges import (
+from falsework.stability.judges.build_judge import matched_sink
+from falsework.stability.judges.discrete_elements import (
+    SOFT,
+    STIFF,
     DiscreteElementSettings,
-    judge_by_lmgc90,
-    matched_sink,
     replay_by_discrete_elements,
     settle,
 )
-from falsework.stability.judges.discrete_elements import SOFT, STIFF
+from falsework.stability.judges.lmgc90 import judge_by_lmgc90
 
 _DEADLINE, _SHELL_DEADLINE = 120.0, 60.0
 """Seconds for a plan: of a structure, and of a random shell."""

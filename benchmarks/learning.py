@@ -37,25 +37,21 @@ from baselines.uniform import UniformPolicy
 from draws import Searches, success_on_draws, test_seeds
 from states import find
 
-from falsework.assembly import load_structure
+from falsework import StabilityOracle, StabilitySettings, load_structure, train
 from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
-from falsework.learn.config.policy import PolicySettings, recommended
-from falsework.learn.config.train import METHODS, Criterion, TrainSettings, from_dict, to_dict
+from falsework.learn import Environment, Policy, PolicySettings, TrainSettings, roll_out, transfer
+from falsework.learn.config.policy import recommended
+from falsework.learn.config.train import METHODS, Criterion, from_dict, to_dict
 from falsework.learn.data.dataset import Dataset, build_dataset, search_states, training_task
 from falsework.learn.data.symmetry_augmentation import symmetric_images
-from falsework.learn.env.environment import Environment
-from falsework.learn.env.rollout import roll_out
 from falsework.learn.networks.autocast import Network
-from falsework.learn.networks.factory import transfer
-from falsework.learn.networks.policy import Policy
-from falsework.learn.training.evaluate import GoalBlindPolicy, evaluate, sample
+from falsework.learn.training.evaluate import GoalBlindPolicy, measure_success, sample
 from falsework.learn.training.run_context import RunContext
-from falsework.learn.training.train import TrainResult, train
+from falsework.learn.training.train import TrainResult
 from falsework.learn.training.training_data import find_pairs
 from falsework.search.device.oracle import TensorOracle, tensor_oracle
 from falsework.search.problem.hashing import StateIndex
-from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.utils.distributed import ProcessGroup, init_distributed
 from falsework.utils.tensors import choose_device, put
 
@@ -155,7 +151,9 @@ def evaluated(
     filled = settings.resolved(assembly.part_count, device.type)
     oracle = StabilityOracle(assembly, StabilitySettings(criterion=settings.criterion))
     clearance = settings.removable_only_if_clear
-    environment = Environment(assembly, settings.robots, oracle=oracle, device=device, clearance=clearance)
+    environment = Environment(
+        assembly, settings.robots, oracle=oracle, device=device, removable_only_if_clear=clearance
+    )
     network: Any = Network(result.policy, filled.precision)
     if settings.policy.goal_conditioned or one_state:
         narrow = replace(filled, data="width64")
@@ -170,7 +168,7 @@ def evaluated(
         data = protocol(assembly, settings, tensor_oracle(oracle, device), str(device))
         sets = {"train": (data.train, None), "test": (data.test, None)}
     shards = ProcessGroup.from_torch()
-    found = evaluate(environment, network, sets, most=options.states, search=options.search, shards=shards)
+    found = measure_success(environment, network, sets, most=options.states, search=options.search, shards=shards)
     for name, (states, targets) in sets.items():
         rows = sample(np.arange(len(states)), options.states)
         tensors = put(states[rows], device), None if targets is None else put(targets[rows], device)

@@ -60,8 +60,8 @@ from runs import SOURCE, Run, append, kept, own_cores, printed_by, read_runs, ru
 from search_rules import LEFT_OUT, acts_in, comparison, each_of, probe_all, switch_off
 
 if TYPE_CHECKING:
-    from falsework.assembly import Assembly
-    from falsework.search import Planning
+    from falsework import Assembly
+    from falsework.search.planning import Planning
 
 Half = Literal["tuned", "held-out"]
 Criterion = Literal["contact", "equilibrium"]
@@ -170,7 +170,7 @@ class Perturbation:
         Raises:
             ValueError: a structure with given contacts, loads, joints or props, which are not perturbed.
         """
-        from falsework.assembly import Assembly
+        from falsework import Assembly
         from falsework.geometry import TriangleMesh
 
         if assembly.contacts_given or assembly.props or not (assembly.loads is None and assembly.joints is None):
@@ -294,9 +294,8 @@ def search(case: Run) -> Run:
     """
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {case["core"]})
-    from falsework.assembly import load_structure
-    from falsework.search import PlannerSettings, find, find_plans
-    from falsework.stability import StabilityOracle, StabilitySettings
+    from falsework import PlannerSettings, StabilityOracle, StabilitySettings, find_plans, load_structure
+    from falsework.search import find
     from falsework.stability.contact.replay import Replayer
 
     switch_off(case.get("without", ""))

@@ -27,14 +27,22 @@ import numpy as np
 from record import report, spread, write_to
 from states import find
 
-from falsework.assembly import Assembly, load_structure
-from falsework.assembly.state import INSTALLED, complete_state
-from falsework.search import PlanMargins, find_plans, maximise_margin
-from falsework.search.find import make_task
-from falsework.search.margins.demands import Demands
-from falsework.stability import Bound, Criterion, Replayer, StabilityOracle, StabilitySettings
+from falsework import (
+    Assembly,
+    StabilityOracle,
+    StabilitySettings,
+    find_plans,
+    load_structure,
+    make_task,
+    maximise_margin,
+)
+from falsework.assembly import INSTALLED, complete_state
+from falsework.search import Demands, PlanMargins
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.judges.discrete_elements import settle
 from falsework.stability.margins.conditions import Condition
+from falsework.stability.margins.state_margins import Bound
+from falsework.stability.verdict import Criterion
 
 KINDS = ("friction", "tilt", "load_factor", "push", "held")
 TOGETHER = 8

@@ -24,8 +24,7 @@ from motion_reference import Reference, convex
 from record import report, write_to
 from states import find
 
-from falsework.assembly import load_structure
-from falsework.robots.cells.cell_file import load_cell
+from falsework import load_cell, load_structure
 from falsework.robots.cells.warm_up import compile_kernels
 from falsework.robots.grasping.grasp import grasps
 from falsework.robots.kernels.collision import distance_between

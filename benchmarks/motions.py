@@ -22,11 +22,10 @@ import tyro
 from record import report, spread, write_to
 from states import one_core
 
-from falsework.assembly import Assembly
+from falsework import Assembly, StabilitySettings, find_plans
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.library.voxels import surface
-from falsework.search import find_plans, validate_plan
-from falsework.stability import StabilitySettings
+from falsework.search.plans.plan_check import validate_plan
 
 SETTINGS = StabilitySettings(criterion="equilibrium")
 EDGE = 0.1

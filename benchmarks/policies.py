@@ -26,11 +26,10 @@ from experiments.transfer import Budget, compare_networks, transfer_experiment
 from record import report, write_to
 from states import find, real_structures
 
-from falsework.assembly import load_structure
-from falsework.learn.config.policy import Kind, PolicySettings
+from falsework import load_structure
+from falsework.learn import PolicySettings, make_policy, masked_log_probabilities
+from falsework.learn.config.policy import Kind
 from falsework.learn.data.dataset import DataSettings
-from falsework.learn.networks.factory import make_policy
-from falsework.learn.networks.policy import masked_log_probabilities
 from falsework.utils.tensors import choose_device
 
 

@@ -27,11 +27,11 @@ import tyro
 from record import report, write_to
 from states import find
 
-from falsework.assembly import Assembly, load_structure
-from falsework.assembly.state import States, complete_state
-from falsework.replanning.replanner import Replanner, ReplanResult, Request
-from falsework.search import BeamSearch, BeamSettings, Task, validate_plan
-from falsework.stability import StabilityOracle, StabilitySettings
+from falsework import Assembly, Replanner, StabilityOracle, StabilitySettings, Task, load_structure
+from falsework.assembly import States, complete_state
+from falsework.replanning.replanner import ReplanResult, Request
+from falsework.search import BeamSearch, BeamSettings
+from falsework.search.plans.plan_check import validate_plan
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def cases(options: Options) -> Iterator[Case]:
     if options.runs:
         import torch
 
-        from falsework.learn.training.checkpoint import load_run
+        from falsework.learn import load_run
 
         torch.set_num_threads(options.threads)
         for folder in options.runs:

@@ -48,28 +48,20 @@ import tyro
 from record import report, spread, write_to
 from states import find
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, Direction, StabilityOracle, Task, load_cell, load_structure, plan_robots
 from falsework.errors import FalseworkError
-from falsework.robots.cells.cell_file import load_cell
-from falsework.robots.cells.validate import check_cell
+from falsework.robots import Cell, CellRobot, HybridSettings, KeyframeGraph, RobotPlan, check_cell, simulate
 from falsework.robots.cells.warm_up import compile_kernels
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.checks.delays import check_delays
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.checks.schedule import check_schedule
-from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import inverse_pose, pose
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
-from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.planning.hybrid_result import HybridResult
 from falsework.robots.plans.robot_plan_file import save_robot_plan
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
-from falsework.robots.schedule.simulation import simulate
-from falsework.search.problem.guide import Guide
-from falsework.search.problem.task import Direction, Task
-from falsework.stability import StabilityOracle
+from falsework.search import Guide
 
 STRUCTURES = {
     "dome-37": "dome-37",
@@ -129,20 +121,20 @@ def once(
     """Plan once from structure and cell alone, with a guide if given, and with parts held again if `support`."""
     task = Task.from_rules(assembly.boundary, cell.robot_count, identity=assembly.identity, allow_regrasp=support)
     begun, work = time.perf_counter(), time.process_time()
-    result = plan_robots(assembly, cell, task=task, guide=guide, settings=HybridSettings(seed=seed, deadline=deadline))
+    result = plan_robots(assembly, cell, task=task, guide=guide, settings=HybridSettings(seed=seed), deadline=deadline)
     seconds, work = time.perf_counter() - begun, time.process_time() - work
     statistics = {key: value for key, value in result.statistics.items() if key not in ("failure", "seconds", "seed")}
     fields: dict[str, Any] = {"found": result.found, "seconds": round(seconds, 3), "cpu_seconds": round(work, 3)}
     fields |= statistics
-    if result.plan is not None:
-        fields["motion_seconds"] = round(result.plan.seconds, 1)
+    if result.value is not None:
+        fields["motion_seconds"] = round(result.value.seconds, 1)
         if support:
-            handed = sum(step.hands_over is not None for step in result.plan.steps) // 2
-            opened = [result.plan.grip(step) for step in range(len(result.plan))].count("open")
+            handed = sum(step.hands_over is not None for step in result.value.steps) // 2
+            opened = [result.value.grip(step) for step in range(len(result.value))].count("open")
             fields |= {"released": opened - handed, "handed_over": handed}
     if result.explanation is not None:
         fields["why"] = result.explanation.text
-    plan = result.plan or result.partial
+    plan = result.value or result.partial
     if check and plan is not None:
         checked = check_robot_plan(plan, assembly, cell)
         fields |= {"check": checked.good, "samples": checked.samples, "check_seconds": round(checked.seconds, 1)}
@@ -154,12 +146,12 @@ def policy_guide(run: Path, assembly: Assembly, cell: Cell) -> Guide:
     """Return a trained policy, on one thread, which is faster for single states."""
     import torch
 
+    from falsework.learn import load_run
     from falsework.learn.data.dataset import training_task
-    from falsework.learn.training.checkpoint import load_run
     from falsework.replanning.policy_guide import PolicyGuide
 
     torch.set_num_threads(1)
-    task = training_task(assembly, cell.robot_count, clearance=True)
+    task = training_task(assembly, cell.robot_count, removable_only_if_clear=True)
     return PolicyGuide(load_run(run, assembly=assembly).policy, task=task)
 
 
@@ -235,11 +227,11 @@ def together(name: str, arguments: Arguments) -> None:
     shares, bounds, extra, extra_cpu, good = [], [], [], [], 0
     seeds = tuple(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
     for seed in seeds:
-        alone = HybridSettings(seed=seed, deadline=arguments.deadline)
+        alone = HybridSettings(seed=seed)
         begun, work = time.perf_counter(), cpu_seconds()
-        before = plan_robots(assembly, cell, settings=alone).plan
+        before = plan_robots(assembly, cell, settings=alone, deadline=arguments.deadline).value
         middle, used = time.perf_counter(), cpu_seconds()
-        plan = plan_robots(assembly, cell, settings=replace(alone, together=True)).plan
+        plan = plan_robots(assembly, cell, settings=alone, deadline=arguments.deadline, concurrent=True).value
         seconds, cpu = time.perf_counter() - middle, cpu_seconds() - used
         if before is None or plan is None or plan.schedule is None:
             both = {"found_sequential": before is not None, "cpu_seconds": round(cpu_seconds() - work, 1)}
@@ -295,9 +287,11 @@ def midway(name: str, arguments: Arguments) -> None:
     cpu: dict[str, list[float]] = {"fresh": [], "kept": []}
     tried = found = good = 0
     for seed in seeds:
-        settings = HybridSettings(Direction.DISASSEMBLY, seed=seed, deadline=arguments.deadline)
+        settings = HybridSettings(Direction.DISASSEMBLY, seed=seed)
         graph, oracle = KeyframeGraph(assembly, cell, seed=seed), StabilityOracle(assembly)
-        first = plan_robots(assembly, cell, settings=settings, graph=graph, oracle=oracle).plan
+        first = plan_robots(
+            assembly, cell, settings=settings, deadline=arguments.deadline, graph=graph, oracle=oracle
+        ).value
         if first is None:
             continue
         busy = [k for k, frame in enumerate(first.keyframes) if any(part is not None for part in frame.held)]
@@ -318,8 +312,9 @@ def midway(name: str, arguments: Arguments) -> None:
                     configurations=frame.configurations,
                     held=frame.held,
                     settings=settings,
+                    deadline=arguments.deadline,
                     **again,
-                ).plan
+                ).value
                 seconds[kind].append(time.perf_counter() - begun)
                 cpu[kind].append(time.process_time() - work)
                 tried += 1
@@ -359,8 +354,8 @@ def delays(name: str, arguments: Arguments) -> None:
     """Plan with several seeds in one built-in cell, and check the schedules under any delays."""
     assembly, cell = structure(STRUCTURES[name]), load_cell(name)
     for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
-        settings = HybridSettings(seed=seed, deadline=arguments.deadline, together=True)
-        plan = plan_robots(assembly, cell, settings=settings).plan
+        settings = HybridSettings(seed=seed)
+        plan = plan_robots(assembly, cell, settings=settings, deadline=arguments.deadline, concurrent=True).value
         if plan is None or plan.schedule is None:
             report("robots delays", cell=name, robots=cell.robot_count, found=False, seeds=(seed,))
             continue

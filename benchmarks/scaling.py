@@ -33,12 +33,11 @@ import numpy as np
 import tyro
 from record import report, write_to
 
-from falsework.assembly import load_structure
-from falsework.assembly.state import HELD, REMOVED, complete_state
+from falsework import PlannerSettings, StabilityOracle, StabilitySettings, find_plans, load_structure
+from falsework.assembly import HELD, REMOVED, complete_state
 from falsework.geometry import find_contacts
-from falsework.search import PlannerSettings, SearchProgress, find_plans
+from falsework.search import SearchProgress
 from falsework.search.find import PLANS
-from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.stability.settings import EQUILIBRIUM
 from falsework.stability.verdict import Criterion
 

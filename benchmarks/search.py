@@ -30,21 +30,20 @@ from baselines.depth_first import DepthFirstSearch, DepthFirstSettings
 from record import report, write_to
 from states import REAL, find, real_structures
 
-from falsework.assembly import load_structure
-from falsework.search import (
-    BeamSearch,
-    BeamSettings,
+from falsework import (
     Direction,
     PlannerSettings,
-    SearchProgress,
+    StabilityOracle,
+    StabilitySettings,
     StateGraph,
     find_plans,
+    load_structure,
     make_task,
-    validate_proofs,
 )
+from falsework.search import BeamSearch, BeamSettings, SearchProgress
+from falsework.search.plans.plan_check import validate_proofs
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.hold_bound import HoldBound
-from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.stability.settings import EQUILIBRIUM
 
 TABLE_3 = {"bottle-12": (1077, 1159), "dome-37": (4540, 8430), "vault-62": (4781, 10229)}

@@ -59,9 +59,8 @@ class Options:
 
 def search(options: Options, seed: int) -> dict[str, Any]:
     """Search for one plan in this process."""
-    from falsework.assembly import load_structure
-    from falsework.search import PlannerSettings, find_plans, save_plan
-    from falsework.stability import StabilityOracle, StabilitySettings
+    from falsework import PlannerSettings, StabilityOracle, StabilitySettings, find_plans, load_structure
+    from falsework.search.plans.plan_file import save_plan
 
     stability = StabilitySettings(criterion=options.criterion)
     if "reserve" in StabilitySettings.__dataclass_fields__ and options.criterion == "contact":  # not in old commits

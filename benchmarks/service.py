@@ -37,9 +37,8 @@ import tyro
 from record import report, write_to
 from states import asked_states, find
 
-from falsework.assembly import Assembly, load_structure
-from falsework.assembly.state import complete_state, empty_state
-from falsework.search import find_plans, make_task
+from falsework import Assembly, find_plans, load_structure, make_task
+from falsework.assembly import complete_state, empty_state
 
 MOST_REQUESTS = 60_000
 """Limit on requests of one benchmark."""

@@ -13,11 +13,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly import Assembly, library
+from falsework import Assembly, StabilityOracle
+from falsework.assembly import complete_state, library
 from falsework.assembly.library.blocks import Solid, gather, loft, prism
-from falsework.assembly.state import complete_state
 from falsework.geometry import TriangleMesh
-from falsework.stability import StabilityOracle
 
 Array = NDArray[np.float64]
 

@@ -33,15 +33,9 @@ from baselines.shared_inverse import SharedInverse, SharedInverseSettings
 from record import report, write_to
 from states import asked_states, find, real_structures
 
-from falsework.assembly import Assembly, load_structure
-from falsework.assembly.state import States, complete_state
-from falsework.stability import (
-    CpuSettings,
-    ExactSolver,
-    StabilityOracle,
-    StabilitySettings,
-    verify_certificates,
-)
+from falsework import Assembly, StabilityOracle, StabilitySettings, load_structure, verify_certificates
+from falsework.assembly import States, complete_state
+from falsework.stability import CpuSettings, ExactSolver
 
 Measure = Literal["verdicts", "cold", "baseline"]
 

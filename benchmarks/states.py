@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly import Assembly
-from falsework.assembly.state import States
-from falsework.search import BeamSearch, BeamSettings, Task
-from falsework.stability import StabilityOracle, Verdicts
+from falsework import Assembly, StabilityOracle, Task
+from falsework.assembly import States
+from falsework.search import BeamSearch, BeamSettings
+from falsework.stability import Verdicts
 from falsework.stability.settings import EQUILIBRIUM
 
 REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72")

@@ -29,21 +29,24 @@ import tyro
 from record import report, write_to
 from states import find
 
-from falsework.assembly import Assembly, keep_props, load_structure, prop_places, with_props
-from falsework.errors import AssemblyError
-from falsework.search import (
-    ExhaustiveRegraspSearch,
-    ExhaustiveSearch,
+from falsework import (
+    Assembly,
     Outcome,
     PlannerSettings,
+    StabilityOracle,
     find_plans,
+    load_structure,
     make_task,
     min_robots,
-    structure_of_plan,
-    validate_plan,
 )
+from falsework.assembly import prop_places, with_props
+from falsework.assembly.props import keep_props
+from falsework.errors import AssemblyError
+from falsework.search import ExhaustiveSearch
+from falsework.search.plans.plan_check import validate_plan
+from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.problem.result import SearchResult
-from falsework.stability import StabilityOracle
+from falsework.search.regrasp.exhaustive import ExhaustiveRegraspSearch
 
 SMALL = 20
 """Most parts, fixed ones and places for props included, of a structure that is searched exhaustively."""
@@ -89,10 +92,10 @@ def once(options: Options, assembly: Assembly) -> dict[str, Any]:
     if first is not None and first.found and (plan is None or plan.robots > first.plans[0].robots):
         plan = first.plans[0]
     robots = None if plan is None else plan.robots
-    proven = found.certain if found.impossible else robots == found.least
+    proven = found.certain if found.impossible else robots == found.bound
     return {
         "robots": robots,
-        "least": found.least,
+        "least": found.bound,
         "impossible": found.impossible,
         "refuted": 0 if found.barrier is None else found.barrier.robots,
         "steps": None if plan is None else len(plan),

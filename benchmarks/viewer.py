@@ -18,14 +18,13 @@ from pathlib import Path
 import numpy as np
 from record import report, write_to
 
-from falsework.assembly import Assembly, load_structure
-from falsework.assembly.state import HELD, REMOVED, complete_state
-from falsework.search import find_plans, make_task
-from falsework.search.problem.task import Direction
+from falsework import Assembly, Direction, find_plans, load_structure, make_task
+from falsework.assembly import HELD, REMOVED, complete_state
+from falsework.viewer import Timeline
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.pictures.contact_sheet import contact_sheet, one_state
-from falsework.viewer.timeline import Timeline, holders
+from falsework.viewer.timeline import holders
 
 FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
 COUNT = """() => new Promise(done => {

@@ -14,13 +14,13 @@ def main() -> None:
     print(f"{vault.name}: {vault.part_count} parts, {len(vault.contacts)} contacts")
 
     planning = fw.find_plans(vault, robots=2)
-    print(f"found in {planning.result.seconds:.1f} s, {planning.result.counters.asked} verdicts")
+    print(f"found in {planning.statistics['seconds']:.1f} s, {planning.statistics['verdicts']} verdicts")
 
-    plan = planning.plans[0]
+    plan = planning.unwrap()
     for step in plan:
         print(f"{step.number:4d}  {step}")  # such as `1  insert voussoir-3 (R1)`
 
-    report = fw.validate_plan(plan, vault)
+    report = fw.check(vault, plan)
     print(f"{report.checked} of {report.states} states proven stable by the exact solver")
     fw.save(plan, "vault-plan.json")
 

@@ -5,8 +5,8 @@ Run: python examples/02_structures.py
 
 from __future__ import annotations
 
-from falsework.assembly import complete_state, library, load_structure
-from falsework.stability import StabilityOracle
+from falsework import StabilityOracle, load_structure
+from falsework.assembly import complete_state, library
 
 
 def verdict(spec: str) -> str:

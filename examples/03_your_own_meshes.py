@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from falsework.assembly import Assembly, load_assembly, save_assembly
+from falsework import Assembly, StabilityOracle, load_structure, save
 from falsework.geometry import TriangleMesh
-from falsework.stability import StabilityOracle
 
 
 def box(name: str, low: tuple[float, float, float], high: tuple[float, float, float]) -> TriangleMesh:
@@ -46,9 +45,10 @@ def main() -> None:
     print("stable:", oracle.verdicts(states).stable.tolist())
 
     with tempfile.TemporaryDirectory() as folder:
-        path = save_assembly(table, Path(folder) / "table")
+        path = Path(folder) / "table"
+        save(table, path)
         print(sorted(file.name for file in path.iterdir()))
-        assert load_assembly(path).identity == table.identity
+        assert load_structure(path).identity == table.identity
 
 
 if __name__ == "__main__":

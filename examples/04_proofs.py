@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.assembly import complete_state, load_structure
-from falsework.stability import StabilityOracle, verify_certificates
+from falsework import StabilityOracle, load_structure, verify_certificates
+from falsework.assembly import complete_state
 
 
 def main() -> None:

@@ -14,14 +14,14 @@ def main() -> None:
     late = [part for part in range(dome.part_count) if not dome.boundary[part]][-2:]
 
     planning = fw.find_plans(dome, robots=2, missing=late, settings=fw.PlannerSettings(alternatives=3))
-    for need in planning.plans[0].needs:
+    for need in planning.unwrap().needs:
         print(f"{dome.names[need.part]} is needed after {need.after_parts} other parts are placed")
 
     print(f"{len(planning.plans)} plans; share by which each two differ:")
     for row in planning.alternatives.distance:
         print("  ", " ".join(f"{value:.2f}" for value in row))
     for plan in planning.plans:
-        assert fw.validate_plan(plan, dome).good
+        assert fw.check(dome, plan).good
 
 
 if __name__ == "__main__":

@@ -5,9 +5,8 @@ Run: python examples/06_no_plan.py
 
 from __future__ import annotations
 
-from falsework.assembly import load_structure
-from falsework.search import ExhaustiveSearch, make_task
-from falsework.stability import StabilityOracle
+from falsework import StabilityOracle, load_structure, make_task
+from falsework.search import ExhaustiveSearch
 
 
 def main() -> None:

@@ -5,9 +5,8 @@ Run: pip install sb3-contrib, then: python examples/08_maskable_ppo.py
 
 from __future__ import annotations
 
-from falsework.assembly import load_structure
-from falsework.search import BeamSearch, BeamSettings, StateGraph, make_task
-from falsework.stability import StabilityOracle
+from falsework import StabilityOracle, StateGraph, load_structure, make_task
+from falsework.search import BeamSearch, BeamSettings
 
 
 def main(steps: int = 2048) -> None:

@@ -15,20 +15,9 @@ from pathlib import Path
 import numpy as np
 
 import falsework as fw
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, StabilityOracle, check, load_cell, load_structure, make_task, plan_robots
 from falsework.replanning import difference
-from falsework.robots import (
-    Cell,
-    KeyframeGraph,
-    Placement,
-    RobotPlan,
-    check_robot_plan,
-    export_plan,
-    load_cell,
-    plan_robots,
-)
-from falsework.search import make_task
-from falsework.stability import StabilityOracle
+from falsework.robots import Cell, KeyframeGraph, Placement, RobotPlan, export_plan
 
 
 def bottle_and_cell() -> tuple[Assembly, Cell]:
@@ -43,10 +32,10 @@ def bottle_and_cell() -> tuple[Assembly, Cell]:
 
 def report(name: str, plan: RobotPlan, bottle: Assembly, cell: Cell) -> None:
     """Print the order, and check every motion by other libraries."""
-    checked = check_robot_plan(plan, bottle, cell)
+    checked = check(bottle, plan, cell)
     order = " ".join(bottle.names[part] for part in plan.plan.inserted_parts)
     print(f"{name}: {plan.seconds:.0f} s of motion, found in {plan.statistics['seconds']:.1f} s; parts in: {order}")
-    print(f"  checked in {checked.samples} configurations: {'good' if checked.good else checked.problems[0]}")
+    print(f"  checked in {checked.samples} configurations: {'good' if checked.good else 'not good'}")
     assert checked.good
 
 
@@ -56,8 +45,7 @@ def main() -> None:
     oracle, graph = StabilityOracle(bottle), KeyframeGraph(bottle, cell)
 
     first = plan_robots(bottle, cell, oracle=oracle, graph=graph)
-    assert first.plan is not None, first.explanation
-    building = first.plan
+    building = first.unwrap()
     report("as planned", building, bottle, cell)
 
     free = np.flatnonzero(~bottle.boundary)
@@ -65,8 +53,7 @@ def main() -> None:
     print(f"late: {', '.join(bottle.names[part] for part in late)}")
     task = make_task(bottle, cell.robot_count, missing=late)
     second = plan_robots(bottle, cell, task=task, oracle=oracle, graph=graph)
-    assert second.plan is not None, second.explanation
-    other = second.plan
+    other = second.unwrap()
     report("without them for as long as possible", other, bottle, cell)
     for need in other.plan.needs:
         print(f"  {bottle.names[need.part]} is needed after {need.after_parts} other parts are placed")

@@ -9,29 +9,28 @@ import tempfile
 from pathlib import Path
 
 import falsework as fw
-from falsework.interop import assembly_instructions, instructions_csv
 
 
 def main() -> None:
     """An arch, built by two robots or by a crew with two props."""
     arch = fw.load_structure("arch:blocks=7")
-    plan = fw.find_plans(arch).plans[0]
+    plan = fw.find_plans(arch).unwrap()
 
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         fw.export(plan, folder / "arch.glb", arch)
         fw.export(plan, folder / "arch.usda", arch)
+        fw.export(plan, folder / "arch.csv", arch)  # the sheet as a table; `.pdf` has pictures
         fw.export(arch, folder / "arch.json", format="compas-dem")
         assert fw.load_structure(folder / "arch.json").identity == arch.identity  # nothing is lost on the way
         for file in sorted(folder.iterdir()):
             print(f"{file.name}: {file.stat().st_size} bytes")
 
-    sheet = assembly_instructions(plan, arch)
+    sheet = fw.sheet(arch, plan)
     for step in sheet.steps:
         where = f" {sheet.comes_in(step)}" if step.place else ""
         hold = ", ".join(sheet.name(part) for part, _ in step.hold) or "nothing"
         print(f"{step.number}. {step.verb} {sheet.named(step)}{where}; then hold {hold}")
-    print(instructions_csv(sheet).splitlines()[0])
 
 
 if __name__ == "__main__":

@@ -13,15 +13,8 @@ import asyncio
 import tempfile
 from pathlib import Path
 
-from falsework.assembly import load_structure
-from falsework.robots import (
-    HybridSettings,
-    Precedence,
-    RobotPlan,
-    load_cell,
-    nodes_of,
-    plan_robots,
-)
+from falsework import load_cell, load_structure, plan_robots
+from falsework.robots import Precedence, RobotPlan, nodes_of
 
 CELL = """
 format = "falsework.cell/1"
@@ -113,8 +106,7 @@ def main() -> None:
         file.write_text(CELL)
         cell = load_cell(file)
     structure = load_structure("stack:blocks=2,length=0.3,height=0.15,depth=0.3")
-    plan = plan_robots(structure, cell, settings=HybridSettings(together=True)).plan
-    assert plan is not None
+    plan = plan_robots(structure, cell, concurrent=True).unwrap()
     print(f"planned: {plan.makespan:.1f} s; one motion after the other {plan.seconds:.1f} s")
     for late in ({}, {1: 2.0}):
         executor = Executor(plan, late)

@@ -5,8 +5,8 @@ Run: python examples/12_joints_that_pull.py
 
 from __future__ import annotations
 
-from falsework.assembly import Joints, complete_state, load_structure
-from falsework.stability import StabilityOracle, StabilitySettings, verify_certificates
+from falsework import StabilityOracle, StabilitySettings, load_structure, verify_certificates
+from falsework.assembly import Joints, complete_state
 
 
 def main() -> None:

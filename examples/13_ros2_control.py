@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from falsework.assembly import load_structure
-from falsework.robots import Cell, HybridSettings, export_plan, load_cell, plan_robots
+from falsework import load_cell, load_structure, plan_robots
+from falsework.robots import Cell, export_plan
 
 CELL = """
 format = "falsework.cell/1"
@@ -249,8 +249,7 @@ def main() -> None:
         (folder / "cell.toml").write_text(CELL)
         cell = load_cell(folder / "cell.toml")
         structure = load_structure("stack:blocks=2,length=0.2,height=0.15,depth=0.2")
-        plan = plan_robots(structure, cell, settings=HybridSettings(together=True)).plan
-        assert plan is not None
+        plan = plan_robots(structure, cell, concurrent=True).unwrap()
         (file,) = export_plan(plan, folder, "ros2-goals", joint_prefix=PREFIX, cell=cell)
         content = json.loads(file.read_text())
         reason = why_not()

@@ -34,13 +34,12 @@ from llvmlite import ir
 from numba.core import codegen, types
 from numba.extending import intrinsic
 
-from falsework.assembly import load_structure
+from falsework.assembly.load import load_structure
 from falsework.assembly.state import complete_state
 from falsework.geometry.clearance import table
 from falsework.robots.cells.warm_up import compile_kernels
 from falsework.robots.kernels import collision, coordination, numeric_ik, rrt_connect, speed_profile
 from falsework.robots.kinematics import forward
-from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.stability.contact.kernel import rest_range
 from falsework.stability.contact.press import PressPlanner
 from falsework.stability.contact.press_kernel import press_responses
@@ -52,7 +51,9 @@ from falsework.stability.cpu.neighbourhood import local_instability_range
 from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.margins.kernel import rest_under
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.problem import build_problem
+from falsework.stability.settings import StabilitySettings
 from falsework.utils import bits, vectors
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.kernel_code import ARCHIVE, PACKAGE, Archive, add_symbols, digest

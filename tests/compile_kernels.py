@@ -7,9 +7,8 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from falsework.assembly import Assembly, load_structure
-from falsework.assembly.state import States, complete_state
-from falsework.stability import StabilitySettings
+from falsework import Assembly, StabilitySettings, load_structure
+from falsework.assembly import States, complete_state
 from falsework.stability.problem import Problem, build_problem
 
 
@@ -41,7 +40,8 @@ def _judge() -> None:
 
 
 def _picture() -> None:
-    from falsework.viewer.pictures.render import Camera, ColoredSolid, render
+    from falsework.viewer import Camera
+    from falsework.viewer.pictures.render import ColoredSolid, render
 
     assembly, _, _ = _arch()
     colours = ((1.0, 0.0, 0.0), 1.0), ((0.0, 1.0, 0.0), 0.5)

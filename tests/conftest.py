@@ -21,10 +21,9 @@ from typing import Any
 
 import pytest
 
-from falsework.assembly.model import Assembly, ContactWarning
-from falsework.assembly.state import HELD, INSTALLED
+from falsework import Assembly, Plan
+from falsework.assembly import HELD, INSTALLED, ContactWarning
 from falsework.geometry import TriangleMesh
-from falsework.search import Plan
 from falsework.stability.holds import Press
 from falsework.utils.kernel_code import ARCHIVE
 from falsework.utils.kernels import Kernel

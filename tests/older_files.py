@@ -6,9 +6,9 @@ import json
 from dataclasses import replace
 from typing import Any
 
-from falsework.robots.plans.robot_plan import RobotPlan
+from falsework import Direction, Plan
+from falsework.robots import RobotPlan
 from falsework.robots.plans.robot_plan_file import robot_plan_to_dict
-from falsework.search import Direction, Plan
 from falsework.search.plans.plan_file import plan_to_dict
 
 

@@ -38,7 +38,7 @@ CORE = ("errors", "utils", "geometry", "assembly", "stability", "search", "repla
 # Sub-packages of each room, likewise. Modules at the root of a room may use them, and be used by them.
 SUBPACKAGES = {
     "utils": ("files", "cache", "display"),
-    "geometry": ("mesh", "contact", "clearance", "paths"),
+    "geometry": ("mesh", "contact", "settling", "clearance", "paths"),
     "assembly": ("library",),
     "stability": ("second_order", "cpu", "contact", "gpu", "reference", "margins", "judges"),
     "search": ("problem", "together", "beam", "margins", "plans", "regrasp", "device"),
@@ -64,6 +64,9 @@ MOST_MODULES = 16
 """In one folder; `cli` has a module for each command."""
 MOST_LINES = 400
 """In one module."""
+
+MOST_NAMES = 150
+"""That the stubs make public, those of all packages together."""
 
 # Distribution names whose import name differs.
 IMPORT_NAMES = {"python-fcl": "fcl"}
@@ -225,9 +228,13 @@ def test_no_files_import_each_other_in_a_circle() -> None:
 
 def test_the_check_sees_a_circle() -> None:
     """Through a re-export by a package too."""
-    one, other = SOURCE / "search" / "find.py", SOURCE / "search" / "planner.py"
-    assert defining_file("falsework.search", "Planner") == defining_file("falsework.search", "planner") == other
-    assert other in imported_files(one)
+    one, other = SOURCE / "search" / "find.py", SOURCE / "search" / "exhaustive.py"
+    assert (
+        defining_file("falsework.search", "ExhaustiveSearch")
+        == defining_file("falsework.search", "exhaustive")
+        == other
+    )
+    assert SOURCE / "search" / "planner.py" in imported_files(one)
     assert len(circle_of({one: {other}, other: {one}})) == 3
 
 
@@ -335,3 +342,72 @@ def test_the_check_sees_a_violation() -> None:
     at_load = {name.split(".")[0] for name, _ in imported_at_load(tree)}
     assert at_load == {"typing", "gurobipy", "matplotlib"}
     assert "falsework.search.plans.plan" in {name for name, _ in imports(tree)}
+
+
+@cache
+def public_names() -> dict[str, frozenset[str]]:
+    """Public names of the package and its sub-packages, as their stubs list them."""
+    found = {}
+    for stub in sorted(SOURCE.rglob("__init__.pyi")):
+        imported = [node for node in parsed(stub).body if isinstance(node, ast.ImportFrom)]
+        found[dotted(stub.with_suffix(".py"))] = frozenset(alias.name for node in imported for alias in node.names)
+    return found
+
+
+def private_uses(code: str) -> list[str]:
+    """Names of the package that some code uses although no stub lists them; its errors and built-ins are public."""
+    tree, known, wrong = ast.parse(code), {}, []
+    open_modules = ("falsework.errors", "falsework.assembly.library")
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name.split(".")[0] == "falsework":
+                    known[alias.asname or "falsework"] = alias.name if alias.asname else "falsework"
+                    wrong += [alias.name] * (alias.name not in {*public_names(), *open_modules})
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "falsework":
+            for alias in node.names:
+                path = f"{node.module}.{alias.name}"
+                known[alias.asname or alias.name] = path
+                public = alias.name in public_names().get(str(node.module), ())
+                wrong += [path] * (not public and node.module not in open_modules)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and re.fullmatch(r"[\w.]+", chain := ast.unparse(node)):
+            first, *rest = chain.split(".")
+            module = known.get(first, "")
+            for name in rest:
+                if module not in public_names():
+                    break
+                module = f"{module}.{name}"
+                if name not in public_names()[module.rpartition(".")[0]] and not name.startswith("__"):
+                    wrong.append(module)
+    return sorted(set(wrong))
+
+
+def test_public_names_are_few() -> None:
+    count = {package: len(names) for package, names in public_names().items()}
+    assert sum(count.values()) <= MOST_NAMES, f"{count}; leave out what few users need: it stays in its module"
+
+
+def test_public_names_exist() -> None:
+    for package, names in public_names().items():
+        for name in names:
+            assert defining_file(package, name) is not None or name in {"__version__"}, f"{package}.{name}"
+
+
+def test_examples_and_pages_use_public_names() -> None:
+    repository = SOURCE.parents[1]
+    wrong = [
+        (path.name, name) for path in (repository / "examples").glob("*.py") for name in private_uses(path.read_text())
+    ]
+    for page in [repository / "README.md", *sorted((repository / "docs").rglob("*.md"))]:
+        for block in re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE):
+            wrong += [(page.name, name) for name in private_uses(block)]
+    assert not wrong, wrong
+
+
+def test_the_check_sees_private_names() -> None:
+    assert private_uses("import falsework as fw\nfw.load('x')\nfw.search.BeamSearch") == []
+    assert private_uses("from falsework.errors import InputError\nfrom falsework.assembly import library") == []
+    assert private_uses("import falsework as fw\nfw.search.Planner") == ["falsework.search.Planner"]
+    assert private_uses("from falsework.search.find import find_plans") == ["falsework.search.find.find_plans"]
+    assert private_uses("import falsework.cli.main") == ["falsework.cli.main"]

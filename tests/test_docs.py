@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, load_structure
 from falsework.assembly.store import save_assembly
 from falsework.cli.main import COMMANDS, main
 

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 import falsework as fw
+from falsework import make_task
 from falsework.errors import InputError, PlanError
-from falsework.robots.model.cell import Cell
-from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search import make_task
+from falsework.robots import Cell, RobotPlan
 
 CELL = resources.files("falsework.robots.cells").joinpath("bottle-12.toml")
 
@@ -51,8 +50,8 @@ def test_a_robot_plan_and_its_cell(tmp_path: Path) -> None:
     cell = fw.load_cell("bottle-12", check=False)
     stack = fw.load_structure("stack:blocks=2")
     done = fw.find_plans(stack, robots=1).plans[0]
+    from falsework.robots import Keyframe, RobotStep, Trajectory
     from falsework.robots.model.cell import cell_identity
-    from falsework.robots.plans.robot_plan import Keyframe, RobotStep, Trajectory
     from falsework.robots.plans.robot_record import records_of
 
     frames = [Keyframe(cell.homes, (None, None))] * (len(done) + 1)

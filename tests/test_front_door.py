@@ -20,9 +20,11 @@ import numpy as np
 import pytest
 
 import falsework as fw
-from falsework.assembly import Assembly, complete_state
-from falsework.errors import DependencyError, InputError, PlanError, ReadWarning
-from falsework.search import Outcome, make_task, plan_to_dict, structure_of_plan
+from falsework import Assembly, Outcome, make_task
+from falsework.assembly import complete_state
+from falsework.errors import DependencyError, InputError, NotFoundError, PlanError, ReadWarning
+from falsework.search.plans.plan_file import plan_to_dict
+from falsework.search.plans.plan_source import structure_of_plan
 from falsework.utils.files import formats as registry
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -205,11 +207,11 @@ def test_every_function_takes_a_structure_by_name_or_path(arch: Assembly, plan: 
     start = plan.states[4]
     calls: list[Callable[[Any], Any]] = [
         lambda given: fw.find_plans(given, robots=2).plans[0].actions.tolist(),
-        lambda given: fw.min_robots(given).robots,
+        lambda given: fw.min_robots(given).value,
         lambda given: make_task(given, 2).identity,
         lambda given: fw.replan(given, start).plans[0].actions.tolist(),
         lambda given: fw.Replanner(given).replan(start).plans[0].actions.tolist(),
-        lambda given: fw.validate_plan(plan, given).good,
+        lambda given: fw.check(given, plan).good,
         lambda given: fw.StabilityOracle(given).verdicts(start[None]).stable.tolist(),
         lambda given: fw.export(given, tmp_path / "copy.glb"),
         lambda given: fw.open_file(tmp_path / "plan.json", given).kind,
@@ -271,7 +273,7 @@ def load(path, **options):
     return fw.load_structure(path.read_text(), **options)
 
 
-def write(path, assembly, plan, step_seconds=1.0):
+def write(assembly, path, plan, step_seconds=1.0):
     Path(path).write_text(f"{assembly.name} {0 if plan is None else len(plan)} {step_seconds}")
 
 
@@ -439,8 +441,9 @@ def test_results_print_as_one_line(arch: Assembly, plan: fw.Plan) -> None:
         ),
         (lambda arch, plan: UNTYPED.Assembly.from_meshes([5], boundary=[0]), "a part is a int; make it a TriangleMesh"),
         (lambda arch, plan: UNTYPED.save([plan], "plan.json"), "list has no file; save an assembly, a plan"),
-        (lambda arch, plan: UNTYPED.validate_plan([plan], arch), "checks a Plan, not list"),
-        (lambda arch, plan: UNTYPED.picture(fw.StabilityOracle(arch), "arch.png"), "Stability cannot be shown"),
+        (lambda arch, plan: UNTYPED.check(plan, arch), "Assembly is no plan; give the structure first"),
+        (lambda arch, plan: UNTYPED.sheet(plan, arch), "Assembly is no plan; give the structure first"),
+        (lambda arch, plan: UNTYPED.picture(fw.StabilityOracle(arch), "arch.png"), "StabilityOracle cannot be shown"),
     ],
 )
 def test_wrong_types_get_one_line(arch: Assembly, plan: fw.Plan, call: Callable[..., Any], words: str) -> None:
@@ -460,3 +463,51 @@ def test_parts_are_given_by_number_or_name(arch: Assembly, plan: fw.Plan) -> Non
 
 def test_numbers_of_numpy_are_numbers(arch: Assembly) -> None:
     assert UNTYPED.find_plans(arch, robots=np.int64(2), missing=np.array([2])).found
+
+
+def test_planners_answer_with_one_kind_of_result(arch: Assembly, plan: fw.Plan) -> None:
+    """A value with what is known of it, or the reason why there is none; the kinds differ in their values alone."""
+    found: list[fw.Result[Any]] = [
+        fw.find_plans(arch, robots=2),
+        fw.replan(arch, plan.states[4]),
+        fw.min_robots(arch),
+        fw.maximise_margin(arch, make_task(arch, 2), "friction"),
+    ]
+    for result, kind in zip(found, (fw.Plan, fw.Plan, int, fw.Plan), strict=True):
+        assert isinstance(result, fw.Result)
+        assert isinstance(result.unwrap(), kind)
+        assert result.unwrap() is result.value
+        assert (result.found, result.outcome, result.reason) == (True, Outcome.FOUND, "")
+        assert result.statistics["seconds"] >= 0
+        assert result.statistics["verdicts"] > 0
+    assert [result.bound for result in found[:3]] == [None, None, 2]  # two robots are proved to be the fewest
+    friction = fw.margins(arch, found[3].unwrap(), ["friction"])
+    weakest = max(state.friction.value or 0.0 for state in friction if state.friction is not None)
+    assert 0 < (found[3].bound or 0.0) <= weakest * 1.03  # no plan needs less than the bound says
+
+
+def test_results_without_a_value_say_why(arch: Assembly, plan: fw.Plan) -> None:
+    none: list[fw.Result[Any]] = [fw.find_plans(arch, robots=1), fw.replan(arch, plan.states[-1], robots=1)]
+    for result in none:
+        assert (result.found, result.value, result.outcome) == (False, None, Outcome.PROVED_IMPOSSIBLE)
+        with pytest.raises(NotFoundError, match="it is proved that there is none"):
+            result.unwrap()
+
+
+def test_margins_of_plans_and_of_states_agree(arch: Assembly, plan: fw.Plan) -> None:
+    whole, row = fw.margins(arch, plan, ["friction"]), 3
+    assert len(whole) == len(plan.states)
+    one, same = fw.margins("arch:blocks=5", plan.states[row], ["friction"])[0].friction, whole[row].friction
+    assert one is not None
+    assert same is not None
+    assert one.value == pytest.approx(same.value, rel=0.02)
+    (complete,) = fw.margins(arch, kinds=["tilt"])
+    assert complete.tilt is not None
+    assert complete.friction is None
+    with pytest.raises(PlanError, match="the plan"):
+        fw.margins("arch:blocks=7", plan)
+
+
+def test_a_plan_without_motions_needs_no_cell(arch: Assembly, plan: fw.Plan) -> None:
+    with pytest.raises(InputError, match="needs no cell; leave it out"):
+        UNTYPED.check(arch, plan, "bottle-12")

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import States
+from falsework import Direction, Outcome, Task
+from falsework.assembly import States
 from falsework.errors import InputError
+from falsework.search import Guide, Oracle, SearchProgress
 from falsework.search.beam.frontier import expand
-from falsework.search.problem.guide import Guide
 from falsework.search.problem.hashing import StateHash
-from falsework.search.problem.oracle import CountingOracle, Oracle
-from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
-from falsework.search.problem.task import Direction, Task
+from falsework.search.problem.oracle import CountingOracle
+from falsework.search.problem.result import Progress, Route, SearchCounters, SearchResult, Stop
 
 _REPORTED_STATES = 64
 

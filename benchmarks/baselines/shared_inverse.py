@@ -21,13 +21,15 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import States, as_states
+from falsework import Assembly, StabilitySettings, Verdict
+from falsework.assembly import States
+from falsework.assembly.state import as_states
 from falsework.errors import DependencyError, InputError
+from falsework.stability import Verdicts
 from falsework.stability.problem import Problem, build_problem
 from falsework.stability.reference.conic_program import block_diagonal, wrench_matrix
-from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
-from falsework.stability.verdict import Solver, Verdict, Verdicts
+from falsework.stability.settings import EQUILIBRIUM
+from falsework.stability.verdict import Solver
 
 Array = NDArray[np.float64]
 Inverse = Literal["dense", "reduced"]

@@ -12,8 +12,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from falsework import Assembly
 from falsework.assembly.library.blocks import Solid, box, gather, ground, prism
-from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 
 Draw = np.random.Generator

@@ -13,23 +13,25 @@ import torch
 from experiments.structure_generator import TRAINED, UNSEEN, generated
 from states import REAL, find
 
-from falsework.assembly import load_structure
-from falsework.assembly.model import Assembly
+from falsework import (
+    Assembly,
+    PlannerSettings,
+    StabilityOracle,
+    StabilitySettings,
+    find_plans,
+    load_policy,
+    load_structure,
+    make_task,
+)
 from falsework.errors import FalseworkError
+from falsework.learn import Environment, Policy, roll_out
 from falsework.learn.data.dataset import search_states
-from falsework.learn.env.environment import Environment
-from falsework.learn.env.rollout import roll_out
-from falsework.learn.networks.policy import Policy
-from falsework.learn.training.checkpoint import load_policy
 from falsework.learn.training.evaluate import sample
 from falsework.replanning.policy_guide import PolicyGuide
+from falsework.search import SupportGuide
 from falsework.search.device.oracle import HostOracle
-from falsework.search.find import PLANS, find_plans, make_task
+from falsework.search.find import PLANS
 from falsework.search.planner import Planner
-from falsework.search.problem.guide import SupportGuide
-from falsework.search.settings import PlannerSettings
-from falsework.stability.oracle import StabilityOracle
-from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 
 TESTED = 2_000_000

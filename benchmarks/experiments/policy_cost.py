@@ -8,9 +8,9 @@ from typing import Any
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from falsework.assembly.model import Assembly
-from falsework.learn.config.policy import PolicySettings
-from falsework.learn.networks.factory import describe, make_policy
+from falsework import Assembly
+from falsework.learn import PolicySettings, make_policy
+from falsework.learn.networks.factory import describe
 
 KINDS = (PolicySettings("mlp"), PolicySettings("resmlp"), PolicySettings("gat"), PolicySettings("transformer"))
 

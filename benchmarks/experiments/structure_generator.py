@@ -20,13 +20,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from experiments import families
 from shells import FAMILIES as SHELLS
 
-from falsework.assembly import load_structure
-from falsework.assembly.model import Assembly, ContactWarning
-from falsework.assembly.state import complete_state
+from falsework import Assembly, StabilityOracle, StabilitySettings, load_structure
+from falsework.assembly import ContactWarning, complete_state
 from falsework.errors import InputError
-from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.stability.oracle import StabilityOracle
-from falsework.stability.settings import StabilitySettings
+from falsework.geometry import TriangleMesh
 from falsework.stability.verdict import Criterion
 
 Draw = np.random.Generator

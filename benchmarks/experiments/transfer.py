@@ -11,17 +11,14 @@ import numpy as np
 import torch
 from experiments.structure_generator import rotated_copies
 
-from falsework.assembly.model import Assembly
+from falsework import Assembly
 from falsework.assembly.symmetry import symmetries
+from falsework.learn import Environment, ImitationPhase, Policy, PolicySettings, make_policy, transfer
 from falsework.learn.algorithms.imitation import Imitation
-from falsework.learn.config.imitation import ImitationPhase
-from falsework.learn.config.policy import PolicySettings
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, training_task
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.data.symmetry_augmentation import symmetric_images
-from falsework.learn.env.environment import Environment
-from falsework.learn.networks.factory import describe, make_policy, share, transfer
-from falsework.learn.networks.policy import Policy
+from falsework.learn.networks.factory import describe, share
 from falsework.learn.training.evaluate import greedy_success, sample
 
 EVALUATED = 1024

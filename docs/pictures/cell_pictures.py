@@ -13,7 +13,7 @@ from pathlib import Path
 from commands import run
 from screen import shoot
 
-from falsework.viewer.cells.cell_page import view_cell
+from falsework.viewer import view_cell
 
 ARMS = {"panda": "franka_fer", "ur": "ur5e", "gofa": "abb_crb15000_5_95"}
 """Names of robots, and the folders of their descriptions."""

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from falsework.cli.main import main
-from falsework.search import load_plan
+from falsework.search.plans.plan_file import load_plan
 
 BUILT_IN = {
     "arch": "arch:blocks=11",

@@ -10,7 +10,7 @@ from matplotlib.colors import to_rgb
 from palette import BOUNDARY, INK, ROBOTS, SAND
 from render import Camera, ColoredSolid, render
 
-from falsework.assembly import Assembly
+from falsework import Assembly
 from falsework.assembly.library import house, shelf
 
 

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from palette import BOUNDARY, FORCE, INK, ROBOTS, SAND
 from render import Camera, ColoredSolid, render
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, load_structure
 from falsework.learn.networks.force_torque_graph import ForceTorqueGraph
 
 TORQUE = ROBOTS[0]

@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from falsework.assembly import load_structure
-from falsework.search import find_plans, make_task
+from falsework import find_plans, load_structure, make_task
 from falsework.search.plans.steps import NO_ROBOT
+from falsework.viewer import Timeline
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.viewer_state import ViewerState
-from falsework.viewer.timeline import Timeline
 
 FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
 CELLS = (

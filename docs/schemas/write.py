@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from falsework.assembly.assembly_model import assembly_schema
-from falsework.robots import robot_plan_schema
 from falsework.robots.cells.cell_model import cell_schema
-from falsework.search import plan_schema
+from falsework.robots.plans.robot_plan_model import robot_plan_schema
+from falsework.search.plans.plan_model import plan_schema
 
 FOLDER = Path(__file__).parent
 

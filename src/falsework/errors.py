@@ -9,6 +9,7 @@ __all__ = [
     "FalseworkError",
     "InputError",
     "MeshError",
+    "NotFoundError",
     "PlanError",
     "ReadWarning",
     "SolverError",
@@ -43,6 +44,10 @@ class CellError(InputError):
 
 class PlanError(InputError):
     """Plan file that is damaged, of another version, or of another assembly."""
+
+
+class NotFoundError(FalseworkError):
+    """Result without a value, of which the value was asked for; the message says why there is none."""
 
 
 class DependencyError(InputError, ImportError):

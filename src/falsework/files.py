@@ -87,7 +87,7 @@ def save(thing: Assembly | Plan | RobotPlan | StateGraph, path: Path | str, *, p
     elif isinstance(thing, StateGraph):
         save_state_graph(thing, path)
     elif isinstance(thing, Assembly):
-        write_format((exporter_by_suffix(path) if Path(path).suffix else None) or "folder", path, thing)
+        write_format(thing, path, (exporter_by_suffix(path) if Path(path).suffix else None) or "folder")
     else:
         raise InputError(
             f"{type(thing).__name__} has no file; save an assembly, a plan, a robot plan or a state graph; results of "

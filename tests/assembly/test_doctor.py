@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falsework.assembly import diagnose, load_structure
-from falsework.assembly.model import ContactWarning
+from falsework import doctor, load_structure
+from falsework.assembly import ContactWarning
 from falsework.cli.main import main
 from falsework.errors import InputError
 
@@ -45,7 +45,7 @@ def add(folder: Path, line: dict) -> None:
 
 
 def test_a_sound_structure(column: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = diagnose(column)
+    found = doctor(column)
     assert found.loads
     assert not found.doubtful
     assert not found.additions
@@ -68,7 +68,7 @@ def test_faces_that_touch_without_being_parallel(column: Path, capsys: pytest.Ca
     add(column, {"contact": {"gap": 0.05}})
     with warnings.catch_warnings():
         warnings.simplefilter("error", ContactWarning)
-        found = diagnose(column)
+        found = doctor(column)
     (doubt,) = found.remarks
     assert "of parts 0 and 1 (2 degrees): contacts bear what both" in doubt
     assert main(["doctor", str(column)]) == 0
@@ -100,7 +100,7 @@ def test_all_faults_at_once(column: Path, tmp_path: Path, capsys: pytest.Capture
 
 def test_mended_parts_are_named(column: Path) -> None:
     write_box(column, "2", (0, 0, 2), (1, 1, 3), faces=10)  # the last side is missing
-    found = diagnose(column)
+    found = doctor(column)
     assert found.loads
     assert found.parts[2].mended == "closed flat holes"
     assert not found.parts[1].mended
@@ -108,7 +108,7 @@ def test_mended_parts_are_named(column: Path) -> None:
 
 def test_what_is_divided_between_two_parts_is_no_fault(column: Path) -> None:
     write_box(column, "2", (0, 0, 1.996), (1, 1, 3))
-    assert diagnose(column).loads
+    assert doctor(column).loads
     with pytest.warns(ContactWarning, match="overlap up to 4 mm"):
         assert load_structure(column).part_count == 3
 
@@ -117,7 +117,7 @@ def test_depth_of_every_overlap_and_not_of_joints(column: Path) -> None:
     """Overlaps that a joint divides are no fault; those of another size are, with their depth."""
     write_box(column, "2", (0, 0, 1.9), (1, 1, 3))
     write_box(column, "3", (0.2, 0.2, 2.5), (0.8, 0.8, 3.5))
-    found = diagnose(column)
+    found = doctor(column)
     assert not found.loads
     assert [len(report.doubts) for report in found.parts] == [0, 0, 1, 1]
     (doubt,) = found.parts[2].doubts
@@ -128,7 +128,7 @@ def test_depth_of_every_overlap_and_not_of_joints(column: Path) -> None:
 def test_lengths_that_are_given_may_be_the_fault(column: Path) -> None:
     write_box(column, "2", (0, 0, 1.996), (1, 1, 3))
     add(column, {"contact": {"gap": 0.001, "overlap": 0.001}})
-    found = diagnose(column)
+    found = doctor(column)
     assert not found.loads
     assert found.parts[2].doubts == ("passes through part 1 by 4 mm",)
     assert any("it loads without the lengths gap and overlap" in remark for remark in found.remarks)
@@ -136,7 +136,7 @@ def test_lengths_that_are_given_may_be_the_fault(column: Path) -> None:
 
 def test_a_support_that_is_a_surface_is_mended(column: Path) -> None:
     (column / "0.obj").write_text("v -1 -1 1\nv 2 -1 1\nv 2 2 1\nv -1 2 1\nf 1 2 3 4\n")
-    found = diagnose(column)
+    found = doctor(column)
     assert found.loads
     assert found.parts[0].mended == "given a thickness"
     assert not found.doubtful
@@ -145,34 +145,34 @@ def test_a_support_that_is_a_surface_is_mended(column: Path) -> None:
 def test_boundary_and_unit_are_proposed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for level in range(3):
         write_box(tmp_path, f"{level}", (0, 0, 300 * level), (300, 300, 300 * level + 300))
-    found = diagnose(tmp_path)
+    found = doctor(tmp_path)
     assert found.unit == "mm"
     assert found.additions == {"unit": "mm", "boundary": [0]}
     assert found.cured
     assert main(["doctor", str(tmp_path)]) == 1
     last = capsys.readouterr().out.splitlines()[-2:]
     assert last == ['add to assembly.json: "unit": "mm", "boundary": [0]', "with that it loads"]
-    assert diagnose(tmp_path, "mm").additions == {"boundary": [0]}
+    assert doctor(tmp_path, "mm").additions == {"boundary": [0]}
 
 
 def test_files_that_cannot_be_read_are_parts_in_doubt(column: Path) -> None:
     (column / "1.obj").write_text("v 0 0 zero\n")
-    found = diagnose(column)
+    found = doctor(column)
     assert found.parts[1].doubts
     assert "touches no other part" in found.parts[2].doubts[0]
 
 
 def test_what_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no"):
-        diagnose(tmp_path / "nothing")
-    assert "no mesh" in diagnose(tmp_path).error
+        doctor(tmp_path / "nothing")
+    assert "no mesh" in doctor(tmp_path).error
     (tmp_path / "damaged.json").write_text('{"dtype": "compas.datastructures/Mesh", "data": {}}')
-    assert "cannot be read as COMPAS data" in diagnose(tmp_path / "damaged.json").error
+    assert "cannot be read as COMPAS data" in doctor(tmp_path / "damaged.json").error
 
 
 def test_the_verdict_is_that_of_loading(public_structure_path: Callable[[str], Path]) -> None:
     path = public_structure_path("topolite-chips-256")
-    found = diagnose(path)
+    found = doctor(path)
     if found.loads:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -207,7 +207,7 @@ def test_one_file_and_a_folder_get_the_same_advice(tmp_path: Path) -> None:
     folder.mkdir()
     for number, (low, high) in enumerate(BRICKS):
         write_box(folder, f"brick-{number}", low, high)
-    one, many = diagnose(write_wall(tmp_path / "wall.obj")), diagnose(folder)
+    one, many = doctor(write_wall(tmp_path / "wall.obj")), doctor(folder)
     for found in (one, many):
         assert [report.size for report in found.parts] == pytest.approx([np.sqrt(4 + 0.25 + 0.25)] * 15)
         assert found.additions == {"boundary": [0, 1, 2, 3, 4]}
@@ -226,7 +226,7 @@ def test_an_open_part_is_told_as_it_is(tmp_path: Path) -> None:
             trimesh = pytest.importorskip("trimesh")
             trimesh.load(folder / "top.obj", process=False).export(folder / f"top.{suffix}")
             (folder / "top.obj").unlink()
-        found = diagnose(folder)
+        found = doctor(folder)
         assert found.error.startswith("part top is not closed")
         assert found.parts[1].size == pytest.approx(np.sqrt(3))
         assert found.additions == {"boundary": [0]}
@@ -236,10 +236,10 @@ def test_an_open_part_is_told_as_it_is(tmp_path: Path) -> None:
 def test_no_advice_fixes_everything(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for number in range(3):
         write_box(tmp_path, f"slab-{number}", (number, 0, 0), (number + 1, 2, 0.5))
-    found = diagnose(tmp_path)
+    found = doctor(tmp_path)
     assert not found.additions
     assert any("name them (--boundary), or put a --ground" in remark for remark in found.remarks)
-    grounded = diagnose(tmp_path, ground=True)
+    grounded = doctor(tmp_path, ground=True)
     assert grounded.loads
     assert "no part is boundary" not in grounded.remarks
     assert main(["doctor", str(tmp_path), "--boundary", "slab-0,slab-1,slab-2"]) == 0
@@ -258,29 +258,29 @@ def test_no_advice_fixes_everything(tmp_path: Path, capsys: pytest.CaptureFixtur
     ],
 )
 def test_doubts_about_the_options(options: dict, doubt: str, column: Path) -> None:
-    remarks = " ".join(diagnose(column, **options).remarks)
+    remarks = " ".join(doctor(column, **options).remarks)
     assert re.search(doubt, remarks) if doubt else not remarks
 
 
 def test_doubts_about_entries_of_the_file(column: Path) -> None:
     add(column, {"joints": [{"friction": 30}], "density": 24})
-    remarks = " ".join(diagnose(column).remarks)
+    remarks = " ".join(doctor(column).remarks)
     assert "friction is 30" in remarks
     assert "density is 24 kg/m3" in remarks
 
 
 def test_y_up_is_seen(tmp_path: Path) -> None:
     """Of a wall all bricks lie at the lowest level then; of a table the plate hangs beside its legs."""
-    found = diagnose(write_wall(tmp_path / "wall.obj", lambda points: points[:, [0, 2, 1]] * (1, 1, -1)))
+    found = doctor(write_wall(tmp_path / "wall.obj", lambda points: points[:, [0, 2, 1]] * (1, 1, -1)))
     assert any("some would with y up" in remark for remark in found.remarks)
     assert "boundary" not in found.additions
-    assert not any("y up" in remark for remark in diagnose(write_wall(tmp_path / "wall.obj")).remarks)
+    assert not any("y up" in remark for remark in doctor(write_wall(tmp_path / "wall.obj")).remarks)
     table = tmp_path / "table"
     table.mkdir()
     write_box(table, "plate", (0, 1, 0), (3, 1.2, 2))
     for number, x in enumerate((0, 2.5)):
         write_box(table, f"leg-{number}", (x, 0, 0.8), (x + 0.5, 1, 1.2))
-    assert any("y up" in remark for remark in diagnose(table).remarks)
+    assert any("y up" in remark for remark in doctor(table).remarks)
 
 
 @pytest.mark.parametrize(
@@ -298,7 +298,7 @@ def test_other_faults_are_not_blamed_on_the_axis(
     """With y up all bricks of a straight wall lie on the ground, and none of them hangs."""
     for number, (low, high) in enumerate((((0, 0, 0), (1, 1, 1)), ((0, 0, 1), (1, 1, 2)), third)):
         write_box(tmp_path, f"{number}", low, high)
-    found = diagnose(tmp_path)
+    found = doctor(tmp_path)
     assert not any("y up" in remark for remark in found.remarks)
     assert found.additions == {"boundary": [0]}
     assert not wrong or any(wrong in doubt for part in found.doubtful for doubt in part.doubts)
@@ -315,7 +315,7 @@ def test_detailed_parts_in_each_other_are_told_of_in_seconds(tmp_path: Path, mon
         lines += ["f " + " ".join(map(str, range(60, 0, -1))), "f " + " ".join(map(str, range(61, 121)))]
         (tmp_path / f"{number}.obj").write_text("\n".join(lines) + "\n")
     monkeypatch.setattr("falsework.assembly.doctor.find_joints", None)
-    found = diagnose(tmp_path)
+    found = doctor(tmp_path)
     assert all("passes through" in part.doubts[0] for part in found.parts)
 
 
@@ -323,14 +323,14 @@ def test_detailed_parts_in_each_other_are_told_of_in_seconds(tmp_path: Path, mon
 def test_a_structure_in_which_nothing_can_move(tmp_path: Path, ground: bool | None) -> None:
     for level in range(2):
         write_box(tmp_path, f"{level}", (0, 0, level), (1, 1, level + 1))
-    found = diagnose(tmp_path, boundary=[0, 1], ground=ground)
+    found = doctor(tmp_path, boundary=[0, 1], ground=ground)
     assert any("every part is boundary" in remark for remark in found.remarks)
 
 
 def test_a_unit_is_proposed_only_where_there_is_one(tmp_path: Path) -> None:
     for level in range(2):
         write_box(tmp_path, f"{level}", (0, 0, 50 * level), (50, 50, 50 * level + 50))
-    found = diagnose(tmp_path)
+    found = doctor(tmp_path)
     assert any("the unit may be mm or cm or in" in remark for remark in found.remarks)
     assert found.additions == {"boundary": [0]}
     assert found.unit == ""
@@ -339,6 +339,6 @@ def test_a_unit_is_proposed_only_where_there_is_one(tmp_path: Path) -> None:
 def test_what_was_read_in_another_way_is_told(tmp_path: Path) -> None:
     path = write_wall(tmp_path / "wall.obj")
     path.write_text(re.sub(r"o brick-\d+", "o brick", path.read_text()) + "l 1 2\n")
-    remarks = " ".join(diagnose(path).remarks)
+    remarks = " ".join(doctor(path).remarks)
     assert "15 objects are called brick" in remarks
     assert "left out: 1 of 'l'" in remarks

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Joints, fasten, library, load_assembly, load_structure, save_assembly
-from falsework.assembly.model import Assembly
+from falsework import Assembly, load_structure
+from falsework.assembly import Joints, fasten, library
+from falsework.assembly.store import load_assembly, save_assembly
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry import TriangleMesh
 

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Loads, load_assembly, load_structure, save_assembly
+from falsework import load_structure
+from falsework.assembly import Loads
+from falsework.assembly.store import load_assembly, save_assembly
 from falsework.errors import AssemblyError
 
 

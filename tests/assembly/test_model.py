@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_assembly, save_assembly
-from falsework.assembly.model import ContactWarning
+from falsework import Assembly
+from falsework.assembly import ContactWarning
+from falsework.assembly.store import load_assembly, save_assembly
 from falsework.errors import AssemblyError
 from falsework.geometry import ContactSettings, TriangleMesh
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework import load_structure
 from falsework.assembly.part_numbers import boundary_ids, part_id, part_ids
 from falsework.cli.arguments import parse_parts
 from falsework.cli.main import main

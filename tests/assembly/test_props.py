@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, Prop, keep_props, load_structure, prop_places, with_props
+from falsework import Assembly, StabilityOracle, load_structure
+from falsework.assembly import prop_places, with_props
+from falsework.assembly.assembly_model import Prop
+from falsework.assembly.props import keep_props
 from falsework.errors import AssemblyError
 from falsework.geometry import TriangleMesh
-from falsework.stability import Criterion, StabilityOracle
 from falsework.stability.settings import EQUILIBRIUM
+from falsework.stability.verdict import Criterion
 
 
 def box(name: str, low: tuple[float, float, float], high: tuple[float, float, float]) -> TriangleMesh:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from falsework.assembly import HELD, INSTALLED, REMOVED, apply_actions, undo_actions
+from falsework.assembly import HELD, INSTALLED, REMOVED
+from falsework.assembly.state import apply_actions, undo_actions
 from falsework.errors import StateError
 
 STATES = np.array([[INSTALLED, HELD, HELD], [HELD, INSTALLED, HELD]], np.uint8)

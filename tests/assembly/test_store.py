@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from falsework.assembly import Assembly, load_assembly, load_structure, save_assembly
+from falsework import Assembly, load_structure
 from falsework.assembly.assembly_model import ContactEntry
+from falsework.assembly.store import load_assembly, save_assembly
 from falsework.errors import AssemblyError, InputError, ReadWarning
 from falsework.geometry import ContactSettings, TriangleMesh
 from falsework.geometry.mesh.obj import obj_text

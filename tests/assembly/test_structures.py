@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, complete_state, load_structure
-from falsework.stability import StabilityOracle, StabilitySettings
+from falsework import Assembly, StabilityOracle, StabilitySettings, load_structure
+from falsework.assembly import complete_state
 from tests.conftest import data_folder
 
 FOLDERS = {

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
-from falsework.assembly.model import ContactWarning
+from falsework import Assembly, StabilityOracle, load_structure
+from falsework.assembly import ContactWarning
 from falsework.assembly.symmetry import rigid_motions, same_contacts, symmetries
-from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.stability import StabilityOracle
+from falsework.geometry import TriangleMesh
 from falsework.stability.settings import EQUILIBRIUM
 
 

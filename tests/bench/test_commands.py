@@ -119,7 +119,7 @@ def test_policies_answer_by_rollouts(tmp_path: Path) -> None:
     from bench.questions import Question
     from bench.structures import Structure
     from bench.submission import Answer, Step
-    from falsework.assembly import load_structure
+    from falsework import load_structure
 
     wall = load_structure("wall:bricks=2,courses=2")
     verdicts = Counter()

@@ -13,8 +13,7 @@ from bench.methods import METHODS, Method, line_of, timed
 from bench.questions import Question, question_elsewhere
 from bench.structures import Structure
 from bench.submission import Answer, Step
-from falsework.assembly import load_structure
-from falsework.assembly.model import Assembly
+from falsework import Assembly, load_structure
 
 ARCH = "arch:blocks=5"
 

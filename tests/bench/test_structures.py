@@ -12,7 +12,8 @@ from bench.__main__ import DONE, NO, WRONG, main
 from bench.bricks import unpack
 from bench.questions import CRITERIA, questions, questions_of
 from bench.structures import BRICKS, HERE, MANIFEST, MOST_BRICKS, NotHereError, Structure, manifest, pinned, structures
-from falsework.assembly import load_structure, save_assembly
+from falsework import load_structure
+from falsework.assembly.store import save_assembly
 from falsework.errors import InputError
 from tests.bench.conftest import CATENARY, Paper
 

@@ -14,11 +14,10 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 import draws  # noqa: E402
 import learning  # noqa: E402
 
-from falsework.assembly import load_structure  # noqa: E402
+from falsework import StabilityOracle, StabilitySettings, load_structure  # noqa: E402
 from falsework.assembly.symmetry import symmetries  # noqa: E402
 from falsework.learn.data.symmetry_augmentation import symmetric_images  # noqa: E402
 from falsework.search.device.oracle import tensor_oracle  # noqa: E402
-from falsework.stability import StabilityOracle, StabilitySettings  # noqa: E402
 
 
 def rows(states: Any) -> set[bytes]:

@@ -11,7 +11,7 @@ from experiments.general_cases import CASES, TESTED, evaluate_case
 from experiments.structure_generator import TRAINED, UNSEEN
 from general import PER_FILE, VALIDATION, Library, Options, card, case_label, number_of
 
-from falsework.learn.config.policy import PolicySettings
+from falsework.learn import PolicySettings
 from falsework.learn.data.structure_batches import StructureBatches
 from falsework.learn.training.general import GeneralSettings, GeneralTraining
 

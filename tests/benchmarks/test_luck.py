@@ -12,8 +12,7 @@ import pytest
 from luck import HELD_OUT, TUNED, Meter, Options, Perturbation, apart, cases, key_of, summary
 from runs import read_runs
 
-from falsework.assembly import Assembly, load_structure
-from falsework.stability import StabilityOracle, StabilitySettings
+from falsework import Assembly, StabilityOracle, StabilitySettings, load_structure
 
 
 def test_number_0_is_the_structure_as_it_is_and_others_are_always_the_same() -> None:

@@ -13,13 +13,13 @@ import pytest
 from luck import Options, apart, cases, compared, key_of, main, table_of
 from search_rules import ALL, EACH, LEFT_OUT, RULES, acts_in, each_of, parts_of, probe_all, switch_off
 
-from falsework.assembly import load_structure
-from falsework.assembly.state import States
-from falsework.search import SupportGuide, Task, strategies
+from falsework import StabilityOracle, StabilitySettings, Task, load_structure
+from falsework.assembly import States
+from falsework.search import SupportGuide, strategies
 from falsework.search.beam import backjumping, beam, failed_moves, nogoods
 from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
 from falsework.search.problem import guide
-from falsework.stability import StabilityOracle, StabilitySettings, Verdicts
+from falsework.stability import Verdicts
 from falsework.stability.cpu import solver
 from falsework.stability.settings import EQUILIBRIUM
 

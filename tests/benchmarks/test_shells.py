@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from shells import EACH, FAMILIES, NAMES, shell
 
-from falsework.assembly.state import complete_state
-from falsework.stability import StabilityOracle
+from falsework import StabilityOracle
+from falsework.assembly import complete_state
 
 
 @pytest.mark.parametrize("family", list(FAMILIES))

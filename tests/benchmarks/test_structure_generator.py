@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from experiments.structure_generator import TRAINED, UNSEEN, generated, stands, turned
 
-from falsework.assembly import load_structure
+from falsework import StabilityOracle, load_structure
 from falsework.errors import InputError
-from falsework.stability import StabilityOracle
 
 
 def test_a_number_is_always_the_same_structure() -> None:

@@ -9,10 +9,9 @@ from experiments.policy_cost import policy_cost
 from experiments.structure_generator import rotated_copies
 from experiments.transfer import Budget, Harness, compare_networks, transfer_experiment
 
-from falsework.assembly import load_structure
+from falsework import load_structure
 from falsework.errors import InputError
-from falsework.learn.config.policy import PolicySettings
-from falsework.learn.networks.factory import make_policy, transfer
+from falsework.learn import PolicySettings, make_policy, transfer
 from falsework.learn.training.evaluate import greedy_success
 
 SMALL = PolicySettings("transformer", layers=2, channels=32, heads=4)

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework import find_plans, load_structure
 from falsework.cli.arguments import parse_parts, parse_state, parse_states, read_states
 from falsework.errors import InputError, StateError
-from falsework.search import find_plans, save_plan
+from falsework.search.plans.plan_file import save_plan
 
 _BOUNDARY = np.array([True, False, False, False])
 FOUR_PARTS: Any = SimpleNamespace(

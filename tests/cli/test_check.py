@@ -12,7 +12,7 @@ import pytest
 from falsework.cli.arguments import spell_options
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import Output
-from falsework.search import load_plan
+from falsework.search.plans.plan_file import load_plan
 from falsework.utils.files.printable import printable
 
 Run = Callable[..., Any]

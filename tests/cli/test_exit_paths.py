@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from falsework.assembly import Assembly
+from falsework import Assembly
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.store import save_assembly
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from falsework.assembly import load_structure
-from falsework.learn.config.policy import PolicySettings
+from falsework import load_structure
+from falsework.learn import PolicySettings
 from falsework.learn.data.labelled_states import LabelSettings, label_states
 from falsework.learn.data.structure_batches import StructureBatches
 from falsework.learn.training import checkpoint

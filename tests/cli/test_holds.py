@@ -10,13 +10,12 @@ from typing import Any
 
 import pytest
 
-from falsework.assembly import load_structure
-from falsework.assembly.state import HELD
+from falsework import StabilitySettings, load_structure
+from falsework.assembly import HELD
 from falsework.errors import InputError
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import load_plan
-from falsework.stability import StabilitySettings
-from falsework.stability.holds import HoldSettings
+from falsework.stability import HoldSettings
 
 Run = Callable[..., Any]
 ARCH = "arch:blocks=9"

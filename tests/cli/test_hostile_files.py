@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from falsework import find_plans, load_cell, make_task
 from falsework.errors import CellError, InputError, PlanError
 from falsework.interop.compas_read import load_compas
-from falsework.robots import load_robot_plan
-from falsework.robots.cells.cell_file import load_cell
-from falsework.search import find_plans, load_plan, load_state_graph, make_task
+from falsework.robots.plans.robot_plan_file import load_robot_plan
+from falsework.search.plans.plan_file import load_plan
+from falsework.search.problem.state_graph import load_state_graph
 from falsework.utils.archive import read_archive
 from falsework.utils.json_text import LEVELS, parse_json
 
@@ -126,7 +127,7 @@ def replaced(data: Any, path: tuple[Any, ...], value: Any) -> Any:
 @pytest.fixture(scope="module")
 def plan_data() -> dict[str, Any]:
     """A small plan as JSON values."""
-    from falsework.assembly import load_structure
+    from falsework import load_structure
     from falsework.search.plans.plan_file import plan_to_dict
 
     assembly = load_structure("arch:blocks=3")

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from falsework.stability import StabilityOracle
+from falsework import StabilityOracle
 
 Run = Callable[..., Any]
 

@@ -13,8 +13,11 @@ from typing import Any
 
 import pytest
 
-from falsework.assembly import load_structure
-from falsework.search import BeamSearch, load_plan, load_state_graph, validate_plan, validate_proofs
+from falsework import load_structure
+from falsework.search import BeamSearch
+from falsework.search.plans.plan_check import validate_plan, validate_proofs
+from falsework.search.plans.plan_file import load_plan
+from falsework.search.problem.state_graph import load_state_graph
 from falsework.stability.judges import build_judge
 
 Run = Callable[..., Any]

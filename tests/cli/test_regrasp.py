@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from falsework.search import load_plan
+from falsework.search.plans.plan_file import load_plan
 
 Run = Callable[..., Any]
 

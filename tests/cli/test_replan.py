@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, load_structure
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.store import save_assembly
-from falsework.search import load_plan
+from falsework.search.plans.plan_file import load_plan
 
 Run = Callable[..., Any]
 ARCH = load_structure("arch:blocks=5")
@@ -33,9 +33,8 @@ def old(falsework: Run, tmp_path: Path) -> Path:
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     """A run as training leaves it, with a policy that was never trained."""
-    from falsework.learn.config.policy import PolicySettings
-    from falsework.learn.config.train import TrainSettings, to_dict
-    from falsework.learn.networks.factory import make_policy
+    from falsework.learn import PolicySettings, TrainSettings, make_policy
+    from falsework.learn.config.train import to_dict
     from falsework.learn.training.checkpoint import describe_structure, save_run
 
     settings = TrainSettings(policy=PolicySettings("mlp"))

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure, save_assembly
+from falsework import Assembly, load_structure
+from falsework.assembly.store import save_assembly
 
 Run = Callable[..., Any]
 Write = Callable[..., Path]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from falsework.geometry import TriangleMesh
 from falsework.geometry.mesh.bodies import separate_solids
-from falsework.geometry.mesh.mesh import TriangleMesh
 
 
 def soup(solids, rng=None):

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework import load_structure
 from falsework.cli.arguments import read_states
 from falsework.errors import InputError, MeshError
+from falsework.geometry import load_meshes
 from falsework.geometry.mesh.bounds import LARGEST_POLYGON, check_growth
 from falsework.geometry.mesh.polygon import triangulate
-from falsework.geometry.mesh.read import load_meshes
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype="<f4")
 FACES = np.array([0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3], dtype="<u2")

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from falsework.errors import InputError
-from falsework.geometry import ContactSettings, clearance_table, find_contacts, load_meshes
+from falsework.geometry import ContactSettings, find_contacts, load_meshes
 from falsework.geometry.clearance.directions import exit_directions, sphere_directions
 from falsework.geometry.clearance.sweep import Sweeper
+from falsework.geometry.clearance.table import clearance_table
 
 TOLERANCE = 1e-4
 

@@ -11,7 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from falsework.errors import InputError
-from falsework.geometry import Contacts, ContactSettings, find_contacts, load_meshes
+from falsework.geometry import Contacts, ContactSettings, TriangleMesh, find_contacts, load_meshes
+from falsework.geometry.contact.grouping import planes
+from falsework.geometry.contact.patches import Faces, face_patches, opposed_faces
 from falsework.geometry.mesh.collision import Body
 
 linprog: Any = vars(scipy.optimize)["linprog"]  # without types, which take a type checker long to infer
@@ -265,3 +267,43 @@ def test_area_agrees_with_sampling(shared_assembly):
             near |= Body(meshes[other].vertices, meshes[other].faces).distances(points) < 1e-5
         expected = contacts.areas[(contacts.parts == part).any(axis=1)].sum() / area.sum()
         assert near.mean() == pytest.approx(expected, abs=4 * np.sqrt(0.25 / count))
+
+
+def tube(name, inner, outer, sides, rows):
+    """Tube whose inner and outer sides are cut into rows of facets."""
+    low, high = np.linspace(0, 0.1, rows), np.linspace(0.1, 0, rows)
+    radius = np.repeat([inner, outer], rows)
+    height = np.concatenate([high, low])
+    angle = 2 * np.pi * np.arange(sides) / sides
+    points = np.stack(
+        [np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle)), np.outer(height, np.ones(sides))], axis=-1
+    )
+    a = np.arange(2 * rows * sides).reshape(2 * rows, sides)
+    b, c, d = np.roll(a, -1, axis=0), np.roll(a, -1, axis=1), np.roll(a, (-1, -1), axis=(0, 1))
+    faces = np.concatenate([np.stack(half, -1).reshape(-1, 3) for half in ((a, c, d), (a, d, b))])
+    mesh = TriangleMesh.from_arrays(name, points.reshape(-1, 3), faces)
+    return mesh if mesh.volume > 0 else TriangleMesh.from_arrays(name, points.reshape(-1, 3), faces[:, ::-1])
+
+
+def test_pairs_of_faces_that_are_compared_grow_with_the_faces_alone():
+    """Of a bearing, also within the wide bounds of joints."""
+
+    def compared(scale):
+        faces = Faces.from_meshes(
+            [tube("shaft", 0.005, 0.01, 24 * scale, 6 * scale), tube("bush", 0.0101, 0.02, 24, 6)]
+        )
+        extent = np.full(len(faces.part), 0.02)
+        return sum(len(i) for i, _ in opposed_faces(faces, extent / 20, extent / 3, 30.0)), len(faces.part)
+
+    (few, small), (many, large) = compared(2), compared(4)
+    assert many / few < 1.5 * large / small
+
+
+@pytest.mark.parametrize("coplanar", [0.1, 30.0])
+def test_planes_by_the_tree_are_those_by_comparing_all(coplanar):
+    meshes = [tube("shaft", 0.005, 0.01, 40, 5), tube("bush", 0.01, 0.02, 40, 7)]
+    patches = face_patches(meshes, gap=1e-5, overlap=1e-5, angle=6.0)
+    by_tree = planes(patches, coplanar, 1e-5, many=0)
+    expected = planes(patches, coplanar, 1e-5, many=10**9)
+    assert len(np.unique(by_tree)) == len(np.unique(expected))
+    assert len(np.unique(np.stack([by_tree, expected]), axis=1).T) == len(np.unique(expected))

@@ -7,9 +7,10 @@ import itertools
 import numpy as np
 import pytest
 
-from falsework.geometry import ContactSettings, clearance_table, find_contacts, load_meshes
+from falsework.geometry import ContactSettings, find_contacts, load_meshes
 from falsework.geometry.clearance.cover import Triangles
 from falsework.geometry.clearance.sweep import Sweeper
+from falsework.geometry.clearance.table import clearance_table
 from falsework.utils.bits import unpack
 
 TOLERANCE = 1e-4

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly
+from falsework import Assembly
 from falsework.assembly.library.blocks import Solid, gather
 from falsework.assembly.library.voxels import _grow, _pinches, surface
 from falsework.geometry.contact.interfaces import find_contacts

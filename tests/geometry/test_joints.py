@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from falsework.assembly import library, load_structure
+from falsework import load_structure
+from falsework.assembly import library
 from falsework.errors import AssemblyError
 from falsework.geometry import Contacts, ContactSettings, TriangleMesh, find_contacts
 from falsework.geometry.contact.interfaces import exact_contacts
@@ -176,3 +177,24 @@ def test_models_without_overlaps_take_the_exact_path(shared_assembly):
         assert not len(assembly.report)
         for field in ("parts", "frames", "points", "start", "areas"):
             assert (getattr(assembly.contacts, field) == getattr(contacts, field)).all()
+
+
+def cup(name, base, wall=0.002):
+    """Conical cup without a floor, whose sides lean outwards by a third."""
+    radius = np.array([0.01, 0.01 + wall, 0.02 + wall, 0.02])
+    height = base + np.array([0.0, 0.0, 0.03, 0.03])
+    angle = 2 * np.pi * np.arange(24) / 24
+    points = np.stack(
+        [np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle)), np.outer(height, np.ones(24))], axis=-1
+    )
+    a = np.arange(96).reshape(4, 24)
+    b, c, d = np.roll(a, -1, axis=0), np.roll(a, -1, axis=1), np.roll(a, (-1, -1), axis=(0, 1))
+    faces = np.concatenate([np.stack(half, -1).reshape(-1, 3) for half in ((a, c, d), (a, d, b))])
+    return TriangleMesh.from_arrays(name, points.reshape(-1, 3), faces)
+
+
+def test_the_far_sides_of_thin_walls_make_no_joint():
+    """Cups that are nested and do not touch: the inside of one looks at the outside of the other, past both walls."""
+    cups = [cup("lower", 0.0), cup("upper", 0.01)]
+    assert all(mesh.volume > 0 for mesh in cups)
+    assert len(find_contacts(cups)) == 0

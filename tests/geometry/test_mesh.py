@@ -8,7 +8,8 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from falsework.errors import MeshError
-from falsework.geometry import TriangleMesh, mass_properties
+from falsework.geometry import TriangleMesh
+from falsework.geometry.mesh.mesh import mass_properties
 
 
 def test_box_matches_the_closed_form_wherever_it_stands(shapes):

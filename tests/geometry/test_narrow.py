@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from falsework.assembly import library, load_assembly
+from falsework.assembly import library
+from falsework.assembly.store import load_assembly
 from falsework.geometry import Contacts, ContactSettings, TriangleMesh, find_contacts
 from falsework.geometry.contact.interfaces import default_gap
 from falsework.geometry.contact.narrow_phase import NARROW

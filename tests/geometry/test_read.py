@@ -7,10 +7,9 @@ import pytest
 import trimesh
 from trimesh.exchange.stl import export_stl_ascii
 
-from falsework.errors import InputError, MeshError
-from falsework.geometry import load_meshes
+from falsework.errors import InputError, MeshError, ReadWarning
+from falsework.geometry import RepairWarning, load_meshes
 from falsework.geometry.mesh.obj import obj_text, read_obj
-from falsework.geometry.mesh.repair import RepairWarning
 
 Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]], float)
 """Turns z up into the y up of glTF."""
@@ -145,8 +144,8 @@ def test_bad_folders(tmp_path, boxes):
         load_meshes(tmp_path / "notes.txt")
     write(tmp_path / "0.obj", boxes[0])
     write(tmp_path / "2.obj", boxes[1])
-    with pytest.raises(InputError, match="part 1 is missing"):
-        load_meshes(tmp_path)
+    with pytest.warns(ReadWarning, match="there is no part 1: the 2 parts are numbered from 0 to 1 in the order"):
+        assert [mesh.name for mesh in load_meshes(tmp_path)] == ["0", "2"]
     write(tmp_path / "1.obj", boxes[1])
     write(tmp_path / "02.obj", boxes[1])
     with pytest.raises(InputError, match="part 2 occurs 2 times"):

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from falsework.errors import MeshError, ReadWarning
-from falsework.geometry import RepairWarning, check_mesh
+from falsework.geometry import RepairWarning
 from falsework.geometry.mesh.mesh import mass_properties
+from falsework.geometry.mesh.repair import check_mesh
 
 
 @pytest.fixture

@@ -13,8 +13,7 @@ from typing import Any
 
 import pytest
 
-from falsework.assembly import Assembly, load_structure
-from falsework.search import Plan, find_plans, make_task
+from falsework import Assembly, Plan, find_plans, load_structure, make_task
 
 _PROGRAM = """
 const validator = require(process.argv[1]);

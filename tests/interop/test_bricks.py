@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
-from falsework.assembly.state import complete_state
+from falsework import StabilityOracle, StabilitySettings, Verdict, load_structure
+from falsework.assembly import complete_state
 from falsework.errors import AssemblyError, InputError
 from falsework.interop import Brick, assemble_bricks
 from falsework.interop.bricks import PLATE
-from falsework.stability import StabilityOracle, StabilitySettings, Verdict
 
 STICK = [
     (0, 0, 8), (6, 1, 4), (8, 2, 4), (10, 3, 8), (16, 2, 8), (22, 3, 6), (26, 2, 6), (30, 3, 6), (34, 2, 6), (38, 3, 6),

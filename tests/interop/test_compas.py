@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
-from falsework.assembly.model import ContactWarning
+from falsework import Assembly, load_structure
+from falsework.assembly import ContactWarning
 from falsework.cli.main import main
 from falsework.errors import AssemblyError, InputError, MeshError, ReadWarning
+from falsework.interop import to_compas
 from falsework.interop.compas_read import load_compas
-from falsework.interop.compas_write import to_compas, write_compas
+from falsework.interop.compas_write import write_compas
 
 MODEL = "compas_model.models/Model"
 KINDS = ("meshes", "assembly", "dem")
@@ -30,7 +31,7 @@ def compas() -> Any:
 @pytest.mark.parametrize("spec", ["arch:blocks=7", "vault", "bottle"])
 def test_there_and_back_without_the_packages(spec: str, kind: Any, tmp_path: Path) -> None:
     assembly = load_structure(spec)
-    write_compas(tmp_path / "out.json", assembly, kind)
+    write_compas(assembly, tmp_path / "out.json", kind)
     again = load_compas(tmp_path / "out.json")
     assert again.identity == assembly.identity
     assert again.names == assembly.names
@@ -40,7 +41,7 @@ def test_there_and_back_without_the_packages(spec: str, kind: Any, tmp_path: Pat
 def test_there_and_back_through_the_packages(kind: Any, compas: Any, arch: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_assembly")
     pytest.importorskip("compas_dem")
-    write_compas(tmp_path / "out.json", arch, kind)
+    write_compas(arch, tmp_path / "out.json", kind)
     compas.json_dump(compas.json_load(tmp_path / "out.json"), tmp_path / "again.json")
     again = load_compas(tmp_path / "again.json")
     assert again.identity == arch.identity
@@ -49,7 +50,7 @@ def test_there_and_back_through_the_packages(kind: Any, compas: Any, arch: Assem
 
 def test_compas_assembly_sees_blocks_supports_and_interfaces(compas: Any, arch: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_assembly")
-    write_compas(tmp_path / "out.json", arch, "assembly")
+    write_compas(arch, tmp_path / "out.json", "assembly")
     found = compas.json_load(tmp_path / "out.json")
     assert [block.volume() for block in found.blocks()] == pytest.approx(arch.mass.volume)
     supports = [found.graph.node_attribute(node, "is_support") for node in found.graph.nodes()]
@@ -64,7 +65,7 @@ def test_compas_assembly_sees_blocks_supports_and_interfaces(compas: Any, arch: 
 
 def test_a_line_is_an_interface_of_two_points(compas: Any, beam_on_ridge: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_assembly")
-    write_compas(tmp_path / "out.json", beam_on_ridge, "assembly")
+    write_compas(beam_on_ridge, tmp_path / "out.json", "assembly")
     (interface,) = compas.json_load(tmp_path / "out.json").graph.edge_attribute((1, 2), "interfaces")
     assert np.allclose(interface.points, beam_on_ridge.contacts.points[-2:])
     assert interface.size == pytest.approx(beam_on_ridge.contacts.areas[1])
@@ -74,7 +75,7 @@ def test_a_line_is_an_interface_of_two_points(compas: Any, beam_on_ridge: Assemb
 
 def test_compas_dem_finds_the_same_contacts(compas: Any, arch: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_dem")
-    write_compas(tmp_path / "out.json", arch, "dem")
+    write_compas(arch, tmp_path / "out.json", "dem")
     model = compas.json_load(tmp_path / "out.json")
     assert [element.is_support for element in model.elements()] == arch.boundary.tolist()
     model.compute_contacts(tolerance=1e-4, minimum_area=1e-4)

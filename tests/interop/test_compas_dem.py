@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework import load_structure
 from falsework.errors import InputError
 from falsework.interop import compas_dem
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from falsework.assembly import load_structure
+from falsework import load_structure
 from falsework.cli.main import main
 
 

@@ -12,14 +12,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, Plan, load_structure
 from falsework.errors import FalseworkError
 from falsework.geometry.mesh.obj import obj_text
+from falsework.interop import to_compas
 from falsework.interop.compas_read import load_compas
-from falsework.interop.compas_write import to_compas
 from falsework.interop.gltf import to_gltf
-from falsework.search import Plan, load_plan
-from falsework.search.plans.plan_file import plan_to_dict
+from falsework.search.plans.plan_file import load_plan, plan_to_dict
 
 MANY = settings(
     max_examples=120,

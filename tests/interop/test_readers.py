@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import diagnose, load_structure
+from falsework import doctor, load_structure
 from falsework.errors import DependencyError, InputError, ReadWarning
 from falsework.geometry import RepairWarning
 
@@ -114,7 +114,7 @@ def test_extrusions_have_render_meshes(public_structure_path: Callable[[str], Pa
 
 @pytest.mark.usefixtures("rhino")
 def test_genevault_as_rhino_has_it(public_structure_path: Callable[[str], Path]) -> None:
-    found = diagnose(public_structure_path("formats/genevault.3dm"))
+    found = doctor(public_structure_path("formats/genevault.3dm"))
     assert any(remark.endswith("left out: 198 on layer RBE::Interfaces") for remark in found.remarks)
     assert any("hidden objects were left out: 6 on layer Default, 6 on" in remark for remark in found.remarks)
     assert found.loads

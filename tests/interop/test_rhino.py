@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, load_structure
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "tutorials" / "from-rhino-to-a-plan.md"
 

@@ -13,17 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, Plan, Task, find_plans, load_structure, make_task
+from falsework import sheet as make_sheet
 from falsework.cli.main import main
 from falsework.errors import PlanError
-from falsework.interop.instruction_table import COLUMNS, assembly_instructions, describe_motion, instructions_csv
-from falsework.search import Plan, find_plans, make_task
-from falsework.search.problem.task import Task
+from falsework.interop.instruction_table import COLUMNS, describe_motion, instructions_csv
 
 
 def table(plan: Plan, assembly: Assembly) -> list[dict[str, str]]:
     """The lines of the table."""
-    return list(csv.DictReader(io.StringIO(instructions_csv(assembly_instructions(plan, assembly)))))
+    return list(csv.DictReader(io.StringIO(instructions_csv(make_sheet(assembly, plan)))))
 
 
 def test_who_follows_the_table_goes_through_the_states_of_the_plan(arch: Assembly, plan: Plan) -> None:
@@ -57,7 +56,7 @@ def test_a_plan_that_starts_and_ends_half_way(arch: Assembly) -> None:
     start = np.array([1, 1, 2, 0, 2, 1, 1, 2, 2])
     task = Task.from_rules(arch.boundary, 3, start=[1, 1, 1, 1, 1, 1, 1, 2, 2], target=start, identity=arch.identity)
     found = find_plans(arch, task).plans[0]
-    sheet = assembly_instructions(found, arch)
+    sheet = make_sheet(arch, found)
     assert sheet.start == (0, 1, 2, 4, 5, 6)
     assert [part for part, _ in sheet.holding(0)] == [2, 4]
     assert sheet.steps[0].place
@@ -82,7 +81,7 @@ def test_missing_parts_are_marked(arch: Assembly) -> None:
 
 
 def test_names_do_not_become_formulas() -> None:
-    from falsework.geometry.mesh.mesh import TriangleMesh
+    from falsework.geometry import TriangleMesh
 
     arch = load_structure("arch:blocks=3")
     names = ('=HYPERLINK("http://x")', "+1", "@a", "-b", "c,d")
@@ -110,7 +109,7 @@ def test_ways_in_words(way: Any, words: str) -> None:
 
 def test_a_plan_for_another_structure(plan: Plan) -> None:
     with pytest.raises(PlanError, match="the structure it was made for"):
-        assembly_instructions(plan, load_structure("arch:blocks=5"))
+        make_sheet(load_structure("arch:blocks=5"), plan)
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +118,7 @@ def pdf(arch: Assembly, plan: Plan) -> bytes:
     pytest.importorskip("reportlab", reason="needs reportlab; pip install 'falsework[sheet]'")
     from falsework.interop.instruction_pdf import instructions_pdf
 
-    return instructions_pdf(assembly_instructions(plan, arch))
+    return instructions_pdf(make_sheet(arch, plan))
 
 
 def test_the_pdf_has_all_pages_and_pictures(pdf: bytes, arch: Assembly, plan: Plan) -> None:
@@ -127,7 +126,7 @@ def test_the_pdf_has_all_pages_and_pictures(pdf: bytes, arch: Assembly, plan: Pl
     assert pdf.startswith(b"%PDF-")
     from falsework.interop.instruction_pdf import table_rows
 
-    rows = table_rows(assembly_instructions(plan, arch))
+    rows = table_rows(make_sheet(arch, plan))
     assert [step.number for row in rows for step in row] == list(range(1, 15))
     merged = [row for row in rows if len(row) == 2]
     assert merged
@@ -157,7 +156,7 @@ def test_the_pdf_says_what_the_table_does(pdf: bytes, arch: Assembly, plan: Plan
 
 def test_the_stock_list_has_mass_place_and_step_of_every_part(pdf: bytes, arch: Assembly, plan: Plan) -> None:
     stock = text_of(pdf).partition("Stock list")[2]
-    for step in assembly_instructions(plan, arch).steps:
+    for step in make_sheet(arch, plan).steps:
         if step.place:
             (part,) = step.parts
             x, y, z = arch.mass.center[part].round(3) + 0.0
@@ -179,7 +178,7 @@ def test_nothing_in_the_pdf_is_cut_short(tmp_path: Path) -> None:
         density=60_000.0,
     )
     plan = find_plans(long, make_task(long)).plans[0]
-    sheet = assembly_instructions(plan, long)
+    sheet = make_sheet(long, plan)
     said = "friction 0.364, tilt 2.48 deg, push 3.66 kN on the crown, load factor 12.3 of the weakest part, and more"
     sheet = replace(sheet, steps=tuple(replace(step, margins=said) for step in sheet.steps))
     words = " ".join(text_of(instructions_pdf(sheet)).split())
@@ -198,7 +197,7 @@ def test_pictures_show_what_stands(arch: Assembly, plan: Plan) -> None:
     from falsework.viewer.palette import robot_color, unit_rgb
     from falsework.viewer.pictures.contact_sheet import draw
 
-    sheet = assembly_instructions(plan, arch)
+    sheet = make_sheet(arch, plan)
     covered = []
     for step in sheet.steps:
         image = draw(arch, appearance_at(sheet.timeline, step.number, travelling=False), CAMERA, samples=1)
@@ -247,4 +246,4 @@ def test_without_reportlab_the_extra_is_named(arch: Assembly, plan: Plan, monkey
 
     monkeypatch.setattr(instruction_pdf, "find_spec", lambda name: None)
     with pytest.raises(DependencyError, match=r"falsework\[sheet\].*\.csv"):
-        instruction_pdf.instructions_pdf(assembly_instructions(plan, arch))
+        instruction_pdf.instructions_pdf(make_sheet(arch, plan))

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, Plan, load_structure
 from falsework.interop.usd import to_usd, write_usd
-from falsework.search import Plan
 
 pytest.importorskip("pxr", reason="needs usd-core, of the dependency group test")
 
@@ -106,14 +105,14 @@ def test_presses_are_attributes_of_the_part(
 
 
 def test_names_that_usd_does_not_allow(tmp_path: Path) -> None:
-    from falsework.geometry.mesh.mesh import TriangleMesh
+    from falsework.geometry import TriangleMesh
 
     arch = load_structure("arch:blocks=3")
     names = ('key "stone"\n', "surface", "3", "schlußstein", "physics")
     meshes = [
         TriangleMesh.from_arrays(name, mesh.vertices, mesh.faces) for name, mesh in zip(names, arch.meshes, strict=True)
     ]
-    write_usd(tmp_path / "out.usda", Assembly.from_meshes(meshes, boundary=arch.boundary, name="7 days"))
+    write_usd(Assembly.from_meshes(meshes, boundary=arch.boundary, name="7 days"), tmp_path / "out.usda")
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
     prims = parts_of(stage)
     assert [prim.GetDisplayName() for prim in prims] == ['key "stone"', "surface", "3", "schlußstein", "physics"]

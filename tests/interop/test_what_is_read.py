@@ -21,9 +21,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, export, load_structure
 from falsework.errors import InputError, ReadWarning
-from falsework.interop.formats import export
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "files.md"
 TREATMENTS = ("used", "left alone", "warned", "refused")
@@ -703,7 +702,7 @@ def _(folder: Path) -> Case:
 def _(folder: Path) -> Case:
     obj(folder / "0.obj", LOW)
     obj(folder / "2.obj", HIGH)
-    return Case(folder, says="part 1 is missing")
+    return Case(folder, ("0", "2"), "there is no part 1: the 2 parts are numbered")
 
 
 @case("Folder", "one name in two formats")
@@ -722,6 +721,72 @@ def _(folder: Path) -> Case:
 @case("Folder", "all parts as boundary")
 def _(folder: Path) -> Case:
     return Case(pair(folder), ("a", "b"), "every part of pair is boundary", boundary=("a", "b"))
+
+
+def posed(folder: Path, **config: Any) -> Path:
+    """Write the blocks of `pair`, the upper one beside its place, with a configuration of poses in centimetres."""
+    place = folder / "posed"
+    place.mkdir()
+    obj(place / "a.obj", ((0, 0, 0), (100, 100, 100)))
+    obj(place / "b.obj", ((300, 0, 0), (400, 100, 100)))
+    (place / "config.json").write_text(json.dumps(config))
+    return place
+
+
+POSES = {"a": {"final_state": [0, 0, 0]}, "b": {"final_state": [-300, 0, 100]}}
+
+
+def upper_at(low: float) -> Callable[[Assembly], bool]:
+    return lambda assembly: np.allclose(assembly.meshes[1].bounds[0], (0, 0, low))
+
+
+@case(
+    "Poses beside meshes", "`final_state` of a part: a translation, or a translation and angles about fixed x, y and z"
+)
+def _(folder: Path) -> Case:
+    turned = {"final_state": [100, -300, 100, 0, 0, np.pi / 2]}
+    place = posed(folder, a={"final_state": [0, 0, 0]}, b=turned)
+    return Case(place, ("a", "b"), check=upper_at(1))
+
+
+@case("Poses beside meshes", "a translation for each part (`translation.json`)")
+def _(folder: Path) -> Case:
+    place = posed(folder)
+    (place / "translation.json").write_text(json.dumps({"a": [0, 0, 0], "b": [-300, 0, 100]}))
+    return Case(place, ("a", "b"), check=upper_at(1))
+
+
+@case("Poses beside meshes", "`initial_state`, and settings such as `contact_eps`")
+def _(folder: Path) -> Case:
+    poses = {"a": {**POSES["a"], "initial_state": [900, 0, 0]}, "b": POSES["b"], "contact_eps": 0.2}
+    return Case(posed(folder, **poses), ("a", "b"), check=upper_at(1))
+
+
+@case("Poses beside meshes", "parts without a pose beside others")
+def _(folder: Path) -> Case:
+    return Case(posed(folder, b=POSES["b"]), ("a", "b"), "stay where their meshes are: a", check=upper_at(1))
+
+
+@case("Poses beside meshes", "poses of parts without a mesh")
+def _(folder: Path) -> Case:
+    return Case(posed(folder, **POSES, c={"final_state": [0, 0, 0]}), ("a", "b"), "without a mesh have no effect: c")
+
+
+@case("Poses beside meshes", "orientations of the whole for each step (`pose/`)")
+def _(folder: Path) -> Case:
+    place = posed(folder, **POSES)
+    (place / "pose").mkdir()
+    return Case(place, ("a", "b"), "orientations of the whole for each step were left out")
+
+
+@case("Poses beside meshes", "no fixed part")
+def _(folder: Path) -> Case:
+    return Case(posed(folder, **POSES), ("a", "b"), "a ground was added under the lowest point", ground=False)
+
+
+@case("Poses beside meshes", "a pose that is none")
+def _(folder: Path) -> Case:
+    return Case(posed(folder, **{**POSES, "b": {"final_state": [1, 2]}}), says=r"the pose of part b is \[1, 2\]")
 
 
 @case("assembly.json", "notes")

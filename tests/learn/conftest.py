@@ -7,10 +7,9 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, Direction, StabilityOracle, StateGraph, load_structure
 from falsework.learn.data.dataset import training_task
-from falsework.search import BeamSearch, BeamSettings, Direction, StateGraph
-from falsework.stability import StabilityOracle
+from falsework.search import BeamSearch, BeamSettings
 
 
 @pytest.fixture(scope="session", autouse=True)

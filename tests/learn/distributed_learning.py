@@ -11,19 +11,22 @@ from typing import Any
 import torch
 from safetensors.torch import save_file
 
-from falsework.assembly import load_structure
-from falsework.learn.algorithms.curriculum import Curriculum
-from falsework.learn.algorithms.ppo import PPO
+from falsework import load_structure, make_task
+from falsework.learn import (
+    PPO,
+    REINFORCEMENT,
+    Curriculum,
+    Environment,
+    ImitationPhase,
+    PolicySettings,
+    PpoPhase,
+    TrainSettings,
+    make_policy,
+)
 from falsework.learn.algorithms.start_states import StartBatch
-from falsework.learn.config.imitation import ImitationPhase
-from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.ppo import REINFORCEMENT, PpoPhase
-from falsework.learn.config.train import TrainSettings
-from falsework.learn.env.environment import Environment
-from falsework.learn.networks.factory import make_policy
 from falsework.learn.training import train as module
 from falsework.learn.training.trainer import Trainer
-from falsework.search import BeamSearch, BeamSettings, make_task
+from falsework.search import BeamSearch, BeamSettings
 from falsework.utils.distributed import ProcessGroup, init_distributed
 
 PHASES = {

@@ -7,8 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
-from falsework.assembly.model import Assembly
+from falsework import Assembly, load_structure
 from falsework.geometry import TriangleMesh
 from falsework.learn.networks.force_torque_graph import ForceTorqueGraph
 

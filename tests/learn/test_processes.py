@@ -12,11 +12,11 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 safetensors = pytest.importorskip("safetensors.torch", reason="safetensors is not installed")
 
-from falsework.assembly import load_structure  # noqa: E402
+from falsework import load_structure  # noqa: E402
 from falsework.assembly.symmetry import symmetries  # noqa: E402
+from falsework.learn import load_run  # noqa: E402
 from falsework.learn.data.dataset import load_dataset  # noqa: E402
 from falsework.learn.data.symmetry_augmentation import symmetric_images  # noqa: E402
-from falsework.learn.training.checkpoint import load_run  # noqa: E402
 
 PARALLEL = ("default", "reinforcement")
 

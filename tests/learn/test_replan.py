@@ -14,15 +14,24 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from falsework.assembly import load_structure
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, complete_state, empty_state
+from falsework import (
+    Direction,
+    Outcome,
+    Plan,
+    Replanner,
+    StabilityOracle,
+    StabilitySettings,
+    find_plans,
+    load_structure,
+    replan,
+)
+from falsework.assembly import HELD, INSTALLED, REMOVED, States, complete_state, empty_state
 from falsework.errors import FalseworkError, InputError, StateError
-from falsework.replanning.replanner import Replanner, ReplanSettings, Request, Stage, replan
-from falsework.search import ExhaustiveSearch, Outcome, Plan, find_plans
+from falsework.replanning.replanner import ReplanSettings, Request, Stage
+from falsework.search import ExhaustiveSearch
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_check import validate_plan
-from falsework.search.problem.task import Direction
-from falsework.stability import Proof, StabilityOracle, StabilitySettings
+from falsework.stability import Proof
 from falsework.stability.contact.history import History, Replay
 from falsework.stability.contact.replay import Replayer
 
@@ -33,8 +42,7 @@ EMPTY = empty_state(ARCH.boundary)
 
 def make(kind: str = "mlp", **options: Any) -> Any:
     """A policy that was never trained: it proposes nonsense, which must not matter."""
-    from falsework.learn.config.policy import PolicySettings
-    from falsework.learn.networks.factory import make_policy
+    from falsework.learn import PolicySettings, make_policy
 
     return make_policy(ARCH, PolicySettings(kind=kind, **options))  # type: ignore[arg-type]
 
@@ -199,7 +207,7 @@ def test_an_arch_needs_two_robots(alone: Replanner, guided: Replanner) -> None:
         assert answer.outcome is Outcome.PROVED_IMPOSSIBLE
         assert answer.decided_by is Stage.EXHAUSTIVE
         assert answer.moving
-        assert answer.plan is None
+        assert answer.value is None
 
 
 def test_unstable_state_names_what_moves(alone: Replanner) -> None:
@@ -280,8 +288,8 @@ def test_deadline_is_kept(name: str) -> None:
             assert answer.outcome is Outcome.NOT_FOUND
             assert "the deadline passed" in answer.reason
         else:
-            assert answer.plan is not None
-            assert validate_plan(answer.plan, assembly).good
+            assert answer.value is not None
+            assert validate_plan(answer.value, assembly).good
 
 
 def test_deadline_is_kept_in_company() -> None:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from falsework.robots import Cell, CellRobot, Gripper, Obstacle
 from falsework.robots.cells.validate import no_parts
 from falsework.robots.cells.warm_up import compile_kernels
 from falsework.robots.model.builtin_robots import builtin_robot
-from falsework.robots.model.cell import Cell, CellRobot, Gripper, Obstacle
 from falsework.robots.model.shapes import block, cylinder, pose
 from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Contact, Scene
 

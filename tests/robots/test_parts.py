@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from falsework.assembly import load_structure
+from falsework import load_structure
 from falsework.cli.main import main
 from falsework.errors import StateError
+from falsework.geometry import TriangleMesh
 from falsework.geometry.mesh.collision import inside
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.robots import CellRobot, Gripper, Placement
 from falsework.robots.grasping.grasp import grasp_fault, grasps
 from falsework.robots.model.builtin_robots import builtin_robot
-from falsework.robots.model.cell import CellRobot, Gripper, Placement
 from falsework.robots.model.convex_decomposition import convex_pieces
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import block, move, pose
@@ -188,8 +188,8 @@ def test_a_part_without_a_grasp_is_told_with_its_size_and_that_of_the_gripper(cu
     """The circle on the largest face of a box, and its narrowest width."""
     from dataclasses import replace
 
+    from falsework import Assembly
     from falsework.assembly.library.blocks import box, gather
-    from falsework.assembly.model import Assembly
 
     made = gather([box("slab", (0, 0, 0), (0.3, 0.2, 0.05)), box("ground", (0, 0, -1), (1, 1, 0), fixed=True)])
     parts = place_parts(Assembly.from_meshes(made.meshes, boundary=made.boundary, density=100.0), Placement())

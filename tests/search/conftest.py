@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly import Assembly, load_structure
-from falsework.search import Task
-from falsework.stability import Proof, StabilityOracle, Verdict, Verdicts
+from falsework import Assembly, StabilityOracle, Task, Verdict, load_structure
+from falsework.stability import Proof, Verdicts
 
 State = tuple[int, ...]
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from baselines.depth_first import DepthFirstSearch, DepthFirstSettings
 
-from falsework.assembly import Assembly
-from falsework.search import Direction, Outcome, SearchProgress, Task
-from falsework.stability import StabilityOracle
+from falsework import Assembly, Direction, Outcome, StabilityOracle, Task
+from falsework.search import SearchProgress
 
 BOTH = pytest.mark.parametrize("direction", list(Direction))
 

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly
-from falsework.search import ExhaustiveSearch, Outcome, Task
-from falsework.stability import StabilityOracle
+from falsework import Assembly, Outcome, StabilityOracle, Task
+from falsework.search import ExhaustiveSearch
 
 
 @pytest.mark.parametrize("robots", [1, 2, 3])

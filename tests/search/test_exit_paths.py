@@ -13,22 +13,30 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from falsework.assembly import Assembly
+from falsework import (
+    Assembly,
+    Direction,
+    Outcome,
+    Plan,
+    PlannerSettings,
+    StabilityOracle,
+    StabilitySettings,
+    find_plans,
+    make_task,
+    min_robots,
+)
+from falsework import sheet as make_sheet
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.library.voxels import _grow, surface
 from falsework.errors import InputError, PlanError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.paths.moves import Move, apply
-from falsework.interop import assembly_instructions, instructions_csv
+from falsework.interop.instruction_table import instructions_csv
 from falsework.interop.tracks import tracks_of
 from falsework.replanning.executed_steps import ExecutedSteps
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search import Outcome, Plan, find_plans, min_robots, validate_plan
-from falsework.search.find import make_task
+from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
-from falsework.search.problem.task import Direction
-from falsework.search.settings import PlannerSettings
-from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.viewer.appearance import TRAVEL, appearance_at, diagonal
 from falsework.viewer.timeline import Timeline
 
@@ -228,7 +236,7 @@ def test_pictures_and_files_of_other_programs_show_the_way(plan: Plan) -> None:
     np.testing.assert_allclose(
         [place for _, place in path], [[out.distance, 0, up.distance], [0, 0, up.distance], [0] * 3]
     )
-    assert "from +x, then from above" in instructions_csv(assembly_instructions(plan, assembly))
+    assert "from +x, then from above" in instructions_csv(make_sheet(assembly, plan))
 
 
 def test_robots_and_replanning_refuse_such_plans_by_name(plan: Plan) -> None:
@@ -261,7 +269,7 @@ def test_ways_out_can_be_sent_to_another_process() -> None:
 def test_no_number_of_robots_is_refuted_where_holds_open_ways() -> None:
     """With two robots, the fewest, the bar is held aside."""
     found = min_robots(latch(), stability=SETTINGS, moves=2, target=[0, 2, 2])
-    assert found.robots == 2
+    assert found.count == 2
 
 
 def rings(name: str, sections: list[np.ndarray], *, close: bool) -> TriangleMesh:
@@ -344,7 +352,7 @@ def test_turns_are_shown_in_pictures_and_refused_by_name_elsewhere(screwed: tupl
     np.testing.assert_allclose(
         look.moved(0, assembly.meshes[0].vertices), apply(move.displacement(share), assembly.meshes[0].vertices)
     )
-    assert "from above, turning by 180°" in instructions_csv(assembly_instructions(plan, assembly))
+    assert "from above, turning by 180°" in instructions_csv(make_sheet(assembly, plan))
     with pytest.raises(PlanError, match="a part turns on its way in, which these files cannot show"):
         tracks_of(plan, assembly)
 

@@ -10,16 +10,15 @@ import numpy as np
 import pytest
 
 import falsework as fw
-from falsework.assembly import Assembly, load_structure
-from falsework.assembly.props import prop_places, with_props
+from falsework import Assembly, Plan, Replanner, StabilityOracle, StabilitySettings, find_plans, load_structure, replan
+from falsework.assembly import prop_places, with_props
 from falsework.errors import InputError, PlanError, StateError
 from falsework.replanning.executed_steps import ExecutedSteps
 from falsework.replanning.named_state import named_state
-from falsework.replanning.replanner import Replanner, replan
-from falsework.search import Plan, find_plans, save_plan, validate_plan
+from falsework.search.plans.plan_check import validate_plan
+from falsework.search.plans.plan_file import save_plan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.timed_replayer import DeadlineReplayer
-from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.stability.contact.replay import Replayer
 
 ARCH = load_structure("arch:blocks=7")

@@ -7,10 +7,8 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
-from falsework.search import Demands, PlanMargins, SearchProgress, find_plans, maximise_margin
-from falsework.search.find import make_task
-from falsework.stability import StabilityOracle
+from falsework import StabilityOracle, find_plans, load_structure, make_task, maximise_margin
+from falsework.search import Demands, PlanMargins, SearchProgress
 
 
 @pytest.mark.parametrize("kind", ["friction", "tilt"])

@@ -10,32 +10,33 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
-from falsework.cli.failure import explain
-from falsework.errors import InputError
-from falsework.search import (
-    BeamSearch,
+from falsework import (
+    Assembly,
     Direction,
-    ExhaustiveSearch,
     Outcome,
+    PlannerSettings,
+    StabilityOracle,
+    StabilitySettings,
     Task,
     find_plans,
+    load_structure,
     make_task,
     min_robots,
-    validate_plan,
 )
+from falsework.cli.failure import explain
+from falsework.errors import InputError
+from falsework.search import BeamSearch, ExhaustiveSearch
 from falsework.search.min_robots import unremovable_parts
+from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.hold_bound import HoldBound
-from falsework.search.settings import PlannerSettings
-from falsework.stability import StabilityOracle, StabilitySettings
 from falsework.stability.settings import EQUILIBRIUM
 
 
 def test_an_arch_needs_two(small_arch: Assembly, arch_oracle: StabilityOracle) -> None:
     """One robot has nothing left to hold once it has removed a part, and no arch stands without a part."""
     answer = min_robots(small_arch, oracle=arch_oracle)
-    assert (answer.robots, answer.least, answer.proven) == (2, 2, True)
+    assert (answer.value, answer.bound, answer.proven) == (2, 2, True)
     assert answer.plan is not None
     assert answer.plan.robots == 2
     assert validate_plan(answer.plan, small_arch, arch_oracle.settings).good
@@ -99,8 +100,8 @@ def test_a_start_in_which_parts_are_held(small_arch: Assembly) -> None:
     start = np.where(small_arch.boundary, 2, 1).astype(np.uint8)
     start[np.flatnonzero(~small_arch.boundary)[:2]] = 2
     answer = min_robots(small_arch, start=start)
-    assert answer.robots is not None
-    assert answer.least >= 2
+    assert answer.value is not None
+    assert answer.bound >= 2
     assert answer.reasons[0] == "the start or the target has more parts held"
 
 
@@ -117,7 +118,7 @@ def test_a_start_that_falls_has_no_number(small_arch: Assembly) -> None:
     start = np.where(small_arch.boundary, 2, 1).astype(np.uint8)
     start[np.flatnonzero(~small_arch.boundary)[1]] = 0
     answer = min_robots(small_arch, start=start)
-    assert answer.robots is None
+    assert answer.value is None
     assert answer.impossible == "the start state is unstable"
     assert answer.proven
 
@@ -143,7 +144,7 @@ def test_the_deadline_ends_every_search() -> None:
     answer = min_robots(assembly, deadline=0.05)
     assert answer.deadline_passed
     assert not answer.interrupted
-    assert answer.robots is None
+    assert answer.value is None
     planning = find_plans(assembly, deadline=0.05)
     assert planning.deadline_passed
     assert planning.result.interrupted
@@ -160,7 +161,7 @@ def test_an_interruption_leaves_the_best_so_far(small_arch: Assembly, monkeypatc
     answer = min_robots(small_arch)
     assert answer.interrupted
     assert not answer.deadline_passed
-    assert (answer.robots, answer.least) == (None, 2)  # the bound comes before the search
+    assert (answer.value, answer.bound) == (None, 2)  # the bound comes before the search
     assert answer.to_dict()["interrupted"]
 
 

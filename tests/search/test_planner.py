@@ -8,24 +8,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
-from falsework.errors import InputError
-from falsework.search import (
+from falsework import (
+    Assembly,
     Direction,
     Outcome,
-    Planner,
     PlannerSettings,
-    SearchProgress,
-    SupportGuide,
+    StabilityOracle,
     Task,
     find_plans,
+    load_structure,
     make_task,
-    validate_plan,
-    validate_proofs,
 )
+from falsework.errors import InputError
+from falsework.search import SearchProgress, SupportGuide
+from falsework.search.planner import Planner
+from falsework.search.plans.plan_check import validate_plan, validate_proofs
 from falsework.search.problem.result import insertion_steps
 from falsework.search.strategies import EDGES, EVERYWHERE, Portfolio
-from falsework.stability import StabilityOracle
 
 
 def insertions(route: tuple[tuple[int, ...], ...], parts: tuple[int, ...]) -> tuple[int, ...]:

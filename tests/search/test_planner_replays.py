@@ -10,15 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly.state import States
+from falsework import Direction, Outcome, PlannerSettings, StabilitySettings, Task
+from falsework.assembly import States
 from falsework.errors import InputError
-from falsework.search import Direction, Outcome, Planner, PlannerSettings, Task
-from falsework.search.beam.beam import BeamSearch
-from falsework.search.beam.settings import BeamSettings
+from falsework.search import BeamSearch, BeamSettings
+from falsework.search.planner import Planner
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import Stop
 from falsework.search.problem.timed_replayer import DeadlineReplayer
-from falsework.stability import StabilitySettings
 from falsework.stability.contact.history import History, Replay, ReplaySettings
 from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.contact.varied_replay import AllVariations

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from falsework.assembly import load_assembly
-from falsework.search import BeamSearch, BeamSettings, StateGraph, find_plans, make_task, validate_proofs
-from falsework.stability import StabilityOracle, StabilitySettings
+from falsework import StabilityOracle, StabilitySettings, StateGraph, find_plans, make_task
+from falsework.assembly.store import load_assembly
+from falsework.search import BeamSearch, BeamSettings
+from falsework.search.plans.plan_check import validate_proofs
 
 Find = Callable[[str], Path]
 

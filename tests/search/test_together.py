@@ -18,42 +18,43 @@ import jsonschema
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly
+from falsework import (
+    Assembly,
+    Direction,
+    Outcome,
+    Plan,
+    PlannerSettings,
+    StabilityOracle,
+    StabilitySettings,
+    Task,
+    Verdict,
+    find_plans,
+    make_task,
+    min_robots,
+)
+from falsework import sheet as make_sheet
 from falsework.assembly.library import shelf as built_in_shelf
 from falsework.assembly.library.blocks import box, gather, prism
 from falsework.assembly.library.voxels import _grow, surface
 from falsework.errors import AssemblyError, InputError, PlanError
-from falsework.interop import assembly_instructions, instructions_csv
+from falsework.interop.instruction_table import instructions_csv
 from falsework.interop.tracks import tracks_of
+from falsework.replanning import difference
 from falsework.replanning.executed_steps import ExecutedSteps
-from falsework.replanning.plan_diff import difference
-from falsework.search import (
-    ExhaustiveSearch,
-    Outcome,
-    Plan,
-    Task,
-    find_plans,
-    load_plan,
-    min_robots,
-    plan_schema,
-    save_plan,
-    validate_plan,
-)
-from falsework.search.find import make_task
-from falsework.search.margins.demands import Demands, MarginOracle
+from falsework.search import Demands, ExhaustiveSearch
+from falsework.search.margins.demands import MarginOracle
 from falsework.search.plans import plan_rules
-from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
-from falsework.search.problem.task import Direction
-from falsework.search.settings import PlannerSettings
+from falsework.search.plans.plan_check import validate_plan
+from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict, save_plan
+from falsework.search.plans.plan_model import plan_schema
 from falsework.search.together.carried_group import carried_group, holds_together
 from falsework.search.together.moves import TogetherMoves
 from falsework.search.together.rule import InterlockedSets
 from falsework.search.together_beam import TogetherBeam
-from falsework.stability import StabilityOracle, StabilitySettings, Verdict, Verdicts
-from falsework.stability.holds import HoldSettings
+from falsework.stability import HoldSettings, Verdicts
 from falsework.stability.judges.build_judge import BuildJudge
+from falsework.viewer import Timeline
 from falsework.viewer.appearance import appearance_at
-from falsework.viewer.timeline import Timeline
 
 EDGE = 0.1
 SETTINGS = StabilitySettings(criterion="equilibrium")
@@ -604,7 +605,7 @@ def test_pictures_and_tracks_move_all_parts_of_a_step(shelf: Assembly, plan: Pla
 
 def test_sheets_name_all_parts_of_a_step(shelf: Assembly, plan: Plan, held: Plan) -> None:
     for made, supports in ((plan, 1), (held, 2)):
-        sheet = assembly_instructions(made, shelf)
+        sheet = make_sheet(shelf, made)
         (step,) = [step for step in sheet.steps if len(step.parts) > 1]
         assert sheet.comes_in(step) == "from above"
         assert len(step.supports) == supports
@@ -624,7 +625,7 @@ def test_printed_sheets_list_and_point_at_each_part_of_a_step(
     pdfium = pytest.importorskip("pypdfium2", reason="needs pypdfium2, of the group test")
     from falsework.interop.instruction_pdf import instructions_pdf, step_arrows
 
-    sheet = assembly_instructions(request.getfixturevalue(name), shelf)
+    sheet = make_sheet(shelf, request.getfixturevalue(name))
     (step,) = [step for step in sheet.steps if len(step.parts) > 1]
     ends = step_arrows(sheet, step).ends
     assert ends.shape == (2, 2, 3)

@@ -15,11 +15,11 @@ pytest.importorskip("fastapi", reason="the service needs fastapi; pip install 'f
 
 import httpx
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, load_structure
+from falsework.service import ServiceSettings
 from falsework.service.metrics import Metrics
 from falsework.service.pool import Pool
 from falsework.service.server import listen, server_of
-from falsework.service.settings import ServiceSettings
 
 SLOW = 1.0
 """Seconds that clients of the tests may take for a header or a body."""

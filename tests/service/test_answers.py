@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from falsework.assembly.state import complete_state, empty_state
-from falsework.search import validate_plan
-from falsework.search.plans.plan import Plan
+from falsework import Plan, StabilityOracle, StabilitySettings
+from falsework.assembly import complete_state, empty_state
+from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import plan_from_dict
 from falsework.search.plans.plan_model import plan_schema
-from falsework.stability import StabilityOracle, StabilitySettings
 
 HALF = [1, 2, 0, 2, 1, 2, 2]
 """The keystone is not in, and robots hold its neighbours."""

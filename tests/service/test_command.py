@@ -16,9 +16,9 @@ from typing import Any
 import httpx
 import pytest
 
-from falsework.assembly import load_structure
+from falsework import load_structure
 from falsework.cli.main import main
-from falsework.search import validate_plan
+from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import plan_from_dict
 
 TOKEN = "a-token-of-many-letters"

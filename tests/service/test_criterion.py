@@ -12,12 +12,13 @@ from msgspec import convert
 
 pytest.importorskip("fastapi", reason="the service needs fastapi; pip install 'falsework[service]'")
 
-from falsework.assembly import Assembly
+from falsework import Assembly
 from falsework.assembly.library.blocks import box, gather
 from falsework.errors import InputError
 from falsework.service.schema import Holds, components, read_holds
 from falsework.service.worker import Item, WorkerConfig, _Judge, _Planner
-from falsework.stability.holds import HoldMode, HoldSettings
+from falsework.stability import HoldSettings
+from falsework.stability.holds import HoldMode
 
 
 class Pipe:

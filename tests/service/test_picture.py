@@ -12,12 +12,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly import load_structure
+from falsework import StabilityOracle, find_plans, load_structure, make_task
 from falsework.errors import PlanError
-from falsework.search import find_plans, make_task
 from falsework.search.plans.plan_file import plan_to_dict
 from falsework.service.picture import PictureOrder, draw_png
-from falsework.stability import StabilityOracle
 
 pillow = pytest.importorskip("PIL.Image", reason="needs Pillow; pip install 'falsework[picture]'")
 

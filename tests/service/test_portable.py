@@ -12,10 +12,10 @@ import pytest
 
 pytest.importorskip("fastapi", reason="needs fastapi; pip install 'falsework[service]'")
 
-from falsework.assembly import load_structure
+from falsework import load_structure
+from falsework.service import ServiceSettings
 from falsework.service.metrics import Metrics
 from falsework.service.pool import Pool, Reply
-from falsework.service.settings import ServiceSettings
 
 
 class Loop(asyncio.SelectorEventLoop):

@@ -10,13 +10,14 @@ from typing import Any
 import httpx
 import pytest
 
-from falsework.assembly import load_structure
+from falsework import load_structure
 from falsework.errors import InputError
+from falsework.service import ServiceSettings
 from falsework.service.app import application
 from falsework.service.metrics import Metrics
 from falsework.service.pool import Pool
 from falsework.service.server import listen
-from falsework.service.settings import ServiceSettings, is_loopback
+from falsework.service.settings import is_loopback
 
 TOKEN = "a-token-of-many-letters"
 

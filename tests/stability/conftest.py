@@ -21,11 +21,11 @@ import scipy.optimize
 import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.model import Assembly
+from falsework import Assembly, StabilitySettings
 from falsework.geometry import TriangleMesh
-from falsework.stability import StabilitySettings, build_problem
 from falsework.stability.gpu.driver import kernel_source
 from falsework.stability.gpu.solver import GpuSolver
+from falsework.stability.problem import build_problem
 from falsework.stability.settings import EQUILIBRIUM
 from falsework.stability.strength import strength_of
 

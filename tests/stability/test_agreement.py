@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly import library, load_structure
-from falsework.assembly.model import Assembly
-from falsework.stability import ExactSolver, StabilityOracle, StabilitySettings, Verdict, verify_certificates
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, load_structure, verify_certificates
+from falsework.assembly import library
+from falsework.stability import ExactSolver
 
 TOLERANCE = 1e-4
 SMALL = ("arch:blocks=7", "wall:bricks=3,courses=3", "corbel", "bottle", "polycube")

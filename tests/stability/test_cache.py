@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
-from falsework.stability import Verdict
+from falsework import Verdict
 from falsework.stability.cache import VerdictCache
 
 STABLE, UNSTABLE, UNDECIDED = (int(verdict) for verdict in (Verdict.STABLE, Verdict.UNSTABLE, Verdict.UNDECIDED))

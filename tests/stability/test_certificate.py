@@ -12,21 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from falsework.assembly import library
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, find_plans, verify_certificates
+from falsework.assembly import complete_state, library
 from falsework.errors import InputError
-from falsework.search import find_plans
-from falsework.stability import (
-    ExactSolver,
-    StabilityCriterion,
-    StabilityOracle,
-    StabilitySettings,
-    Verdict,
-    Verdicts,
-    verify_certificates,
-)
+from falsework.stability import ExactSolver, Verdicts
 from falsework.stability.certificate import (
+    StabilityCriterion,
     forces_of_displacement,
     residual_bound_of_velocity,
     residual_of_forces,

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly.loads import Loads
-from falsework.assembly.model import Assembly
-from falsework.stability import StabilityOracle, StabilitySettings, Verdict, verify_certificates
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, verify_certificates
+from falsework.assembly import Loads
 from falsework.stability.problem import TOLERANCE
 
 CRITERIA = ("equilibrium", "contact")

@@ -10,20 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, verify_certificates
 from falsework.assembly import library
-from falsework.assembly.model import Assembly
-from falsework.stability import (
-    ExactSolver,
-    StabilityOracle,
-    StabilitySettings,
-    Verdict,
-    build_problem,
-    verify_certificates,
-)
+from falsework.stability import CpuSettings, ExactSolver, GpuSettings
 from falsework.stability.cpu.solver import CpuSolver
-from falsework.stability.problem import Cone
+from falsework.stability.problem import Cone, build_problem
 from falsework.stability.reference.conic_program import into_cone
-from falsework.stability.settings import CpuSettings, GpuSettings
 from falsework.stability.strength import Strength
 
 Decided = Callable[[str, float, Cone], NDArray[np.int8]]

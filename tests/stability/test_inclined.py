@@ -10,12 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import library, load_structure
-from falsework.assembly.joints import Joints
-from falsework.assembly.model import Assembly
+from falsework import (
+    Assembly,
+    StabilityOracle,
+    StabilitySettings,
+    Verdict,
+    find_plans,
+    load_structure,
+    verify_certificates,
+)
+from falsework.assembly import Joints, library
 from falsework.geometry import ContactSettings, TriangleMesh
-from falsework.search import find_plans, validate_plan
-from falsework.stability import StabilityOracle, StabilitySettings, Verdict, Verdicts, verify_certificates
+from falsework.search.plans.plan_check import validate_plan
+from falsework.stability import Verdicts
 from falsework.stability.certificate import residual_bound_of_velocity, residual_of_forces
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.problem import TOLERANCE

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Joints, fasten, library
-from falsework.assembly.state import complete_state
+from falsework import StabilityOracle, StabilitySettings, Verdict, find_plans, verify_certificates
+from falsework.assembly import Joints, complete_state, fasten, library
 from falsework.errors import InputError
-from falsework.search import find_plans
-from falsework.stability import ExactSolver, Replayer, StabilityOracle, StabilitySettings, Verdict, verify_certificates
+from falsework.stability import ExactSolver
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.judges.discrete_elements import settle
 from falsework.stability.margins.placement import placement_curve

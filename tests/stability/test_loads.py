@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Loads
-from falsework.assembly.state import complete_state
-from falsework.stability import Replayer, StabilityOracle, StabilitySettings, Verdict
+from falsework import StabilityOracle, StabilitySettings, Verdict
+from falsework.assembly import Loads, complete_state
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.judges.discrete_elements import settle
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict
 from falsework.assembly.library.blocks import box, gather
-from falsework.stability import StabilityOracle, StabilitySettings, Verdict
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.motion import motion_of
 from falsework.stability.settings import EQUILIBRIUM

@@ -9,24 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly import library
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, verify_certificates
+from falsework.assembly import complete_state, library
 from falsework.errors import InputError, StateError
-from falsework.stability import (
-    CpuSettings,
-    ExactSolver,
-    Proof,
-    Solver,
-    StabilityOracle,
-    StabilitySettings,
-    Verdicts,
-    verify_certificates,
-)
+from falsework.stability import CpuSettings, ExactSolver, Proof, Verdicts
 from falsework.stability.certificate import CONTACT
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import build_problem
-from falsework.stability.verdict import Verdict
+from falsework.stability.verdict import Solver
 
 
 @pytest.fixture(scope="module")

@@ -10,21 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from falsework import Assembly, StabilitySettings, Verdict, verify_certificates
 from falsework.assembly import library
-from falsework.assembly.model import Assembly
 from falsework.geometry import TriangleMesh
-from falsework.stability import (
-    CpuSettings,
-    ExactSolver,
-    Solver,
-    StabilitySettings,
-    Verdict,
-    Verdicts,
-    build_problem,
-    verify_certificates,
-)
+from falsework.stability import CpuSettings, ExactSolver, Verdicts
 from falsework.stability.certificate import StabilityCriterion, residual_bound_of_velocity, residual_of_forces
 from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.problem import build_problem
+from falsework.stability.verdict import Solver
 
 CONES = ("octagon", "quadratic")
 SCALES = tuple(10.0**power for power in range(-3, 4))

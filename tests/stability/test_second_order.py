@@ -8,20 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import library
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
-from falsework.geometry import TriangleMesh
-from falsework.search import Outcome, PlannerSettings, find_plans, validate_plan
-from falsework.stability import (
-    Proof,
-    Replayer,
+from falsework import (
+    Assembly,
+    Outcome,
+    PlannerSettings,
     StabilityOracle,
     StabilitySettings,
     Verdict,
-    Verdicts,
+    find_plans,
     verify_certificates,
 )
+from falsework.assembly import complete_state, library
+from falsework.geometry import TriangleMesh
+from falsework.search.plans.plan_check import validate_plan
+from falsework.stability import Proof, Verdicts
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.motion import motion_of
 from falsework.stability.second_order.growth import NEUTRAL, growth_of_motion
 from falsework.stability.stiffness import SETTLEMENT

@@ -11,17 +11,11 @@ import pytest
 from baselines.shared_inverse import SharedInverse, SharedInverseSettings
 from numpy.typing import NDArray
 
-from falsework.assembly import library
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
+from falsework import Assembly, StabilitySettings, Verdict
+from falsework.assembly import complete_state, library
 from falsework.errors import DependencyError, InputError, StateError
-from falsework.stability import (
-    ExactSolver,
-    Proof,
-    Solver,
-    StabilitySettings,
-    Verdict,
-)
+from falsework.stability import ExactSolver, Proof
+from falsework.stability.verdict import Solver
 
 
 @pytest.fixture

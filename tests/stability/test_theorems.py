@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import library
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state, empty_state
-from falsework.stability import Proof, StabilityOracle, StabilitySettings, Verdict, Verdicts
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict
+from falsework.assembly import complete_state, empty_state, library
+from falsework.stability import Proof, Verdicts
 
 CONES = ("octagon", "quadratic")
 

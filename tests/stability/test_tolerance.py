@@ -8,22 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import library
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
-from falsework.search import find_plans, validate_plan
-from falsework.stability import (
-    Solver,
-    StabilityOracle,
-    StabilitySettings,
-    Verdict,
-    Verdicts,
-    solvers,
-    verify_certificates,
-)
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, find_plans, verify_certificates
+from falsework.assembly import complete_state, library
+from falsework.search.plans.plan_check import validate_plan
+from falsework.stability import Verdicts, solvers
 from falsework.stability.certificate import residual_of_forces
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.settings import EQUILIBRIUM
+from falsework.stability.verdict import Solver
 
 CRITERIA = ("equilibrium", "contact")
 SETTINGS = StabilitySettings()

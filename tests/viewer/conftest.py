@@ -10,16 +10,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, Direction, Plan, find_plans, load_structure, make_task
+from falsework.robots import (
+    Cell,
+    CellRobot,
+    Gripper,
+    Keyframe,
+    Placement,
+    Precedence,
+    RobotPlan,
+    RobotStep,
+    Trajectory,
+    nodes_of,
+)
 from falsework.robots.model.builtin_robots import builtin_robot
-from falsework.robots.model.cell import Cell, CellRobot, Gripper, Placement, cell_identity
+from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.shapes import block, pose
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
 from falsework.robots.plans.robot_record import records_of
-from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
-from falsework.robots.plans.timeline import nodes_of
-from falsework.search import Direction, Plan, find_plans, make_task
-from falsework.viewer.timeline import Timeline
+from falsework.robots.plans.temporal_graph import TemporalPlanGraph
+from falsework.viewer import Timeline
 
 
 @cache
@@ -104,8 +113,7 @@ def scheduled(robot_plan: RobotPlan) -> RobotPlan:
 def policy(arch: tuple[Assembly, Plan]) -> Any:
     """An untrained policy for the arch, the same every time."""
     pytest.importorskip("torch", reason="policies need torch; pip install 'falsework[learn]'")
-    from falsework.learn.config.policy import PolicySettings
-    from falsework.learn.networks.factory import make_policy
+    from falsework.learn import PolicySettings, make_policy
 
     return make_policy(arch[0], PolicySettings(), "cpu", seed=0)
 

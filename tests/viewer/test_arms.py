@@ -7,17 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly
-from falsework.robots import save_robot_plan
+from falsework import Action, Assembly, Direction, Plan
+from falsework.robots import Cell, RobotPlan
 from falsework.robots.kinematics.forward import link_poses, tool_pose
-from falsework.robots.model.cell import Cell
 from falsework.robots.model.shapes import pose
-from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search import Action, Direction, Plan
+from falsework.robots.plans.robot_plan_file import save_robot_plan
+from falsework.viewer import Timeline
 from falsework.viewer.appearance import appearance_at, bounds_of
 from falsework.viewer.arms import ArmPoses, Arms, appearance_with_arms, bounds_with_arms, solids_of_arms, wxyz_of
 from falsework.viewer.page.viewer_state import ViewerState
-from falsework.viewer.timeline import NO_ROBOT, Timeline
+from falsework.viewer.timeline import NO_ROBOT
 
 
 def to_structure(cell: Cell, points: np.ndarray) -> np.ndarray:

@@ -19,15 +19,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly.state import REMOVED
+from falsework import make_task
+from falsework.assembly import REMOVED
 from falsework.errors import InputError
-from falsework.search import make_task
+from falsework.viewer import Timeline
 from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.scene import SIZE
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import ROBOTS, rgb
-from falsework.viewer.timeline import Timeline
 
 pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright to steer a browser")
@@ -248,8 +248,8 @@ def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
 
 def test_an_unstable_state(opened: Callable[..., Open]) -> None:
     """A thin arch cannot stand: the page shows how it would fall, and that there is no plan."""
-    from falsework.assembly import load_structure
-    from falsework.assembly.state import complete_state
+    from falsework import load_structure
+    from falsework.assembly import complete_state
 
     thin = load_structure("arch:blocks=11,thickness=0.06")
     model = ViewerState(Timeline.from_state(thin, complete_state(thin.boundary)))
@@ -268,7 +268,7 @@ def test_an_unstable_state(opened: Callable[..., Open]) -> None:
 
 
 def test_playing_probabilities_and_the_graph(opened: Callable[..., Open], arch: Any, policy: Any) -> None:
-    from falsework.search import Direction, StateGraph
+    from falsework import Direction, StateGraph
 
     assembly, plan = arch
     graph = StateGraph.from_states(make_task(assembly), plan.states, name=assembly.name)
@@ -431,7 +431,7 @@ def test_a_file_plays_without_a_server(browser: Any, arch: Any, tmp_path: Path) 
     from falsework.viewer.viewable import viewable_of
 
     assembly, plan = arch
-    save_page(tmp_path / "plan.html", viewable_of(plan, assembly))
+    save_page(viewable_of(plan, assembly), tmp_path / "plan.html")
     tab = browser.new_page()
     wrong: list[str] = []
     tab.on("pageerror", lambda error: wrong.append(str(error)))
@@ -464,9 +464,8 @@ def test_a_file_plays_without_a_server(browser: Any, arch: Any, tmp_path: Path) 
 
 def test_a_thousand_parts_are_few_draw_calls(opened: Callable[..., Open]) -> None:
     """Whatever the step, a hundredth of the nodes that a node a part would be, and little is sent anew."""
-    from falsework.assembly import load_structure
-    from falsework.assembly.state import complete_state, empty_state
-    from falsework.search import Direction
+    from falsework import Direction, load_structure
+    from falsework.assembly import complete_state, empty_state
 
     vault = load_structure("vault:parts=1000")
     order = np.argsort(-vault.mass.center[:, 2], kind="stable")

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from falsework import load_cell
 from falsework.cli.main import main
 from falsework.errors import InputError
-from falsework.robots.cells.cell_file import load_cell
 from falsework.robots.cells.visuals import PLAIN, link_visuals, seen_from_both_sides, thinned
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.builtin_robots import builtin_robot
+from falsework.viewer import picture_cell
 from falsework.viewer.cells.cell_model import COLLIDES, NEAR, build_cell_model, is_cell, marks_of
-from falsework.viewer.cells.cell_picture import picture_cell
 from falsework.viewer.palette import unit_rgb
 from tests.robots.cells.arm_description import urdf_text
 from tests.robots.cells.cell_texts import ONE_ARM, TWO_JOINTS
@@ -132,7 +132,7 @@ def test_links_look_like_their_visual_shapes(tmp_path: Path) -> None:
     """In their colours; a mesh that is not there is named, and collision shapes stand in."""
     pytest.importorskip("yourdfpy", reason="reading URDF files needs yourdfpy; pip install 'falsework[robots]'")
     model = load_cell(colored_arm(tmp_path), check=False).robots[0].model
-    from falsework.robots.cells.urdf_review import CellWarning
+    from falsework.robots import CellWarning
 
     with pytest.warns(CellWarning, match=r"link two is drawn by its collision shapes: .*mesh gone\.stl does not exist"):
         looks = link_visuals(model)
@@ -223,7 +223,8 @@ def test_on_the_command_line(file: Path, tmp_path: Path, capsys: pytest.CaptureF
 def test_the_page_moves_arms_and_reads_the_file_again(file: Path) -> None:
     """Joint values stay when the file changes; a file that is wrong meanwhile is said, and nothing is lost."""
     pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
-    from falsework.viewer.cells.cell_page import CellPage, view_cell
+    from falsework.viewer import view_cell
+    from falsework.viewer.cells.cell_page import CellPage
 
     page = view_cell(file, port=8391)
     try:
@@ -283,7 +284,7 @@ def test_in_a_browser(file: Path, tmp_path: Path) -> None:
     chromium = shutil.which("chromium") or shutil.which("chromium-browser")
     if chromium is None:
         pytest.skip("no Chromium here: install it (Debian: apt install chromium)")
-    from falsework.viewer.cells.cell_page import view_cell
+    from falsework.viewer import view_cell
 
     file.write_text(INTO_TABLE)
     page = view_cell(file, port=8392)

@@ -13,9 +13,9 @@ pytest.importorskip("viser", reason="the page needs viser; pip install 'falsewor
 import zstandard
 
 from falsework.errors import DependencyError
+from falsework.viewer import Timeline
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.viewer_state import ViewerState
-from falsework.viewer.timeline import Timeline
 from falsework.viewer.web import content_policy as policies
 
 LOADER = "unpack(document.currentScript)"

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 
 import falsework as fw
-from falsework.assembly.state import complete_state
+from falsework.assembly import complete_state
 from falsework.errors import FalseworkError
 from falsework.search.plans.plan_file import save_plan
+from falsework.viewer import Timeline
 from falsework.viewer.page.files_tab import LARGEST, opened
 from falsework.viewer.page.viewer_state import ViewerState
-from falsework.viewer.timeline import Timeline
 
 
 @pytest.fixture

@@ -11,15 +11,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from falsework import Direction
 from falsework.cli.main import main
 from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
+from falsework.robots import Keyframe, Precedence, RobotPlan, RobotStep, Trajectory, nodes_of
 from falsework.robots.plans.robot_record import RobotRecord
-from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
-from falsework.robots.plans.timeline import nodes_of
-from falsework.search import plan_from_dict
-from falsework.search.problem.task import Direction
+from falsework.robots.plans.temporal_graph import TemporalPlanGraph
+from falsework.search.plans.plan_file import plan_from_dict
 from falsework.viewer.pictures.gantt import bars_of, draw_gantt
 
 pytest.importorskip("matplotlib", reason="charts need matplotlib; pip install 'falsework[picture]'")

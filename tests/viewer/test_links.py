@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from falsework.viewer import Timeline
 from falsework.viewer.page.step_list import matching_places, step_list
 from falsework.viewer.page.viewer_state import ViewerState
-from falsework.viewer.timeline import Timeline
 from falsework.viewer.web.links import link_to, target_of
 
 

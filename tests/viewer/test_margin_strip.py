@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 import falsework as fw
+from falsework import Plan, find_plans
+from falsework import sheet as make_sheet
 from falsework.errors import InputError
-from falsework.interop.instruction_table import assembly_instructions, instructions_csv
-from falsework.search import Demands, PlanMargins, find_plans
-from falsework.search.plans.plan import Plan
+from falsework.interop.instruction_table import instructions_csv
+from falsework.search import Demands, PlanMargins
 from falsework.viewer.margin_strip import margin_strip, weakness
 from falsework.viewer.pictures.contact_sheet import legend_of_shares
 
@@ -57,7 +58,7 @@ def test_there_is_no_strip_without_margins(plan: Plan) -> None:
 
 
 def test_the_site_sheet_says_the_margins_after_each_step(plan: Plan) -> None:
-    sheet = instructions_csv(assembly_instructions(plan, fw.load_structure("arch:blocks=3")))
+    sheet = instructions_csv(make_sheet(fw.load_structure("arch:blocks=3"), plan))
     rows = list(csv.DictReader(io.StringIO(sheet)))
     assert rows[1]["margins"] == "friction 0.4 (weakest), tilt 2.86 deg (weakest)"
     assert sum("weakest" in row["margins"] for row in rows) == 1

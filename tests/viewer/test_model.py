@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from falsework.assembly.state import HELD, INSTALLED, REMOVED
+from falsework import Direction
+from falsework.assembly import HELD, INSTALLED, REMOVED
 from falsework.errors import InputError, StateError
-from falsework.search import Direction, validate_plan
+from falsework.search.plans.plan_check import validate_plan
+from falsework.viewer import Timeline
 from falsework.viewer.appearance import SceneView, bounds_of
 from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
 from falsework.viewer.page.page_text import facts_of
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import FIXED, SELECTED, ramp_in_steps, rgb
-from falsework.viewer.timeline import Timeline
 
 ABOVE, DOWN = np.array([0.0, 0.0, 10.0]), np.array([0.0, 0.0, -1.0])
 
@@ -134,7 +135,7 @@ def test_marks_ask_for_a_proof_of_their_own(model: ViewerState) -> None:
 
 
 def test_the_question_in_assembly() -> None:
-    from falsework.assembly import load_structure
+    from falsework import load_structure
 
     arch = load_structure("arch:blocks=5")
     state = np.array([1, 1, 0, 0, 0, 2, 2], dtype=np.uint8)
@@ -151,7 +152,7 @@ def test_the_question_in_assembly() -> None:
 
 
 def test_the_question_in_disassembly() -> None:
-    from falsework.assembly import load_structure
+    from falsework import load_structure
 
     arch = load_structure("arch:blocks=5")
     state = np.array([1, 2, 1, 0, 1, 2, 2], dtype=np.uint8)
@@ -294,7 +295,7 @@ def test_probabilities_are_those_of_the_policy(arch, policy) -> None:
     visited = model.visited(4)
     assert (visited[:, assembly.boundary] == HELD).all()
     assert (visited == plan.states[-1]).all(axis=1).any()
-    from falsework.stability import StabilityOracle
+    from falsework import StabilityOracle
 
     assert StabilityOracle(assembly).verdicts(visited).stable.all()
 

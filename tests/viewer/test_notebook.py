@@ -22,7 +22,7 @@ CELLS = (
     "import falsework as fw\narch = fw.load_structure('arch:blocks=3')\narch",
     "found = fw.find_plans(arch)\nfound",
     "found.plans[0]",
-    "fw.Stability(arch).verdicts(found.plans[0].states, require_certificate=True)",
+    "fw.StabilityOracle(arch).verdicts(found.plans[0].states, require_certificate=True)",
     "fw.picture(arch, width=100)",
     "page = fw.view(found.plans[0], arch, port=0)\npage",
     "page.save('plan.html')\npage.close()",
@@ -107,8 +107,7 @@ def test_a_callback_of_the_caller_is_left_alone(cell_lines: list[str]) -> None:
 
 def test_training_shows_its_progress(cell_lines: list[str]) -> None:
     pytest.importorskip("torch", reason="training needs torch; pip install 'falsework[learn]'")
-    from falsework.learn.config.policy import PolicySettings
-    from falsework.learn.config.train import TrainSettings
+    from falsework.learn import PolicySettings, TrainSettings
 
     small = TrainSettings(steps=4, block=2, widths=(4,), policy=PolicySettings("resmlp", channels=8, layers=1))
     fw.train("arch:blocks=3", small, folder=None, device="cpu")

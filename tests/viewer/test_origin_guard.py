@@ -13,9 +13,9 @@ import viser
 
 from falsework.cli.main import main
 from falsework.errors import DependencyError, InputError
+from falsework.viewer import Timeline
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.viewer_state import ViewerState
-from falsework.viewer.timeline import Timeline
 from falsework.viewer.web.origin_guard import OriginGuard, start_server
 
 PORT = 8230

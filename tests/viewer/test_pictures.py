@@ -12,16 +12,16 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework import StateGraph, load_structure
 from falsework.cli.main import main
 from falsework.errors import InputError
-from falsework.search import load_plan, save_plan, save_state_graph
-from falsework.search.problem.state_graph import StateGraph
+from falsework.search.plans.plan_file import load_plan, save_plan
+from falsework.search.problem.state_graph import save_state_graph
+from falsework.viewer import Timeline
 from falsework.viewer.palette import BOUNDARY, RAMP, ROBOTS, SELECTED
 from falsework.viewer.pictures.drawing import drawing, flat_axis, outlines
 from falsework.viewer.pictures.graph_picture import covered, graph_figure, places_of
 from falsework.viewer.pictures.video import frame_places
-from falsework.viewer.timeline import Timeline
 
 pil = pytest.importorskip("PIL.Image", reason="pictures need Pillow; pip install 'falsework[picture]'")
 pytest.importorskip("matplotlib", reason="pictures need Matplotlib; pip install 'falsework[picture]'")
@@ -167,9 +167,8 @@ def test_frames_pass_every_state_and_end_at_the_end() -> None:
 @pytest.fixture(scope="module")
 def graph() -> StateGraph:
     """All states of an arch of four blocks."""
-    from falsework.search.exhaustive import ExhaustiveSearch
-    from falsework.search.problem.task import Task
-    from falsework.stability import StabilityOracle
+    from falsework import StabilityOracle, Task
+    from falsework.search import ExhaustiveSearch
 
     arch = load_structure("arch:blocks=4,thickness=0.3")
     task = Task.from_rules(arch.boundary, 2, identity=arch.identity)
@@ -217,8 +216,7 @@ def test_what_a_policy_thinks_and_covers(
 ) -> None:
     from types import SimpleNamespace
 
-    from falsework.learn.config.policy import PolicySettings
-    from falsework.learn.networks.factory import make_policy
+    from falsework.learn import PolicySettings, make_policy
 
     def load(folder: str, assembly: Any = None) -> SimpleNamespace:
         fits = policy if assembly.part_count == 7 else make_policy(assembly, PolicySettings(), "cpu", seed=0)

@@ -9,12 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly
-from falsework.search import Plan
-from falsework.search.problem.task import Direction
-from falsework.stability import StabilityOracle, StabilitySettings
+from falsework import Assembly, Direction, Plan, StabilityOracle, StabilitySettings
 from falsework.stability.holds import Press, describe_force
 from falsework.stability.verdict import Criterion
+from falsework.viewer import Camera, Timeline
 from falsework.viewer.arrows import PRESSES, arrows_of_step
 from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.page_text import where_text
@@ -22,9 +20,8 @@ from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import PRESS, rgb
 from falsework.viewer.pictures.contact_sheet import contact_sheet, one_state
 from falsework.viewer.pictures.drawing import drawing
-from falsework.viewer.pictures.render import Camera
 from falsework.viewer.proof import BuildProofs, proof_of_state
-from falsework.viewer.timeline import Timeline, interesting
+from falsework.viewer.timeline import interesting
 from falsework.viewer.viewable import viewable_of
 
 WRENCH = (30.0, 0.0, -40.0, 0.0, 0.0, 0.0)
@@ -207,7 +204,7 @@ def test_the_command_says_it(
 ) -> None:
     pytest.importorskip("PIL", reason="pictures need Pillow; pip install 'falsework[picture]'")
     from falsework.cli.main import main
-    from falsework.search import save_plan
+    from falsework.search.plans.plan_file import save_plan
 
     plan, place, part = pressed
     file = tmp_path / "plan.json"

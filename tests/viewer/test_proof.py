@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
-from falsework.assembly.state import complete_state
-from falsework.stability import StabilityOracle
+from falsework import StabilityOracle, load_structure
+from falsework.assembly import complete_state
+from falsework.viewer import Timeline
 from falsework.viewer.arrows import Arrows, arrow_mesh, arrows_of_forces
 from falsework.viewer.page.scene import ViserScene
 from falsework.viewer.palette import MOTION, rgb
 from falsework.viewer.proof import proof_of_state
-from falsework.viewer.timeline import Timeline
 
 
 def total(arrows: Arrows) -> np.ndarray:

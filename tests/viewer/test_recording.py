@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 import falsework as fw
-from falsework.assembly.state import HELD, INSTALLED, complete_state, empty_state
+from falsework import Direction
+from falsework.assembly import HELD, INSTALLED, complete_state, empty_state
 from falsework.cli.main import main
 from falsework.errors import InputError
 from falsework.search.plans.steps import holders
-from falsework.search.problem.task import Direction
+from falsework.viewer import Timeline
 from falsework.viewer.page.recording import record
 from falsework.viewer.page.scene import EDGES_UP_TO
 from falsework.viewer.page.viewer_state import ViewerState
-from falsework.viewer.timeline import Timeline
 
 pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from falsework.errors import InputError
-from falsework.viewer.pictures.render import Camera, ColoredSolid, render
+from falsework.viewer import Camera
+from falsework.viewer.pictures.render import ColoredSolid, render
 
 BOX = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]

@@ -10,22 +10,19 @@ import pytest
 
 pytest.importorskip("matplotlib", reason="charts need matplotlib; pip install 'falsework[picture]'")
 
-from falsework.assembly import Assembly
+from falsework import Assembly, Direction, Plan
 from falsework.errors import InputError
+from falsework.robots import Cell, RobotPlan, nodes_of
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.model.cell import Cell
-from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.plans.timeline import activities_at, nodes_of
-from falsework.search import Direction, Plan
+from falsework.robots.plans.timeline import activities_at
+from falsework.viewer import Camera, Timeline
 from falsework.viewer.arms import Arms
 from falsework.viewer.clock import Clock
 from falsework.viewer.page.page_text import where_text
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import INK, rgb, robot_color
 from falsework.viewer.pictures.gantt import bars_of, strip_of
-from falsework.viewer.pictures.render import Camera
 from falsework.viewer.pictures.video import frame_times, frames_of
-from falsework.viewer.timeline import Timeline
 
 
 def opened(plan: RobotPlan, cell: Cell, assembly: Assembly, direction: Direction) -> ViewerState:

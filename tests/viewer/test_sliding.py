@@ -9,20 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly
+from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, find_plans
+from falsework.assembly import complete_state
 from falsework.assembly.library.blocks import box, gather
-from falsework.assembly.state import complete_state
 from falsework.assembly.store import save_assembly
 from falsework.cli.main import main
-from falsework.search import Plan, find_plans, save_plan
-from falsework.stability import StabilityOracle, StabilitySettings
+from falsework.search.plans.plan_file import save_plan
+from falsework.viewer import Camera, Timeline
 from falsework.viewer.page.page_text import legend_text, where_text
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import SLIDING, rgb
-from falsework.viewer.pictures.render import Camera
 from falsework.viewer.pictures.video import frames_of
 from falsework.viewer.proof import proof_of_state, proofs_of_states
-from falsework.viewer.timeline import Timeline
 
 CUBE, IDLER = 0, 1
 EQUILIBRIUM = StabilitySettings(criterion="equilibrium")

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
-from falsework.assembly.state import HELD, REMOVED
+from falsework import Direction, load_structure
+from falsework.assembly import HELD, REMOVED
 from falsework.errors import PlanError
-from falsework.search import Direction
 from falsework.search.plans.steps import NO_ROBOT, holders
+from falsework.viewer import Timeline
 from falsework.viewer.appearance import FADE, appearance_at, pick
 from falsework.viewer.palette import BOUNDARY, ramp, rgb, robot_color
-from falsework.viewer.timeline import Timeline, exit_direction_of, interesting
+from falsework.viewer.timeline import exit_direction_of, interesting
 
 
 def test_a_robot_keeps_its_part() -> None:

@@ -35,6 +35,7 @@ from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.repair import check_mesh, thicken_supports
+from falsework.utils.files.formats import reader_of
 from falsework.utils.quantity import format_quantity
 
 _TINY = 1e-3
@@ -118,7 +119,7 @@ class Diagnosis:
         }
 
 
-def diagnose(path: str | Path, unit: str | None = None, **options: Any) -> Diagnosis:
+def doctor(path: str | Path, unit: str | None = None, **options: Any) -> Diagnosis:
     """Examine a folder or file of parts, and collect all errors instead of stopping at the first.
 
     Args:
@@ -229,14 +230,14 @@ def _part_record(report: PartReport) -> dict[str, Any]:
 
 def _read(path: Path, unit: str | None) -> tuple[Draft, dict[str, Any]]:
     """Return the unchecked parts of a structure, and the options in its description."""
-    options = described_options(path) if path.is_file() else {}
+    options = described_options(path) if path.is_file() or reader_of(path) is not None else {}
     chosen = options.pop("unit", None) if unit is None else unit
     draft = read_draft(path, chosen)
     if draft is None:
         check_meshes_path(path)
         described = read_description(path)
         draft = described_draft(path, described, unit)
-        names = ("density", "friction", "boundary", *LOAD_OPTIONS)
+        names = ("density", "friction", "boundary", "settle", *LOAD_OPTIONS)
         options = {name: described[name] for name in names if name in described}
         options["contact_settings"] = described["contact"]
     options.pop("unit", None)

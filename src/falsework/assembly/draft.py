@@ -176,6 +176,7 @@ class Draft:
         contact_settings: ContactSettings | None = None,
         interfaces: InterfaceSource = "found",
         name: str | None = None,
+        settle: float | None = None,
     ) -> Assembly:
         """Check the parts and make an assembly of them.
 
@@ -187,6 +188,7 @@ class Draft:
             contact_settings: tolerances.
             interfaces: source of the contacts; `compare` finds them and warns where the stored ones differ.
             name: name of the structure; that of the file if not given.
+            settle: as for `Assembly.from_meshes`.
 
         Raises:
             InputError: stored interfaces are requested and there are none.
@@ -214,6 +216,7 @@ class Draft:
             ground=ground,
             contact_settings=contact_settings or ContactSettings(),
             contacts=interface_contacts(meshes, self.interfaces) if interfaces == "stored" else None,
+            settle=settle,
         )
         strength = {name: max(self._values(name), default=None) for name in ("cohesion", "tension")}
         assembly = assembly.replace(

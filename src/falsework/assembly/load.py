@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from falsework.errors import InputError, ReadWarning
 from falsework.utils.files.damage import blamed_on
-from falsework.utils.files.formats import READERS, Reader, formats, reader_of
+from falsework.utils.files.formats import FOLDER, READERS, Reader, formats, reader_of
 
 if TYPE_CHECKING:
     from falsework.assembly.draft import Draft
@@ -37,7 +37,7 @@ def read_draft(path: Path, unit: str | None = None) -> Draft | None:
 def _reader_of(path: Path) -> Reader | None:
     from falsework.geometry.mesh.read import SUFFIXES
 
-    return None if path.suffix.lower() in SUFFIXES else reader_of(path)
+    return None if path.is_file() and path.suffix.lower() in SUFFIXES else reader_of(path)
 
 
 def load_structure(structure: str | Path, **options: Any) -> Assembly:
@@ -50,10 +50,10 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
 
     Args:
         structure: name of a built-in structure with its parameters, or a folder or file.
-        options: unit, density (kg/m3), friction, boundary, ground, contact_settings, loads, earthquake, materials,
-            joints and fasteners as for `load_assembly`, and interfaces (`found`, `stored` or `compare`) as for
-            `load_compas`; None is equivalent to omission. A built-in structure takes neither unit nor contact_settings,
-            and only COMPAS data store interfaces.
+        options: unit, density (kg/m3), friction, boundary, ground, contact_settings, settle, loads, earthquake,
+            materials, joints and fasteners as for `load_assembly`, and interfaces (`found`, `stored` or `compare`) as
+            for `load_compas`; None is equivalent to omission. A built-in structure takes no unit, contact_settings or
+            settle, and only COMPAS data store interfaces.
 
     Raises:
         InputError: neither a path nor a built-in structure, or an option that it does not take.
@@ -79,9 +79,10 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
         return _not_all_fixed(assembly)
     if given.pop("interfaces", "found") != "found":
         raise InputError(f"{text} is a built-in structure and stores no interfaces; leave out --interfaces")
-    for option in ("unit", "contact_settings"):
+    for option in ("unit", "contact_settings", "settle"):
         if option in given:
-            raise InputError(f"{text} is a built-in structure and has its own {option}; leave it out")
+            has = "parts without clearance" if option == "settle" else f"its own {option}"
+            raise InputError(f"{text} is a built-in structure and has {has}; leave out {option}")
     ground, acting = given.pop("ground", False), {name: given.pop(name, None) for name in LOAD_OPTIONS}
     assembly = library.build(text, density=given.pop("density", None), friction=given.pop("friction", None))
     if given:
@@ -148,7 +149,7 @@ def as_assembly(structure: AnyStructure, **options: Any) -> Assembly:
 
 
 def described_options(path: Path) -> dict[str, Any]:
-    """Return the entries of `assembly.json` beside a file of a registered format, as options of its reader.
+    """Return the entries of `assembly.json` beside a file or in a folder of a registered format, as reader options.
 
     Raises:
         InputError: it has names of parts, which the file has itself.
@@ -157,15 +158,16 @@ def described_options(path: Path) -> dict[str, Any]:
     from falsework.assembly.store import FILE, read_description
     from falsework.geometry.contact.interfaces import ContactSettings
 
-    if not (path.parent / FILE).is_file():
+    file = (path if path.is_dir() else path.parent) / FILE
+    if not file.is_file():
         return {}
     described = read_description(path)
     if "names" in described:
-        raise InputError(f"{path.parent / FILE} has names, but {path} names its parts itself; leave them out")
+        raise InputError(f"{file} has names, but {path} names its parts itself; leave them out")
     settings = described.pop("contact")
     if settings != ContactSettings():
         described["contact_settings"] = settings
-    options = ("unit", "density", "friction", "boundary", "contact_settings", *LOAD_OPTIONS)
+    options = ("unit", "density", "friction", "boundary", "contact_settings", "settle", *LOAD_OPTIONS)
     return {name: described[name] for name in options if name in described}
 
 
@@ -183,7 +185,11 @@ def check_meshes_path(path: Path) -> None:
     form = read_format(path) if path.suffix.lower() == ".json" else ""
     if form.startswith("falsework."):
         raise InputError(f"{path} is a file of format {form}, not a structure; give the structure that it belongs to")
-    others = [f"{name} ({', '.join(reader.suffixes)})" for name, reader in formats(READERS).items()]
+    others = [
+        f"{name} ({', '.join(reader.suffixes)})"
+        for name, reader in formats(READERS).items()
+        if FOLDER not in reader.suffixes
+    ]
     raise InputError(
         f"cannot read {path}; a structure is a folder of meshes or one file: {', '.join(SUFFIXES)}, {', '.join(others)}"
     )

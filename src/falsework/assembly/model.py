@@ -17,14 +17,16 @@ from falsework.assembly.assembly_model import Prop
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
-from falsework.assembly.touching import check_touching, contact_warnings
+from falsework.assembly.touching import check_touching, clearance_hint, contact_warnings
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.part_sets import SetClearance
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
-from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
+from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, ground_slab, mass_properties
 from falsework.geometry.paths.motions import PartMotions
+from falsework.geometry.settling.settle import settle_parts
+from falsework.geometry.settling.settlement import Settlement
 from falsework.utils.display.notebook import Displayed
 from falsework.utils.quantity import counted
 
@@ -66,6 +68,8 @@ class Assembly(Displayed):
     """Props that states may have: the last parts, which never move and need no robot; see `with_props`."""
     joints: Joints | None = None
     """Friction, cohesion and tension of the contacts, where they are not dry or differ."""
+    settlement: Settlement | None = None
+    """Motion of the parts from the poses of their model into these, if they settled."""
 
     @staticmethod
     def from_meshes(
@@ -78,6 +82,7 @@ class Assembly(Displayed):
         contact_settings: ContactSettings | None = None,
         ground: bool = False,
         contacts: Contacts | None = None,
+        settle: float | None = None,
     ) -> Assembly:
         """Find contacts and masses, and check that the parts make an assembly.
 
@@ -92,10 +97,11 @@ class Assembly(Displayed):
             contact_settings: tolerances.
             ground: add a fixed slab under the lowest point, as the last part.
             contacts: contacts of the parts, if they are known; found from the meshes if not given.
+            settle: largest motion with which parts settle into their clearance first, metres; none if not given.
 
         Raises:
-            AssemblyError: no parts, no boundary or ids out of range, density or friction out of range,
-                parts that pass through each other, or a part that touches nothing.
+            AssemblyError: no parts, no boundary or ids out of range, density or friction out of range, parts that
+                pass through each other, a part that touches nothing, or parts that cannot settle.
             MeshError: a part whose volume is not positive.
         """
         parts = tuple(meshes)
@@ -123,12 +129,19 @@ class Assembly(Displayed):
             )
         mass = mass_properties(parts, densities)
         settings = contact_settings or ContactSettings()
-        given = contacts is not None
+        given, settlement = contacts is not None, None
+        if settle is not None:
+            if given:
+                raise AssemblyError("given contacts belong to the poses of the parts, which cannot settle; find them")
+            parts, settlement = settle_parts(parts, fixed, mass, friction, settle)
+            mass = mass_properties(parts, densities)
         contacts = find_contacts(parts, settings) if contacts is None else contacts
-        check_touching(parts, fixed, contacts, settings)
+        check_touching(parts, fixed, contacts, settings, settle)
         fixed.setflags(write=False)
         densities.setflags(write=False)
-        assembly = Assembly(name, parts, fixed, densities, friction, contacts, mass, settings, given)
+        assembly = Assembly(
+            name, parts, fixed, densities, friction, contacts, mass, settings, given, settlement=settlement
+        )
         found = assembly.warnings
         for line in found[:_WARNED]:
             warnings.warn(line, ContactWarning, stacklevel=2)
@@ -157,6 +170,12 @@ class Assembly(Displayed):
         friction holds have a line too. Pairs of boundary parts are omitted: no verdict depends on them.
         """
         return contact_warnings(self.meshes, self.boundary, self.contacts, self.friction)
+
+    @property
+    def clearance_hint(self) -> str:
+        """What to do if parts do not rest where the model has them, because they have clearance; empty if none has."""
+        known = self.settlement is not None or self.contacts_given
+        return "" if known else clearance_hint(self.meshes, self.boundary, self.contact_settings)
 
     @property
     def report(self) -> JointReport:
@@ -315,23 +334,6 @@ class Assembly(Displayed):
         if joints is not None:
             joints = joints.among(self.contacts, grounded.contacts, self.part_count)
         return grounded.replace(loads=loads, joints=joints)
-
-
-def ground_slab(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
-    """Return a slab whose top is level with the lowest point and that reaches past the parts on all sides."""
-    low = np.min([mesh.bounds[0] for mesh in meshes], axis=0)
-    high = np.max([mesh.bounds[1] for mesh in meshes], axis=0)
-    size = float((high - low).max())
-    bottom = np.array([low[0] - 0.1 * size, low[1] - 0.1 * size, low[2] - 0.05 * size])
-    top = np.array([high[0] + 0.1 * size, high[1] + 0.1 * size, low[2]])
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    faces = [
-        (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
-        (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
-    ]  # fmt: skip
-    taken = {mesh.name for mesh in meshes}
-    name = next(name for name in ("ground", *(f"ground-{n}" for n in range(len(meshes)))) if name not in taken)
-    return TriangleMesh.from_arrays(name, np.where(corners, top, bottom), faces)
 
 
 def _loads(given: Loads, parts: int) -> Loads:

@@ -44,6 +44,7 @@ def load_assembly(
     boundary: ArrayLike | None = None,
     ground: bool = False,
     contact_settings: ContactSettings | None = None,
+    settle: float | None = None,
     loads: list[dict[str, Any]] | None = None,
     earthquake: float | list[float] | None = None,
     materials: str | list[str] | None = None,
@@ -54,7 +55,7 @@ def load_assembly(
 
     `assembly.json` in the folder, or beside the file, gives `name`, `unit`, `density` (one number or one a
     part, kg/m3), `friction`, `boundary` (ids or names of parts), `names`, `contact` (fields of
-    `ContactSettings`), `loads` and `earthquake` (see `Loads.from_entries`), `materials` and `joints` (see
+    `ContactSettings`), `settle` (m), `loads` and `earthquake` (see `Loads.from_entries`), `materials` and `joints` (see
     `Joints.from_entries`), and `fasteners` (see `fasten`); all of them may be missing. Arguments take
     precedence over the file.
 
@@ -66,6 +67,7 @@ def load_assembly(
         boundary: ids of the fixed parts, or a mask of shape (parts,).
         ground: add a fixed slab under the lowest point, as the last part.
         contact_settings: tolerances.
+        settle: largest motion with which parts settle into their clearance first, metres.
         loads: objects with `part`, `force` (N) and perhaps `at` (m) and `moment` (Nm).
         earthquake: pseudo-static horizontal acceleration in shares of gravity, along x, or along x and y.
         materials: of each part, or one for all.
@@ -86,6 +88,7 @@ def load_assembly(
         boundary=described.get("boundary") if boundary is None else boundary,
         ground=ground,
         contact_settings=described["contact"] if contact_settings is None else contact_settings,
+        settle=described.get("settle") if settle is None else settle,
         name=described.get("name", source.stem if source.is_file() else source.resolve().name),
     )
     given = {"loads": loads, "earthquake": earthquake, "materials": materials, "joints": joints, "fasteners": fasteners}
@@ -203,7 +206,7 @@ def read_description(source: Path) -> dict[str, Any]:
     return described
 
 
-def _write_folder(path: str | Path, assembly: Assembly, _: None) -> None:
+def _write_folder(assembly: Assembly, path: str | Path, _: None) -> None:
     save_assembly(assembly, path)
 
 

@@ -1,4 +1,4 @@
-"""Parts that touch nothing, and pairs of parts that touch on less than a face."""
+"""Parts that touch nothing, pairs of parts that touch on less than a face, and parts with clearance."""
 
 from __future__ import annotations
 
@@ -9,8 +9,12 @@ from numpy.typing import NDArray
 
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, default_gap
+from falsework.geometry.contact.near import near_points
 from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import TriangleMesh
+
+_FIT = 1 / 20
+"""Largest clearance of a fit, as a share of the thickness of the thinnest part."""
 
 
 def contact_warnings(
@@ -51,6 +55,27 @@ def contact_warnings(
     return tuple(lines)
 
 
+def clearance_hint(meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], settings: ContactSettings) -> str:
+    """Return what to do about parts that face others across a clearance; empty if none does.
+
+    Such parts touch on one side only, or not where they would in fact, so that the poses of the model are none in which
+    they rest.
+    """
+    thinnest = min(mesh.thickness for mesh in meshes)
+    tolerance = max(*settings.lengths(meshes), default_gap(meshes))
+    near = near_points(meshes, _FIT * thinnest, tolerance)
+    near = near.take(np.flatnonzero((near.gaps > tolerance) & ~boundary[near.parts].all(axis=1)))
+    if not len(near.gaps):
+        return ""
+    widest = int(near.gaps.argmax())
+    a, b = (meshes[part].name for part in near.parts[widest].tolist())
+    gap = 1000 * float(near.gaps[widest])
+    return (
+        f"parts {a} and {b} face each other {gap:.2g} mm apart, and parts can settle into such clearance before they "
+        f"are judged: --settle {2 * gap:.2g}"
+    )
+
+
 def inclinations(contacts: Contacts, of: np.ufunc = np.maximum) -> NDArray[np.float64]:
     """Return the angle between the faces of each pair of parts that touch, in order of the parts, degrees.
 
@@ -65,9 +90,21 @@ def inclinations(contacts: Contacts, of: np.ufunc = np.maximum) -> NDArray[np.fl
 
 
 def check_touching(
-    meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], contacts: Contacts, settings: ContactSettings
+    meshes: Sequence[TriangleMesh],
+    boundary: NDArray[np.bool_],
+    contacts: Contacts,
+    settings: ContactSettings,
+    settled: float | None = None,
 ) -> None:
-    """Raise for a part without contacts; boundary parts may stand alone, as obstacles do."""
+    """Raise for a part without contacts; boundary parts may stand alone, as obstacles do.
+
+    Args:
+        meshes: the parts.
+        boundary: shape (parts,).
+        contacts: of the parts.
+        settings: tolerances of the contacts.
+        settled: length within which parts have settled, metres; None if they have not.
+    """
     alone = ~boundary
     alone[contacts.parts.ravel()] = False
     if alone.any():
@@ -84,9 +121,11 @@ def check_touching(
                 f"there to within {settings.angle:g} degrees; move it into place, or raise that angle "
                 '("contact": {"angle": degrees} in assembly.json)'
             )
+        farther = 1000 * float(_above(gap)) if settled is None else 2000 * settled
+        how = "let parts settle" if settled is None else "let parts settle farther"
         raise AssemblyError(
-            f"{where}, and {1000 * allowed:.3g} mm is allowed; move it into place, or allow the gap if it is meant to "
-            f'be filled ("contact": {{"gap": {_above(gap)}}} in assembly.json)'
+            f"{where}, and {1000 * allowed:.3g} mm is allowed; move it into place, {how} (--settle {farther:.2g}), or "
+            f'allow the gap if it is meant to be filled ("contact": {{"gap": {_above(gap)}}} in assembly.json)'
         )
 
 

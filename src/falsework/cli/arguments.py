@@ -94,6 +94,8 @@ def spell_options(options: Mapping[str, Any]) -> str:
         if name == "loads":
             for load in value:
                 words += ["--load", _spell_load(load)]
+        elif name == "settle":
+            words += ["--settle", f"{1000 * value:g}"]
         elif name == "ground":
             words += ["--ground"] * bool(value)
         else:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.search.plans.plan import Plan
     from falsework.search.plans.plan_report import CheckedPlan, PlanReport
-    from falsework.stability import StabilitySettings
     from falsework.stability.contact.history import Replay
+    from falsework.stability.settings import StabilitySettings
 
 _DRAWS = 4
 """Random initial friction states under which a plan is replayed."""
@@ -116,8 +116,8 @@ class CheckPlan(JudgingCommand):
         from falsework.search.plans.plan_check import validate_plan
         from falsework.search.plans.plan_file import load_plan
         from falsework.search.plans.plan_source import structure_to_check
-        from falsework.stability import StabilitySettings
         from falsework.stability.holds import HoldSettings
+        from falsework.stability.settings import StabilitySettings
 
         if self.by != "contact" and not self.replay:
             raise InputError("--by selects the method of a replay; add --replay")
@@ -291,7 +291,7 @@ class CheckPlan(JudgingCommand):
     def _build(self, plan: Plan, assembly: Assembly, output: Output) -> bool:
         """Build the plan by discrete elements; return whether no state collapses."""
         from falsework.search.plans.plan_report import describe_place
-        from falsework.stability.judges import BuildJudge
+        from falsework.stability.judges.build_judge import BuildJudge
 
         judge = BuildJudge(assembly, plan.claim.holds)
         judgement = judge.judge(plan.states, plan.presses_before)

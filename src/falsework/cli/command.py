@@ -72,6 +72,8 @@ class LoadOptions:
         None
     )
     """Contacts: found from the meshes, those that a COMPAS file stores, or found and compared with the stored ones."""
+    settle: Annotated[float | None, arg(metavar="MM", help_behavior_hint=UNSET)] = None
+    """Let parts settle into their clearance before they are judged, each by at most this, such as 0.5."""
     # A tuple of texts; tyro would import typeguard to check the default of `tuple[str, ...]`.
     loads: Annotated[UseAppendAction[tuple], arg(name="load", metavar="PART=FX,FY,FZ", help_behavior_hint=UNSET)] = ()
     """Force on a part in N, such as keystone=0,0,-1000, at its centre of mass or at a point: 7=0,0,-1000@0.2,0,1.
@@ -89,9 +91,16 @@ class LoadOptions:
         options["boundary"] = None if self.boundary is None else split_parts(self.boundary, "--boundary")
         options["ground"] = self.ground or None
         options["interfaces"] = self.interfaces
+        options["settle"] = None if self.settle is None else self.settle / 1000
         options["loads"] = [parse_load(text) for text in self.loads] or None
         options["earthquake"] = None if self.earthquake is None else parse_numbers(self.earthquake, "--earthquake")
         return {name: value for name, value in options.items() if value is not None}
+
+
+def settlement_record(assembly: Assembly) -> dict[str, Any]:
+    """Return the entry of an answer on parts that settled; none if the structure was not asked to."""
+    settled = assembly.settlement
+    return {} if settled is None else {"settlement": settled.to_dict(assembly.names)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +111,7 @@ class StructureOptions(LoadOptions):
     """Built-in such as `vault` or `arch:blocks=15,thickness=0.2`, or a folder or file of meshes or COMPAS data."""
 
     def load(self) -> Assembly:
-        """Build or read the structure, and warn of materials that none has.
+        """Build or read the structure, and warn of materials that none has and of parts that settled.
 
         Raises:
             InputError: no such structure, or it cannot be used; the message says what to do.
@@ -113,6 +122,8 @@ class StructureOptions(LoadOptions):
         assembly = load_structure(self.spec, **self.given())
         for doubt in doubts_of_materials(assembly):
             warnings.warn(doubt, stacklevel=2)
+        if assembly.settlement is not None:
+            warnings.warn(assembly.settlement.line(assembly.names), stacklevel=2)
         return assembly
 
     def source(self, beside: Path) -> dict[str, Any]:

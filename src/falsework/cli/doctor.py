@@ -87,9 +87,9 @@ class Doctor(Command, LoadOptions):
         return Exit.DONE if found.loads else Exit.NO
 
     def _diagnose(self, output: Output) -> Diagnosis:
-        from falsework.assembly.doctor import diagnose
+        from falsework.assembly.doctor import doctor
 
-        found = diagnose(self.path, **self.given())
+        found = doctor(self.path, **self.given())
         output.record(found.to_dict())
         for line in _lines(found):
             output.say(line)

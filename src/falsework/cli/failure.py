@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
     from falsework.search.problem.result import SearchResult
-    from falsework.stability import StabilityOracle
+    from falsework.stability.oracle import StabilityOracle
 
 LOOKED_AT = 16
 """Largest number of unstable states whose motions are examined."""

@@ -60,7 +60,9 @@ class MakeGraph(JudgingCommand):
         from falsework.search.backend import beam_search
         from falsework.search.problem.deadline import Deadline
         from falsework.search.problem.state_graph import StateGraph, save_state_graph
-        from falsework.stability import PressOracle, StabilityOracle, StabilitySettings
+        from falsework.stability import PressOracle
+        from falsework.stability.oracle import StabilityOracle
+        from falsework.stability.settings import StabilitySettings
 
         writable(self.out, ".npz")
         clock = Deadline(self.deadline)

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from falsework.assembly.state import States
     from falsework.cli.output import Output
     from falsework.search.plans.plan import Plan
-    from falsework.stability import StabilitySettings, StateMargins
+    from falsework.stability import StateMargins
+    from falsework.stability.settings import StabilitySettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +85,9 @@ class FindMargins(Command):
         from falsework.search.plans.plan import Plan
         from falsework.search.plans.plan_check import check_identity
         from falsework.search.plans.plan_source import structure_to_check
-        from falsework.stability import StabilityOracle, StabilitySettings
         from falsework.stability.margins.margins import QUICK
+        from falsework.stability.oracle import StabilityOracle
+        from falsework.stability.settings import StabilitySettings
         from falsework.utils.quantity import parse_quantity
 
         limits = self._limits()
@@ -203,8 +205,8 @@ class FindMargins(Command):
         self, assembly: Assembly, states: States, errors: list[float], settings: Any, output: Output
     ) -> list[list[float]]:
         """Return the share of stable draws, a list per state with one entry for each placement error."""
-        from falsework.stability import StabilityOracle
         from falsework.stability.margins.placement import placement_curve
+        from falsework.stability.oracle import StabilityOracle
 
         if not errors:
             return []

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.search.min_robots import MinRobots
     from falsework.search.settings import PlannerSettings
-    from falsework.stability import StabilitySettings
+    from falsework.stability.settings import StabilitySettings
 
 
 _SHARED = ("verdicts", "seconds", "interrupted")
@@ -61,12 +61,12 @@ def report(answer: MinRobots, reserve: float, path: Path | None, output: Output)
         output.file(path)
     spent = f"{answer.seconds:.1f} s, {counted(answer.verdicts, 'verdict')}"
     fewer = [f"with {n}: {reason}" for n, reason in enumerate(answer.reasons, 1)]
-    if answer.robots is not None:
-        least = "proven to be the fewest" if answer.proven else f"at least {answer.least} are proven to be needed"
-        if answer.robots == 1:
+    if answer.value is not None:
+        least = "proven to be the fewest" if answer.proven else f"at least {answer.bound} are proven to be needed"
+        if answer.value == 1:
             least = "the fewest there can be"
-        output.say(f"{counted(answer.robots, 'robot')}: a plan was found; {least} ({spent})")
-        for line in fewer[-1:] if answer.proven else fewer[answer.least - 2 if answer.least > 1 else 0 :]:
+        output.say(f"{counted(answer.value, 'robot')}: a plan was found; {least} ({spent})")
+        for line in fewer[-1:] if answer.proven else fewer[answer.bound - 2 if answer.bound > 1 else 0 :]:
             output.say(line)
         if path is not None and answer.plan is not None:
             output.say(f"the plan is in {path}")
@@ -77,7 +77,7 @@ def report(answer: MinRobots, reserve: float, path: Path | None, output: Output)
         word = "no number of robots suffices" if answer.certain else "no plan was found with any number of robots"
         output.note(f"falsework: {word}: {answer.impossible}")
     else:
-        least = "at least 1 robot is" if answer.least == 1 else f"at least {answer.least} robots are"
+        least = "at least 1 robot is" if answer.bound == 1 else f"at least {answer.bound} robots are"
         found = [f"no plan was found; {least} needed", *fewer]
         output.note(f"falsework: {'; '.join(found)} ({spent})")
     if answer.interrupted:
@@ -89,4 +89,4 @@ def report(answer: MinRobots, reserve: float, path: Path | None, output: Output)
     if lacking:
         output.outcome("weaker")
         output.note(lacking)
-    return Exit.DONE if answer.robots is not None and not lacking else Exit.NO
+    return Exit.DONE if answer.value is not None and not lacking else Exit.NO

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
+from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions, settlement_record
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import (
     HoldOptions,
@@ -30,7 +30,7 @@ from falsework.utils.quantity import counted
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
-    from falsework.search.find import Planning
+    from falsework.search.planning import Planning
     from falsework.search.plans.plan import Plan
     from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Task
@@ -125,7 +125,7 @@ class MakePlan(Command):
         from falsework.search.margins.demands import Demands, MarginOracle
         from falsework.search.maximise import maximise_margin
         from falsework.search.problem.deadline import Deadline, check_deadline
-        from falsework.stability import StabilityOracle
+        from falsework.stability.oracle import StabilityOracle
 
         if self.maximise_margin and (self.alternatives > 1 or self.resume):
             raise InputError(
@@ -169,6 +169,7 @@ class MakePlan(Command):
         saves = not self.task.wider and self.task.parts_at_once == 1
         settings, checkpoint = self._settings(), self._checkpoint() if saves else None
         assembly = self.task.with_places(self.structure.load())
+        output.record(settlement_record(assembly))
         if assembly.boundary.all():
             raise InputError(f"every part of {assembly.name} is boundary, so there is nothing to plan; fix fewer parts")
         task = make_task(assembly, self._robot_count(), **self.task.rules(assembly))
@@ -190,7 +191,7 @@ class MakePlan(Command):
                     assembly,
                     task,
                     self.maximise_margin,
-                    stability,
+                    stability=stability,
                     demands=demands,
                     settings=settings,
                     progress=report,
@@ -249,6 +250,7 @@ class MakePlan(Command):
         if self.alternatives > 1 or self.resume:
             raise InputError("--robots auto takes neither --alternatives nor --resume; give the number of robots")
         assembly = self.task.with_places(self.structure.load())
+        output.record(settlement_record(assembly))
         stability = self.holds.settings(self.criterion, self.cone, self.solver)
         answer = ask(assembly, stability, self.task, self._settings(), self.deadline, self.proofs, output)
         path = None if answer.plan is None else self._save([answer.plan])[0][0]

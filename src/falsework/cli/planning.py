@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from falsework.search.plans.plan import PartDeadline, Plan
     from falsework.search.problem.task import Direction, Task
     from falsework.search.task_rules import TaskRules
-    from falsework.stability import StabilityOracle, StabilitySettings
     from falsework.stability.contact.hold_loads import Loads
     from falsework.stability.judges.judgement import Judgement
+    from falsework.stability.oracle import StabilityOracle
     from falsework.stability.problem import Cone
-    from falsework.stability.settings import SolverName
+    from falsework.stability.settings import SolverName, StabilitySettings
     from falsework.stability.verdict import Criterion
 
 SHOWN = 8
@@ -164,8 +164,8 @@ class HoldOptions:
             InputError: options that a criterion does not have, or numbers that are not possible.
         """
         from falsework.search.find import PLANS
-        from falsework.stability import StabilitySettings
         from falsework.stability.holds import HoldMode, HoldSettings
+        from falsework.stability.settings import StabilitySettings
 
         given = self != HoldOptions()
         if criterion == "equilibrium" and given and self != HoldOptions(reserve=self.reserve):
@@ -391,6 +391,8 @@ def refuse_unstable(
         text = f"{outcome}: the {subject} {Verdict(verdicts.verdict[0]).words}"
         if verdicts.on_tolerance[0]:
             text += ", which depends on the tolerance"
+        if complete and (hint := assembly.clearance_hint):
+            text += f"; {hint}"
         output.outcome("impossible" if verdicts.unstable[0] else "not_found")
         output.record({"reason": text, "moving": [motion.to_dict(assembly) for motion in moving]})
         output.note(f"falsework: {text}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from falsework.replanning.request import Request
     from falsework.replanning.result import ReplanResult
     from falsework.search.plans.plan import Plan
-    from falsework.stability import StabilitySettings
+    from falsework.stability.settings import StabilitySettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -292,8 +292,8 @@ class MakeReplan(Command):
         from falsework.cli.failure import explain
         from falsework.cli.velocity_text import describe, motions
         from falsework.search.problem.result import Outcome
-        from falsework.stability import StabilityOracle
         from falsework.stability.motion import motion_of
+        from falsework.stability.oracle import StabilityOracle
 
         oracle, moving = StabilityOracle(assembly, replace(stability, reserve=1.0)), []
         word = "no plan exists" if answer.outcome is Outcome.PROVED_IMPOSSIBLE else "no plan was found"

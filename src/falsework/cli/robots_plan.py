@@ -121,7 +121,7 @@ class PlanRobots(Command):
         from falsework.robots.planning.hybrid_planner import plan_robots
         from falsework.robots.planning.hybrid_result import HybridSettings
         from falsework.search.problem.task import Direction
-        from falsework.stability import StabilityOracle
+        from falsework.stability.oracle import StabilityOracle
 
         writable(self.out)
         begun = self._begun()
@@ -131,8 +131,7 @@ class PlanRobots(Command):
             assembly, cell = self._load()
         together = not self.sequential and cell.robot_count > 1 and can_schedule(output)
         order = Direction(self.order)
-        limits: dict[str, Any] = {"seed": self.seed, "deadline": self.deadline, "forces": self.proofs}
-        settings = HybridSettings(order, together=together, **limits)
+        settings = HybridSettings(order, seed=self.seed)
         building = order is Direction.ASSEMBLY
         if begun is not None:
             held, joints, grips = begun.arms
@@ -147,13 +146,21 @@ class PlanRobots(Command):
         ):
             return Exit.NO
         guide = self._guide(assembly, task)
-        given: dict[str, Any] = {"task": task, "stability": stability, "guide": guide, "settings": settings}
+        given: dict[str, Any] = {
+            "task": task,
+            "concurrent": together,
+            "stability": stability,
+            "guide": guide,
+            "settings": settings,
+            "deadline": self.deadline,
+            "forces": self.proofs,
+        }
         if not building or begun is not None or {self.state, self.joints, self.holding, self.grips} != {None}:
             given |= {"configurations": joints, "held": held, "gripped": grips}
         with output.bar("planning motions") as show:
             given["progress"] = lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}")
             result = plan_robots(assembly, cell, **given)
-        found = result.partial if result.plan is None else result.plan  # a plan without steps is false
+        found = result.partial if result.value is None else result.value  # a plan without steps is false
         done = self._report(result, found, begun, output)
         if done is not Exit.DONE or found is None:
             return done

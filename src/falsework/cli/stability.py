@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, JudgingCommand, StructureOptions
+from falsework.cli.command import CONE_HINT, JudgingCommand, StructureOptions, settlement_record
 from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
-    from falsework.stability import StabilitySettings
+    from falsework.stability.settings import StabilitySettings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,10 +48,13 @@ class CheckStability(JudgingCommand):
 
         from falsework.cli.arguments import parse_states
         from falsework.cli.velocity_text import describe, motions, part_name
-        from falsework.stability import Proof, StabilityOracle, Verdict
+        from falsework.stability import Proof
         from falsework.stability.motion import motion_of
+        from falsework.stability.oracle import StabilityOracle
+        from falsework.stability.verdict import Verdict
 
         assembly = self.structure.load()
+        output.record(settlement_record(assembly))
         states = parse_states(self.states or "complete", "--states", assembly)
         verdicts = StabilityOracle(assembly, self._settings()).verdicts(states, require_certificate=True)
         for index in range(len(states)):
@@ -81,9 +84,11 @@ class CheckStability(JudgingCommand):
                 f"{near}"
             )
             output.say(f"{line}; {describe(assembly, moving)}" if moving else line)
+            if not verdicts.stable[index] and states[index].all() and (hint := assembly.clearance_hint):
+                output.note(f"falsework: {hint}")
         return Exit.DONE if bool(np.all(verdicts.stable)) else Exit.NO
 
     def _settings(self) -> StabilitySettings:
-        from falsework.stability import StabilitySettings
+        from falsework.stability.settings import StabilitySettings
 
         return StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver)

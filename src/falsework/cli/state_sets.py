@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.search.problem.deadline import Deadline
     from falsework.search.problem.task import Task
-    from falsework.stability import StabilityOracle
+    from falsework.stability.oracle import StabilityOracle
 
 
 def save_sets(

@@ -92,7 +92,8 @@ class Train(JudgingCommand):
         check_torch()
         from falsework.learn.data.dataset import training_task
         from falsework.learn.training.train import train
-        from falsework.stability import StabilityOracle, StabilitySettings
+        from falsework.stability.oracle import StabilityOracle
+        from falsework.stability.settings import StabilitySettings
 
         for name, given in (("--minutes", self.minutes), ("--steps", self.steps)):
             if given is not None and not given > 0:

@@ -1,12 +1,6 @@
-from falsework.geometry.clearance.table import ClearanceTable as ClearanceTable
-from falsework.geometry.clearance.table import clearance_table as clearance_table
 from falsework.geometry.contact.interfaces import Contacts as Contacts
 from falsework.geometry.contact.interfaces import ContactSettings as ContactSettings
 from falsework.geometry.contact.interfaces import find_contacts as find_contacts
-from falsework.geometry.contact.joints import JointReport as JointReport
-from falsework.geometry.mesh.mesh import MassProperties as MassProperties
 from falsework.geometry.mesh.mesh import TriangleMesh as TriangleMesh
-from falsework.geometry.mesh.mesh import mass_properties as mass_properties
 from falsework.geometry.mesh.read import load_meshes as load_meshes
 from falsework.geometry.mesh.repair import RepairWarning as RepairWarning
-from falsework.geometry.mesh.repair import check_mesh as check_mesh

@@ -45,12 +45,12 @@ def to_compas(assembly: Assembly, kind: CompasKind = "meshes") -> Any:
     return _assembly(assembly, guid) if kind == "assembly" else _model(assembly, guid)
 
 
-def write_compas(path: Path | str, assembly: Assembly, kind: CompasKind = "meshes") -> None:
+def write_compas(assembly: Assembly, path: Path | str, kind: CompasKind = "meshes") -> None:
     """Write what `to_compas` makes, whole or not at all.
 
     Args:
-        path: file to write.
         assembly: the structure; its joints and loads are left out.
+        path: file to write.
         kind: as for `to_compas`.
 
     Raises:
@@ -197,7 +197,7 @@ def _frame(origin: np.ndarray, xaxis: np.ndarray, yaxis: np.ndarray) -> dict[str
 
 
 def _exporter(kind: CompasKind, suffixes: tuple[str, ...] = ()) -> Exporter:
-    return Exporter(lambda path, assembly, _: write_compas(path, assembly, kind), suffixes)
+    return Exporter(lambda assembly, path, _: write_compas(assembly, path, kind), suffixes)
 
 
 MESHES, ASSEMBLY, DEM = _exporter("meshes", (".json",)), _exporter("assembly"), _exporter("dem")

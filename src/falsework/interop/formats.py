@@ -104,13 +104,13 @@ def export(
         chosen = format or ("html" if Path(path).suffix.lower() == ".html" else "ros2-json")
         if chosen == "html":
             shown = structure_of_plan(subject.plan, file, given, **options)
-            write_format(chosen, path, shown, subject, cell=cell, **view)
+            write_format(shown, path, chosen, subject, cell=cell, **view)
             return
         pressed = structure_of_plan(subject.plan, file, given, **options) if has_presses(subject) else None
         export_plan(subject, path, chosen, structure=pressed, cell=cell)
         return
     chosen = format_of(path) if format is None else format
     if isinstance(subject, Plan):
-        write_format(chosen, path, structure_of_plan(subject, None, structure, **options), subject, **view)
+        write_format(structure_of_plan(subject, None, structure, **options), path, chosen, subject, **view)
     else:
-        write_format(chosen, path, as_assembly(subject), **view)
+        write_format(as_assembly(subject), path, chosen, **view)

@@ -69,13 +69,13 @@ def to_gltf(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb",
 
 
 def write_gltf(
-    path: Path | str, assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb", step_seconds: float = 1.0
+    assembly: Assembly, path: Path | str, plan: Plan | None = None, *, kind: Kind = "glb", step_seconds: float = 1.0
 ) -> None:
     """Write what `to_gltf` makes, whole or not at all.
 
     Args:
-        path: file to write.
         assembly: the structure.
+        path: file to write.
         plan: shown as an animation; None for the structure at rest.
         kind: `glb`, one binary file, or `gltf`, JSON with its data in it.
         step_seconds: duration of a step of the plan.
@@ -300,8 +300,8 @@ def _linear(color: str) -> list[float]:
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).round(4).tolist()
 
 
-def _write_json(path: Path | str, assembly: Assembly, plan: Plan | None, *, step_seconds: float = 1.0) -> None:
-    write_gltf(path, assembly, plan, kind="gltf", step_seconds=step_seconds)
+def _write_json(assembly: Assembly, path: Path | str, plan: Plan | None, *, step_seconds: float = 1.0) -> None:
+    write_gltf(assembly, path, plan, kind="gltf", step_seconds=step_seconds)
 
 
 GLB = Exporter(write_gltf, (".glb",), ("Assembly", "Plan"), ("step_seconds",))

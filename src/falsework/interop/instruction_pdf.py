@@ -16,7 +16,7 @@ from falsework.errors import DependencyError, InputError
 from falsework.interop.instruction_table import (
     AssemblyInstruction,
     AssemblyInstructions,
-    assembly_instructions,
+    sheet,
     write_sheet,
 )
 from falsework.interop.pdf_text import BOLD, REGULAR, broken_lines, register_fonts, write_line, write_paragraph
@@ -355,8 +355,8 @@ def _shortened(sheet: AssemblyInstructions, parts: tuple[int, ...]) -> str:
 
 
 def _write_pdf(
-    path: Path | str,
     assembly: Assembly,
+    path: Path | str,
     plan: Plan,
     *,
     azimuth: float = CAMERA.azimuth,
@@ -366,8 +366,7 @@ def _write_pdf(
     if not -90 < elevation < 90 or elevation == 0:
         raise InputError(f"an elevation of {elevation:g} degrees sees nothing; give one such as 24")
     camera = replace(CAMERA, azimuth=azimuth, elevation=elevation)
-    sheet = assembly_instructions(plan, assembly)
-    write_sheet(path, instructions_pdf(sheet, camera=camera, progress=progress))
+    write_sheet(instructions_pdf(sheet(assembly, plan), camera=camera, progress=progress), path)
 
 
 PDF = Exporter(_write_pdf, (".pdf",), ("Plan",), ("azimuth", "elevation", "progress"))

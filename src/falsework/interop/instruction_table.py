@@ -16,9 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import REMOVED
-from falsework.errors import PlanError
+from falsework.errors import InputError, PlanError
 from falsework.geometry.paths.moves import ExitPath
+from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import NO_ROBOT, Action, name_together
 from falsework.stability.holds import Press, describe_force
 from falsework.utils.files.formats import Exporter
@@ -27,7 +29,6 @@ from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-    from falsework.search.plans.plan import Plan
 
 COLUMNS = (
     "step",
@@ -141,18 +142,24 @@ class AssemblyInstructions:
         return described
 
 
-def assembly_instructions(plan: Plan, assembly: Assembly) -> AssemblyInstructions:
-    """Return the sheet of a plan.
+def sheet(assembly: AnyStructure, plan: Plan) -> AssemblyInstructions:
+    """Return the assembly instructions of a plan for a crew: what to place, to hold and to release.
+
+    `export` writes them to a file, `pdf` with pictures or `csv`.
 
     Args:
-        plan: the plan.
-        assembly: its structure.
+        assembly: the structure, or its name or path.
+        plan: its plan.
 
     Raises:
+        InputError: something other than a plan.
         PlanError: the plan is for another structure, or it holds parts again or has props.
     """
+    if not isinstance(plan, Plan):
+        raise InputError(f"{type(plan).__name__} is no plan; give the structure first, then its plan")
     if plan.allow_regrasp:
         raise PlanError("a sheet says when to place and when to release, not what is held again or propped; export it")
+    assembly = as_assembly(assembly)
     timeline, missing, steps = Timeline.from_plan(plan, assembly), set(plan.missing), []
     for step in plan.steps:
         place, number = step.action is Action.INSERT, step.number
@@ -202,7 +209,7 @@ def instructions_csv(sheet: AssemblyInstructions) -> str:
     return text.getvalue()
 
 
-def write_sheet(path: Path | str, content: bytes) -> None:
+def write_sheet(content: bytes, path: Path | str) -> None:
     """Write a sheet, whole or not at all.
 
     Raises:
@@ -248,9 +255,9 @@ def _holding(timeline: Timeline, place: int) -> tuple[tuple[int, int], ...]:
     return tuple(sorted(((int(part), int(robots[part])) for part in held), key=lambda pair: pair[1]))
 
 
-def _write_csv(path: Path | str, assembly: Assembly, plan: Plan) -> None:
+def _write_csv(assembly: Assembly, path: Path | str, plan: Plan) -> None:
     # The byte order mark is how spreadsheets detect the encoding.
-    write_sheet(path, instructions_csv(assembly_instructions(plan, assembly)).encode("utf-8-sig"))
+    write_sheet(instructions_csv(sheet(assembly, plan)).encode("utf-8-sig"), path)
 
 
 CSV = Exporter(_write_csv, (".csv",), ("Plan",))

@@ -65,12 +65,12 @@ def to_usd(assembly: Assembly, plan: Plan | None = None, *, step_seconds: float 
     return "\n".join([*lines, "}", ""])
 
 
-def write_usd(path: Path | str, assembly: Assembly, plan: Plan | None = None, *, step_seconds: float = 1.0) -> None:
+def write_usd(assembly: Assembly, path: Path | str, plan: Plan | None = None, *, step_seconds: float = 1.0) -> None:
     """Write what `to_usd` makes, whole or not at all.
 
     Args:
-        path: file to write.
         assembly: the structure; its joints and loads are left out.
+        path: file to write.
         plan: shown as time samples; None for the structure at rest.
         step_seconds: duration of a step of the plan.
 

@@ -2,4 +2,4 @@
 
 from falsework.utils.lazy import lazy_exports
 
-__getattr__, __dir__, __all__ = lazy_exports(__name__, extra="learn")
+__getattr__, __dir__, __all__ = lazy_exports(__name__)

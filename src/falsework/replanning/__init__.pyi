@@ -1,10 +1,3 @@
-from falsework.replanning.named_state import named_state as named_state
-from falsework.replanning.plan_diff import Difference as Difference
 from falsework.replanning.plan_diff import difference as difference
-from falsework.replanning.policy_guide import PolicyGuide as PolicyGuide
-from falsework.replanning.replanner import Replanner as Replanner
-from falsework.replanning.replanner import replan as replan
 from falsework.replanning.request import Request as Request
-from falsework.replanning.result import ReplanResult as ReplanResult
-from falsework.replanning.result import Stage as Stage
 from falsework.replanning.session import ReplanSettings as ReplanSettings

@@ -15,7 +15,7 @@ from falsework.replanning.result import Stage
 from falsework.replanning.session import ReplanContext, ReplanSession
 from falsework.search.problem.deadline import AdaptiveBatchSize
 from falsework.search.problem.result import Route
-from falsework.search.problem.rollout import Rollout, roll_out
+from falsework.search.problem.rollout import Rollout, follow_scores
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
 
@@ -44,7 +44,7 @@ def follow_greedily(sessions: Sequence[ReplanSession], context: ReplanContext) -
         return
     owners = [session for session, _ in variants]
     with _policy_time(sessions):
-        rollouts = roll_out(
+        rollouts = follow_scores(
             [task for _, task in variants],
             [task.start for _, task in variants],
             np.arange(len(variants)),
@@ -78,7 +78,7 @@ def follow_samples(sessions: Sequence[ReplanSession], context: ReplanContext) ->
 
     before = [sum(session.clock.spent.values()) for session in sessions]
     begun = time.perf_counter()
-    rollouts = roll_out(
+    rollouts = follow_scores(
         [session.task for session in sessions],
         [prefix[-1] for prefix in prefixes],
         owner,

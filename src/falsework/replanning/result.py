@@ -12,7 +12,7 @@ from msgspec import to_builtins
 from numpy.typing import NDArray
 
 from falsework.search.plans.plan import Plan
-from falsework.search.problem.result import Outcome, SearchResult
+from falsework.search.problem.result import Outcome, Result, SearchResult
 from falsework.search.problem.task import Direction
 from falsework.search.problem.timed_replayer import Replayed
 from falsework.stability.verdict import Criterion
@@ -39,7 +39,7 @@ class Stage(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class ReplanResult(Displayed):
+class ReplanResult(Result[Plan], Displayed):
     """Result of one request."""
 
     plans: tuple[Plan, ...]
@@ -80,14 +80,19 @@ class ReplanResult(Displayed):
     """Steps that are done, with which the plans begin; those from now on have the numbers after it."""
 
     @property
-    def found(self) -> bool:
-        """Whether there is a plan."""
-        return self.outcome is Outcome.FOUND
+    def value(self) -> Plan | None:
+        """The first plan."""
+        return self.plans[0] if self.plans else None
 
     @property
-    def plan(self) -> Plan | None:
-        """The first plan, or None."""
-        return self.plans[0] if self.plans else None
+    def bound(self) -> None:
+        """None: plans are not optimised."""
+        return
+
+    @property
+    def statistics(self) -> dict[str, Any]:
+        """Work of the search: `seconds`, `verdicts`, and the seconds `spent` by kind of work."""
+        return {"seconds": self.seconds, "verdicts": self.verdicts, "spent": dict(self.spent)}
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as a JSON object, without the plans themselves."""

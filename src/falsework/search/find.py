@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Unpack
@@ -22,6 +22,7 @@ from falsework.geometry.paths.exit_paths import ExitPaths
 from falsework.search.margins.demands import MarginOracle
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
+from falsework.search.planning import Planning
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.build_proofs import prove_build
 from falsework.search.plans.plan import Plan
@@ -33,7 +34,15 @@ from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.hold_bound import HoldBound
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.regrasp_route import RegraspRoute
-from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
+from falsework.search.problem.result import (
+    Outcome,
+    Progress,
+    Route,
+    SearchCounters,
+    SearchProgress,
+    SearchResult,
+    Stop,
+)
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Clearance, Task
 from falsework.search.problem.timed_oracle import timed
@@ -42,7 +51,7 @@ from falsework.search.task_rules import TaskRules
 from falsework.search.together.rule import InterlockedSets
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
-from falsework.utils.display.notebook import Displayed, or_notebook
+from falsework.utils.display.notebook import or_notebook
 
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
@@ -56,36 +65,6 @@ PLANS = StabilitySettings(reserve=1.1)
 """Stability of plans by default: parts come to rest with friction divided by 1.1, and with the true one."""
 _CHOICE_SECONDS = 1.0
 """Seconds in which to choose among plans where the deadline leaves less."""
-
-
-@dataclass(frozen=True, eq=False)
-class Planning(Displayed):
-    """Result of `find_plans`."""
-
-    result: SearchResult
-    """Outcome of the search and, if it found nothing, its progress."""
-    plans: tuple[Plan, ...]
-    """Plans, the one found first first."""
-    alternatives: Alternatives
-    """How much the plans differ; its routes are those of `plans`."""
-    fallen: Plan | None = None
-    """Without a plan whose replay succeeds: the one whose replay gets farthest, with the step at which it fails."""
-    deadline_passed: bool = False
-    """Whether the deadline ended the search; `result` and `plans` are the best that it had by then."""
-
-    def __repr__(self) -> str:
-        return f"<Planning: {self.result.outcome.value}, {self.plans if self.found else self.result}>"
-
-    @property
-    def found(self) -> bool:
-        """Whether there is at least one plan."""
-        return self.result.outcome is Outcome.FOUND
-
-    @property
-    def accepted(self) -> bool:
-        """Whether there is one, and the judge accepts it if it was asked."""
-        judged = [plan.replay.judgement for plan in self.plans if plan.replay is not None]
-        return self.found and all(judgement is None or judgement.stands for judgement in judged)
 
 
 def find_plans(

@@ -8,12 +8,14 @@ from typing import Literal
 import numpy as np
 from msgspec import structs
 
+from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
-from falsework.search.find import Planning, find_plans, prove_route
+from falsework.search.find import find_plans, prove_route
 from falsework.search.margins.demands import Demands, MarginOracle
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
+from falsework.search.planning import Planning
 from falsework.search.plans.alternatives import Alternatives
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.result import Outcome, Progress, SearchProgress, SearchResult, Stop
@@ -39,11 +41,11 @@ found a plan, and at least so many."""
 
 
 def maximise_margin(
-    assembly: Assembly,
+    assembly: AnyStructure,
     task: Task,
     kind: Maximised,
-    stability: StabilitySettings = StabilitySettings(),
     *,
+    stability: StabilitySettings = StabilitySettings(),
     demands: Demands = Demands(),
     settings: PlannerSettings = PlannerSettings(),
     progress: Progress | None = None,
@@ -57,7 +59,7 @@ def maximise_margin(
     bound; it ends after about twice the verdicts of the searches that found plans.
 
     Args:
-        assembly: the structure.
+        assembly: the structure, or its name or path.
         task: rules between start and target.
         kind: margin to maximise.
         stability: criterion and solver.
@@ -71,6 +73,7 @@ def maximise_margin(
         The best plan, with its margins of this kind and the bound in `Plan.margins`; the result of the first search if
         there is none. The result is interrupted if a search for a stronger plan was.
     """
+    assembly = as_assembly(assembly)
     oracle = MarginOracle(assembly, stability, demands)
     first = find_plans(assembly, task, oracle=oracle, settings=settings, progress=progress, stop=stop, forces=forces)
     if not first.found:

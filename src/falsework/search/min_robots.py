@@ -19,7 +19,7 @@ from falsework.search.plans.plan import Plan
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.hold_bound import Barrier, HoldBound
-from falsework.search.problem.result import Outcome, Progress, SearchResult, progress_text, unstable_end
+from falsework.search.problem.result import Outcome, Progress, Result, SearchResult, progress_text, unstable_end
 from falsework.search.problem.task import Direction, Task
 from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
@@ -42,15 +42,15 @@ _QUICK, _THOROUGH = 1, 10_000
 
 
 @dataclass(frozen=True, eq=False)
-class MinRobots:
+class MinRobots(Result[int]):
     """Answer to how many robots a task needs."""
 
-    robots: int | None
+    value: int | None
     """Fewest robots with which a plan was found; None if none was found with any number that was tried."""
-    least: int
+    bound: int
     """Number of robots below which it is proven that no plan exists."""
     plan: Plan | None
-    """Plan with `robots` robots."""
+    """Plan with so many robots."""
     reasons: tuple[str, ...]
     """Why no plan exists, or none was found, with 1, 2, ... robots, one sentence each."""
     impossible: str = ""
@@ -58,7 +58,7 @@ class MinRobots:
     certain: bool = True
     """Whether that is proven; not where the start or the target was found to slide."""
     barrier: Barrier | None = None
-    """Sets of parts that `least - 1` robots cannot cross, where that is the proof."""
+    """Sets of parts that `bound - 1` robots cannot cross, where that is the proof."""
     verdicts: int = 0
     """Verdicts requested."""
     seconds: float = 0.0
@@ -68,15 +68,32 @@ class MinRobots:
     """Whether the deadline ended the search."""
 
     @property
+    def outcome(self) -> Outcome:
+        """Whether a number was found, and if not, whether it is proved that none suffices."""
+        if self.value is not None:
+            return Outcome.FOUND
+        return Outcome.PROVED_IMPOSSIBLE if self.impossible and self.certain else Outcome.NOT_FOUND
+
+    @property
+    def statistics(self) -> dict[str, Any]:
+        """Work of the searches: `seconds` and `verdicts`."""
+        return {"seconds": self.seconds, "verdicts": self.verdicts}
+
+    @property
+    def reason(self) -> str:
+        """Why there is no number: of all, or of the last one that was tried."""
+        return "" if self.value is not None else self.impossible or (self.reasons[-1] if self.reasons else "")
+
+    @property
     def proven(self) -> bool:
         """Whether it is proven that fewer robots do not suffice, or that no number does."""
-        return self.certain if self.impossible else self.robots == self.least
+        return self.certain if self.impossible else self.value == self.bound
 
     def to_dict(self) -> dict[str, Any]:
         """Return the answer without the plan as a JSON object."""
         return {
-            "robots": self.robots,
-            "least": self.least,
+            "robots": self.value,
+            "least": self.bound,
             "proven": self.proven,
             "reasons": list(self.reasons),
             "impossible": self.impossible or None,
@@ -130,7 +147,7 @@ def min_robots(
     again = oracle is None and stability.reserve > 1.0 and first.replayer is not None
     share = Deadline(None if deadline is None else FIRST_SHARE * deadline) if again else clock
     answer = _Query(assembly, first, settings, share, progress, forces, rules).answer()
-    if answer.robots is not None or not again or answer.interrupted or clock.passed:
+    if answer.value is not None or not again or answer.interrupted or clock.passed:
         return answer
     weaker = StabilityOracle(assembly, replace(stability, reserve=1.0))
     return _Query(assembly, weaker, settings, clock, progress, forces, rules).answer()
@@ -181,8 +198,8 @@ class _Query:
         last = max([self._least, *(n + 1 for n in self._planners)]) if robots is None else robots
         verdicts = self._bound.asked + sum(planner.counters.asked for planner in self._planners.values())
         return MinRobots(
-            robots=robots,
-            least=self._least,
+            value=robots,
+            bound=self._least,
             plan=self._plan,
             reasons=tuple(self._reasons.get(n, "not tried") for n in range(1, last)),
             impossible=impossible,

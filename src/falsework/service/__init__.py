@@ -6,4 +6,4 @@ that `worker` runs, and batches requests that arrive together.
 
 from falsework.utils.lazy import lazy_exports
 
-__getattr__, __dir__, __all__ = lazy_exports(__name__, extra="service")
+__getattr__, __dir__, __all__ = lazy_exports(__name__)

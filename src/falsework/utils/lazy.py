@@ -15,13 +15,15 @@ from typing import Any
 
 from falsework.errors import DependencyError
 
+_WITH_EXTRA = ("learn", "robots", "viewer", "service")
+"""Packages of falsework whose optional packages come with an extra of the same name."""
 
-def lazy_exports(package: str, extra: str = "") -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+
+def lazy_exports(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Make `__getattr__`, `__dir__` and `__all__` of a package from the imports in its stub.
 
     Args:
         package: name of the package, `__name__` there.
-        extra: extra of `pip install` that brings the optional packages of its modules.
 
     Returns:
         The three, in this order. A name whose module needs a package that is not installed raises `DependencyError`.
@@ -42,7 +44,8 @@ def lazy_exports(package: str, extra: str = "") -> tuple[Callable[[str], Any], C
         try:
             value = getattr(import_module(origins[name]), name)
         except ModuleNotFoundError as error:
-            if not extra or error.name is None or error.name.startswith("falsework"):
+            extra = origins[name].split(".")[1]
+            if extra not in _WITH_EXTRA or error.name is None or error.name.startswith("falsework"):
                 raise
             raise DependencyError(f"{package}.{name} needs {error.name}; pip install 'falsework[{extra}]'") from None
         setattr(sys.modules[package], name, value)

@@ -1,12 +1,4 @@
-from falsework.viewer.cells.cell_page import CellPage as CellPage
 from falsework.viewer.cells.cell_page import view_cell as view_cell
-from falsework.viewer.cells.cell_picture import CellPicture as CellPicture
 from falsework.viewer.cells.cell_picture import picture_cell as picture_cell
 from falsework.viewer.pictures.render import Camera as Camera
-from falsework.viewer.proof import StateProof as StateProof
-from falsework.viewer.show import animate as animate
-from falsework.viewer.show import picture as picture
-from falsework.viewer.show import view as view
 from falsework.viewer.timeline import Timeline as Timeline
-from falsework.viewer.viewable import Viewable as Viewable
-from falsework.viewer.viewable import open_file as open_file

@@ -16,7 +16,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import FalseworkError
 from falsework.replanning.result import ReplanResult
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search.find import Planning
+from falsework.search.planning import Planning
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.stability.verdict import Proof, Verdict, Verdicts
@@ -86,12 +86,13 @@ def _(thing: Planning) -> str:
 @html_of.register
 def _(thing: ReplanResult) -> str:
     facts = {"outcome": thing.outcome.value, "decided by": thing.decided_by.value, "time": f"{thing.seconds:.2f} s"}
-    if thing.plan is None:
+    if thing.value is None:
         return _page([], facts | {"reason": thing.reason})
     needs = {
-        f"{thing.plan.part_names[need.part]} is needed": f"at step {need.after_steps + 1}" for need in thing.plan.needs
+        f"{thing.value.part_names[need.part]} is needed": f"at step {need.after_steps + 1}"
+        for need in thing.value.needs
     }
-    return _page([], facts | needs) + (html_of(thing.plan) or "")
+    return _page([], facts | needs) + (html_of(thing.value) or "")
 
 
 @html_of.register

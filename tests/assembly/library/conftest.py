@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
-from falsework.stability import StabilityOracle, StabilitySettings, Verdict
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict
+from falsework.assembly import complete_state
 
 
 @pytest.fixture(scope="session")

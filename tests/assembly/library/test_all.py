@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from falsework import Assembly
 from falsework.assembly import library
 from falsework.assembly.library import structures
-from falsework.assembly.model import Assembly
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry import TriangleMesh
 
 NAMES = [entry.name for entry in structures()]
 SPECS = [

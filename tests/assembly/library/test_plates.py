@@ -7,12 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly
+from falsework import Assembly, Outcome, StabilityOracle, Task
+from falsework.assembly import complete_state
 from falsework.assembly.library import build, house, shelf
-from falsework.assembly.state import complete_state
 from falsework.errors import InputError
-from falsework.search import ExhaustiveSearch, Outcome, Task
-from falsework.stability import StabilityOracle
+from falsework.search import ExhaustiveSearch
 
 
 def parts_of(assembly: Assembly, kind: str) -> list[int]:

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from falsework import Assembly, StabilityOracle
 from falsework.assembly import library
 from falsework.assembly.library.funicular import find_form
 from falsework.assembly.library.vaults import Grid, nearest_grid
-from falsework.assembly.model import Assembly
-from falsework.stability import StabilityOracle
 from falsework.stability.settings import EQUILIBRIUM
 
 SUPPORT = 0.7 / 4.0

@@ -10,20 +10,22 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
-from falsework.assembly import load_structure  # noqa: E402
+from falsework import StabilityOracle, load_structure, make_task  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
+from falsework.learn import (  # noqa: E402  # noqa: E402
+    PPO,
+    REINFORCEMENT,
+    Curriculum,
+    CurriculumSettings,
+    Environment,
+    PolicySettings,
+    make_policy,
+    roll_out,
+)
 from falsework.learn.algorithms.blended_starts import BlendedStarts  # noqa: E402
-from falsework.learn.algorithms.curriculum import CORRECTED_AFTER, Curriculum  # noqa: E402
-from falsework.learn.algorithms.ppo import PPO  # noqa: E402
-from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.ppo import REINFORCEMENT, CurriculumSettings  # noqa: E402
+from falsework.learn.algorithms.curriculum import CORRECTED_AFTER  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
-from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.env.rollout import roll_out  # noqa: E402
-from falsework.learn.networks.factory import make_policy  # noqa: E402
-from falsework.search import BeamSearch, BeamSettings, make_task  # noqa: E402
-from falsework.search.device.rules import TensorRules  # noqa: E402
-from falsework.stability import StabilityOracle  # noqa: E402
+from falsework.search import BeamSearch, BeamSettings, TensorRules  # noqa: E402
 
 
 @pytest.fixture(scope="module")

@@ -8,18 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from falsework.assembly import load_structure
+from falsework import Direction, StabilityOracle, find_plans, load_structure, make_task
 from falsework.assembly.state import action_mask
 from falsework.errors import InputError
-from falsework.learn.config.policy import PolicySettings
-from falsework.learn.networks.factory import make_policy
+from falsework.learn import PolicySettings, make_policy
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.search import BeamSearch, BeamSettings
-from falsework.search.find import find_plans, make_task
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
-from falsework.search.problem.task import Direction
 from falsework.search.problem.timed_oracle import TimedOracle
-from falsework.stability import StabilityOracle
 
 ARCH = load_structure("arch:blocks=5")
 TASK = make_task(ARCH)

@@ -7,16 +7,18 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
-from falsework.assembly import Assembly  # noqa: E402
+from falsework import Assembly, Direction, StateGraph, Task  # noqa: E402
+from falsework.learn import (  # noqa: E402
+    Environment,
+    collect_transitions,
+    roll_out,
+)
 from falsework.learn.algorithms.hindsight import relabel  # noqa: E402
-from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions  # noqa: E402
+from falsework.learn.algorithms.rollout_storage import Transitions  # noqa: E402
 from falsework.learn.data.goal_pairs import PairSource  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
-from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.training.evaluate import GoalBlindPolicy  # noqa: E402
-from falsework.search import Direction, StateGraph, Task  # noqa: E402
-from falsework.stability.reference.clarabel import ExactSolver  # noqa: E402
+from falsework.stability import ExactSolver  # noqa: E402
 
 
 def replay(bottle: Assembly, exact: ExactSolver, states, targets, actions) -> None:

@@ -11,17 +11,13 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
-from falsework.assembly import load_structure  # noqa: E402
+from falsework import load_structure  # noqa: E402
 from falsework.errors import InputError, TrainingError  # noqa: E402
+from falsework.learn import Environment, ImitationPhase, PolicySettings, make_policy, roll_out  # noqa: E402
 from falsework.learn.algorithms.imitation import Imitation, imitation_loss  # noqa: E402
-from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
-from falsework.learn.config.policy import PolicySettings  # noqa: E402
 from falsework.learn.data.dataset import DataSettings, build_dataset, training_task  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
-from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.learn.networks.autocast import Network  # noqa: E402
-from falsework.learn.networks.factory import make_policy  # noqa: E402
 from falsework.utils.distributed import ProcessGroup  # noqa: E402
 
 SMALL = PolicySettings("mlp")

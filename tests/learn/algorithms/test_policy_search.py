@@ -8,20 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from falsework.assembly import load_structure
-from falsework.assembly.state import HELD, REMOVED
+from falsework import StateGraph, Task, load_structure, make_task
+from falsework.assembly import HELD, REMOVED
 from falsework.errors import InputError
+from falsework.learn import Environment, PolicySettings, make_policy, roll_out
 from falsework.learn.algorithms.policy_beam import policy_beam_search
 from falsework.learn.algorithms.policy_search import solve_all
-from falsework.learn.config.policy import PolicySettings
-from falsework.learn.env.environment import Environment
-from falsework.learn.env.rollout import roll_out
-from falsework.learn.networks.factory import make_policy
 from falsework.replanning.result import Stage
-from falsework.search import ExhaustiveSearch, StateGraph
-from falsework.search.find import make_task
+from falsework.search import ExhaustiveSearch
 from falsework.search.plans.plan_check import validate_plan
-from falsework.search.problem.task import Task
 
 ARCH = load_structure("arch:blocks=5")
 
@@ -125,7 +120,7 @@ def test_everything_is_solved(environment: Environment, graph: StateGraph, solva
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 def test_on_a_gpu(graph: StateGraph) -> None:
     """The same truths where everything is on a GPU."""
-    from falsework.replanning.replanner import Replanner
+    from falsework import Replanner
 
     environment = Environment(ARCH, 2, device="cuda")
     policy = make_policy(ARCH, PolicySettings(kind="transformer"), "cuda", seed=3)
@@ -136,8 +131,8 @@ def test_on_a_gpu(graph: StateGraph) -> None:
     )
     assert solve_all(environment, policy, states[good]).share == 1.0
     answer = Replanner(ARCH, policy).replan(environment.rules.complete()[0].cpu().numpy(), confidences=True)
-    assert answer.plan is not None
-    assert validate_plan(answer.plan, ARCH).good
+    assert answer.value is not None
+    assert validate_plan(answer.value, ARCH).good
 
 
 def test_the_graph_has_traps(graph: StateGraph) -> None:

@@ -15,27 +15,31 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 from safetensors.torch import load_file  # noqa: E402
 from torch import Tensor  # noqa: E402
 
-from falsework.assembly import Assembly, load_structure  # noqa: E402
+from falsework import Assembly, StabilityOracle, StateGraph, load_structure  # noqa: E402
 from falsework.errors import InputError, TrainingError  # noqa: E402
+from falsework.learn import (  # noqa: E402
+    PPO,
+    REINFORCEMENT,
+    Curriculum,
+    CurriculumSettings,
+    Environment,
+    Policy,
+    PolicySettings,
+    PpoPhase,
+    collect_transitions,
+    make_policy,
+    masked_log_probabilities,
+    roll_out,
+)
 from falsework.learn.algorithms.advantages import explained_variance, generalized_advantages, normalized  # noqa: E402
-from falsework.learn.algorithms.curriculum import Curriculum  # noqa: E402
 from falsework.learn.algorithms.imitation import imitation_loss  # noqa: E402
 from falsework.learn.algorithms.nan_guard import NanGuard  # noqa: E402
-from falsework.learn.algorithms.ppo import PPO  # noqa: E402
 from falsework.learn.algorithms.ppo_loss import ppo_loss  # noqa: E402
-from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions  # noqa: E402
+from falsework.learn.algorithms.rollout_storage import Transitions  # noqa: E402
 from falsework.learn.algorithms.start_states import MixedStarts, StartBatch  # noqa: E402
-from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.ppo import REINFORCEMENT, CurriculumSettings, PpoPhase  # noqa: E402
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, training_task  # noqa: E402
 from falsework.learn.data.random_walks import GoalSampler, RandomWalkGoals  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
-from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.env.rollout import roll_out  # noqa: E402
-from falsework.learn.networks.factory import make_policy  # noqa: E402
-from falsework.learn.networks.policy import Policy, masked_log_probabilities  # noqa: E402
-from falsework.search import StateGraph  # noqa: E402
-from falsework.stability import StabilityOracle  # noqa: E402
 
 MLP = PolicySettings(kind="mlp", layers=2, channels=32)
 RESIDUAL = PolicySettings(kind="resmlp", layers=2, channels=32)

@@ -11,10 +11,10 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
-from falsework.assembly import load_structure  # noqa: E402
+from falsework import StabilityOracle, StabilitySettings, StateGraph, load_structure, train  # noqa: E402
 from falsework.cli.main import main  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.config.train import TrainSettings  # noqa: E402
+from falsework.learn import TrainSettings  # noqa: E402
 from falsework.learn.data.dataset import (  # noqa: E402
     FORMAT,
     Dataset,
@@ -24,10 +24,7 @@ from falsework.learn.data.dataset import (  # noqa: E402
     save_dataset,
     training_task,
 )
-from falsework.learn.training.train import train  # noqa: E402
-from falsework.search import StateGraph  # noqa: E402
 from falsework.search.device.oracle import HostOracle  # noqa: E402
-from falsework.stability import StabilityOracle, StabilitySettings  # noqa: E402
 from falsework.utils.archive import read_archive, write_archive  # noqa: E402
 
 

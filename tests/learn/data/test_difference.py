@@ -7,14 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework import Direction, Plan, PlannerSettings, Replanner, find_plans, load_structure
 from falsework.errors import PlanError
-from falsework.replanning.plan_diff import difference
-from falsework.replanning.replanner import Replanner
-from falsework.search import Plan
-from falsework.search.find import find_plans
-from falsework.search.problem.task import Direction
-from falsework.search.settings import PlannerSettings
+from falsework.replanning import difference
 
 ARCH = load_structure("arch:blocks=7")
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from falsework.assembly import load_structure
+from falsework import Direction, StabilityOracle, StabilitySettings, load_policy, load_structure
 from falsework.errors import InputError
-from falsework.learn.config.policy import PolicySettings
+from falsework.learn import Environment, PolicySettings, load_run, make_policy, roll_out
 from falsework.learn.data.dataset import training_task
 from falsework.learn.data.labelled_states import (
     LabelledStructure,
@@ -21,14 +21,8 @@ from falsework.learn.data.labelled_states import (
     save_labelled,
 )
 from falsework.learn.data.structure_batches import StructureBatches
-from falsework.learn.env.environment import Environment
-from falsework.learn.env.rollout import roll_out
-from falsework.learn.networks.factory import make_policy
-from falsework.learn.training.checkpoint import load_policy, load_run
 from falsework.learn.training.general import GeneralSettings, GeneralTraining
-from falsework.search.device.rules import TensorRules
-from falsework.search.problem.task import Direction
-from falsework.stability import StabilityOracle, StabilitySettings
+from falsework.search import TensorRules
 
 QUICK = LabelSettings(width=8, searches=1, rollouts=8, most=64)
 SMALL = PolicySettings("local", layers=2, channels=16, heads=2)

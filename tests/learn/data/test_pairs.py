@@ -7,11 +7,10 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
-from falsework.assembly import Assembly  # noqa: E402
+from falsework import Assembly, Direction, StateGraph, Task  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
+from falsework.learn import Environment  # noqa: E402
 from falsework.learn.data.goal_pairs import PairSource  # noqa: E402
-from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.search import Direction, StateGraph, Task  # noqa: E402
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
 
 

@@ -9,11 +9,10 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
-from falsework.assembly import load_structure  # noqa: E402
+from falsework import StateGraph, load_structure  # noqa: E402
 from falsework.learn.data.dataset import DataSettings, build_dataset, training_task  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
-from falsework.search import StateGraph  # noqa: E402
-from falsework.search.device.rules import TensorRules  # noqa: E402
+from falsework.search import TensorRules  # noqa: E402
 
 
 def rules_of(data: Any) -> TensorRules:

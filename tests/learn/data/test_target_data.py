@@ -11,17 +11,14 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
-from falsework.assembly import Assembly, load_structure  # noqa: E402
+from falsework import Assembly, Direction, StabilityOracle, Task, load_structure  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
+from falsework.learn import Environment, roll_out  # noqa: E402
 from falsework.learn.data.dataset import training_task  # noqa: E402
 from falsework.learn.data.goal_dataset import GoalDataSettings, SearchStates, build_goal_dataset  # noqa: E402
-from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.env.rollout import roll_out  # noqa: E402
 from falsework.search.device.oracle import tensor_oracle  # noqa: E402
 from falsework.search.device.parallel_beams import parallel_beam_search  # noqa: E402
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
-from falsework.search.problem.task import Direction, Task  # noqa: E402
-from falsework.stability import StabilityOracle  # noqa: E402
 
 
 @pytest.mark.usefixtures("few_tries")

@@ -10,12 +10,11 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
-from falsework.assembly import Assembly  # noqa: E402
+from falsework import Assembly, Direction, StateGraph  # noqa: E402  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
+from falsework.learn import Environment  # noqa: E402  # noqa: E402
 from falsework.learn.data.goal_pairs import PairSource  # noqa: E402
-from falsework.learn.data.random_walks import RandomWalkGoals, Reach  # noqa: E402
-from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.search import Direction, StateGraph  # noqa: E402
+from falsework.learn.data.random_walks import RandomWalkGoals, WalkReach  # noqa: E402
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
 
 CPU = torch.device("cpu")
@@ -88,7 +87,7 @@ def test_walks_go_as_far_as_walks_one_by_one(bottle_graph: StateGraph) -> None:
         mean[row] = 1.0 + sum(mean[one] for one in there) / len(there) if there else 0.0
         longest[row] = 1 + max(longest[one] for one in there) if there else 0
     levels = graph.edges_by_level()[::-1]
-    reach = Reach.over(levels, graph.source, graph.target, np.ones(len(graph), dtype=bool))
+    reach = WalkReach.over(levels, graph.source, graph.target, np.ones(len(graph), dtype=bool))
     np.testing.assert_allclose(reach.mean, [mean[row] for row in range(len(graph))], rtol=1e-12)
     assert reach.longest.tolist() == [longest[row] for row in range(len(graph))]
     assert reach.meets.tolist() == [row in after for row in range(len(graph))]

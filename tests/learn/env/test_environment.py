@@ -9,15 +9,26 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
-from falsework.assembly import Assembly, load_assembly, load_structure  # noqa: E402
+from falsework import (  # noqa: E402
+    Assembly,
+    Direction,
+    StabilityOracle,
+    StabilitySettings,
+    StateGraph,
+    Task,
+    Verdict,
+    find_plans,
+    load_structure,
+    make_task,
+)
+from falsework.assembly.store import load_assembly  # noqa: E402
 from falsework.errors import InputError, StateError  # noqa: E402
 from falsework.geometry import TriangleMesh  # noqa: E402
-from falsework.learn.env.environment import Environment, Rollouts  # noqa: E402
-from falsework.learn.env.rollout import choose_actions, play, roll_out  # noqa: E402
-from falsework.search import Direction, StateGraph, Task, find_plans, make_task  # noqa: E402
+from falsework.learn import Environment, roll_out  # noqa: E402
+from falsework.learn.env.environment import Rollouts  # noqa: E402
+from falsework.learn.env.rollout import choose_actions, play  # noqa: E402
 from falsework.search.device.oracle import DeviceOracle, HostOracle, without_fallback  # noqa: E402
-from falsework.stability import PressOracle, StabilityOracle, StabilitySettings, Verdict, Verdicts  # noqa: E402
-from falsework.stability.reference.clarabel import ExactSolver  # noqa: E402
+from falsework.stability import ExactSolver, PressOracle, Verdicts  # noqa: E402
 
 EQUILIBRIUM = StabilitySettings(criterion="equilibrium")
 """The criterion that the exact solver decides."""
@@ -153,7 +164,7 @@ def test_the_first_unstable_state_costs_one(arch: Assembly) -> None:
 
 def test_a_state_without_legal_action_has_failed() -> None:
     """Robots that hold two parts neither of which can leave wait for ever."""
-    environment = Environment(load_structure("polycube"), 1, device="cpu", clearance=True)
+    environment = Environment(load_structure("polycube"), 1, device="cpu", removable_only_if_clear=True)
     starts = environment.rules.complete(50)
     rollouts = roll_out(environment, Indifferent(), starts, greedy=False, generator=environment.generator(0))
     stuck = rollouts.stuck.nonzero()[:, 0]

@@ -16,11 +16,20 @@ gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed:
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-from falsework.assembly import Assembly, load_structure  # noqa: E402
+from falsework import (  # noqa: E402
+    Assembly,
+    StabilityOracle,
+    StabilitySettings,
+    StateGraph,
+    Task,
+    find_plans,
+    load_structure,
+    make_task,
+)
 from falsework.errors import InputError, StateError  # noqa: E402
-from falsework.learn.env.gymnasium_env import ID, DisassemblyEnv  # noqa: E402
-from falsework.search import BeamSearch, BeamSettings, StateGraph, Task, find_plans, make_task  # noqa: E402
-from falsework.stability import StabilityOracle, StabilitySettings  # noqa: E402
+from falsework.learn import DisassemblyEnv  # noqa: E402
+from falsework.learn.env.gymnasium_env import ID  # noqa: E402
+from falsework.search import BeamSearch, BeamSettings  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +44,9 @@ def graph(arch: Assembly) -> StateGraph:
     return StateGraph.from_states(make_task(arch), search.states())
 
 
-@pytest.mark.parametrize("options", [{}, {"starts": "graph"}, {"target": "half"}, {"clearance": True, "robots": 1}])
+@pytest.mark.parametrize(
+    "options", [{}, {"starts": "graph"}, {"target": "half"}, {"removable_only_if_clear": True, "robots": 1}]
+)
 def test_it_passes_the_check_of_gymnasium(arch: Assembly, graph: StateGraph, options: dict) -> None:
     options = dict(options)
     if "starts" in options:
@@ -75,7 +86,7 @@ def test_a_plan_is_a_success(arch: Assembly) -> None:
 
 def test_it_agrees_with_the_environment_on_tensors(graph: StateGraph, arch: Assembly) -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
-    from falsework.learn.env.environment import Environment
+    from falsework.learn import Environment
 
     oracle = StabilityOracle(arch)
     tensors = Environment(arch, 2, oracle=oracle, device="cpu")

@@ -11,11 +11,11 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 
 from numpy.typing import NDArray  # noqa: E402
 
-from falsework.assembly import Assembly, load_assembly, load_structure  # noqa: E402
-from falsework.assembly.state import HELD, INSTALLED, REMOVED  # noqa: E402
+from falsework import Assembly, Direction, Task, load_structure  # noqa: E402
+from falsework.assembly import HELD, INSTALLED, REMOVED  # noqa: E402
+from falsework.assembly.store import load_assembly  # noqa: E402
 from falsework.errors import InputError, StateError  # noqa: E402
-from falsework.search import Direction, Task  # noqa: E402
-from falsework.search.device.rules import TensorRules  # noqa: E402
+from falsework.search import TensorRules  # noqa: E402
 from falsework.search.problem.hashing import StateHash  # noqa: E402
 
 STAGE = np.array([2, 0, 1])

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, load_structure
 from falsework.geometry import TriangleMesh
-from falsework.learn.config.policy import PolicySettings
+from falsework.learn import PolicySettings, make_policy, transfer
 from falsework.learn.networks.contact_graph import MOST_NEIGHBOURS, ContactGraph
-from falsework.learn.networks.factory import make_policy, transfer
 from falsework.learn.networks.local_attention import GraphTensors, LocalAttentionPolicy
 
 

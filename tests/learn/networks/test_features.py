@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly
+from falsework import Assembly
 from falsework.learn.networks.force_torque_graph import ForceTorqueGraph
 from falsework.learn.networks.geometric_features import PartFeatures
 

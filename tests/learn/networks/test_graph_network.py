@@ -8,10 +8,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import elu, leaky_relu
 
-from falsework.assembly import load_structure
-from falsework.learn.config.policy import PolicySettings
+from falsework import load_structure
+from falsework.learn import PolicySettings, make_policy
 from falsework.learn.networks import graph_attention as graph_network
-from falsework.learn.networks.factory import make_policy
 from falsework.learn.networks.force_torque_graph import ForceTorqueGraph
 from falsework.learn.networks.graph_attention import GraphAttentionPolicy, Layer
 

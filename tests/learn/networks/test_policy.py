@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from falsework.assembly import load_structure
-from falsework.assembly.model import Assembly
+from falsework import Assembly, load_structure
 from falsework.assembly.state import action_mask
 from falsework.errors import InputError
 from falsework.geometry import TriangleMesh
-from falsework.learn.config.policy import PolicySettings, recommended
+from falsework.learn import PolicySettings, confidences, make_policy, masked_log_probabilities, transfer
+from falsework.learn.config.policy import recommended
 from falsework.learn.config.train import from_dict
-from falsework.learn.networks.factory import describe, make_policy, share, transfer
-from falsework.learn.networks.policy import confidences, masked_log_probabilities
+from falsework.learn.networks.factory import describe, share
 
 KINDS = ("transformer", "local", "gat", "mlp", "resmlp")
 TRANSFER = ("transformer", "local", "gat")

@@ -14,13 +14,14 @@ import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
-from falsework.assembly import load_structure, save_assembly  # noqa: E402
+from falsework import load_structure  # noqa: E402
+from falsework.assembly.store import save_assembly  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.train import TrainSettings, from_dict, to_dict  # noqa: E402
-from falsework.learn.networks.factory import describe, make_policy  # noqa: E402
+from falsework.learn import PolicySettings, TrainSettings, load_run, make_policy  # noqa: E402
+from falsework.learn.config.train import from_dict, to_dict  # noqa: E402
+from falsework.learn.networks.factory import describe  # noqa: E402
 from falsework.learn.training import checkpoint as module  # noqa: E402
-from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, load_run, save_run  # noqa: E402
+from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, save_run  # noqa: E402
 
 SETTINGS = TrainSettings(policy=PolicySettings("resmlp", channels=8, layers=1), widths=(4, 8), robots=3)
 

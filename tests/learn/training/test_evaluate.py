@@ -13,18 +13,15 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 pytest.importorskip("safetensors", reason="safetensors is not installed")
 
-from falsework.assembly import load_structure  # noqa: E402
+import falsework as fw  # noqa: E402
+from falsework import StabilityOracle, load_structure, train  # noqa: E402
 from falsework.cli.main import main  # noqa: E402
-from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
-from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.train import METHODS, TrainSettings  # noqa: E402
+from falsework.errors import InputError  # noqa: E402
+from falsework.learn import Environment, ImitationPhase, PolicySettings, TrainSettings, make_policy  # noqa: E402
+from falsework.learn.config.train import METHODS  # noqa: E402
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, training_task  # noqa: E402
-from falsework.learn.env.environment import Environment  # noqa: E402
-from falsework.learn.networks.factory import make_policy  # noqa: E402
-from falsework.learn.training.evaluate import evaluate, greedy_success, sample  # noqa: E402
-from falsework.learn.training.train import train  # noqa: E402
+from falsework.learn.training.evaluate import greedy_success, measure_success, sample  # noqa: E402
 from falsework.search.problem.state_graph import load_state_graph  # noqa: E402
-from falsework.stability import StabilityOracle  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("few_tries")
 
@@ -74,7 +71,7 @@ def test_search_on_top_finds_a_plan_from_every_state(arch: Any, data: Dataset) -
     """All of them are known to have one, and a policy that knows nothing does not stand in the way."""
     environment = Environment(arch, 2, device="cpu")
     sets = {"train": (data.train, None), "test": (data.test, None)}
-    found = evaluate(environment, make_policy(arch, PARTS, seed=1), sets, search=True)
+    found = measure_success(environment, make_policy(arch, PARTS, seed=1), sets, search=True)
     assert found["test"]["success"] < 1.0
     assert found["test"]["search"]["share"] == 1.0
     assert sum(found["test"]["search"]["decided_by"].values()) == len(data.test)
@@ -101,6 +98,18 @@ def test_the_command_reports_one_object(run: Path, capsys: pytest.CaptureFixture
     assert json.loads(capsys.readouterr().out)["test"]["states"] == 7
     assert main(["evaluate", str(run), "--states", "7", "--device", "cpu"]) == 0
     assert "states succeed" in capsys.readouterr().out
+
+
+def test_the_function_and_the_command_agree(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record = fw.evaluate(run, states=7, device="cpu")
+    assert record is not None
+    assert main(["evaluate", str(run), "--json", "--states", "7", "--device", "cpu"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert {name: told[name] for name in ("train", "validation", "test")} == {
+        name: record[name] for name in ("train", "validation", "test")
+    }
+    with pytest.raises(InputError, match="0 states leave nothing to evaluate"):
+        fw.evaluate(run, states=0)
 
 
 def test_the_criterion_is_that_of_the_run_unless_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,17 +20,27 @@ pytest.importorskip("filelock", reason="filelock is not installed: pip install '
 from torch import Tensor, nn  # noqa: E402
 
 import falsework as fw  # noqa: E402
+from falsework import Replanner, make_task  # noqa: E402
 from falsework.assembly import complete_state  # noqa: E402
 from falsework.cli.main import main  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn import Iteration, Learner, LearnerContext, Move, PpoPhase, TrainSettings, confidences, load_run  # noqa: E402
-from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
-from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.networks.factory import make_policy, transfer  # noqa: E402
+from falsework.learn import (  # noqa: E402
+    ImitationPhase,
+    Iteration,
+    Learner,
+    LearnerContext,
+    PolicySettings,
+    PpoPhase,
+    TrainResult,
+    TrainSettings,
+    confidences,
+    load_run,
+    make_policy,
+    transfer,
+)
+from falsework.learn.env.rollout import Move  # noqa: E402
 from falsework.learn.training.logger import read_progress  # noqa: E402
-from falsework.learn.training.result import TrainResult  # noqa: E402
-from falsework.replanning import Replanner  # noqa: E402
-from falsework.search import TensorRules, make_task  # noqa: E402
+from falsework.search import TensorRules  # noqa: E402
 
 ARCH = "arch:blocks=7"
 NETS = '''
@@ -111,7 +121,7 @@ def test_a_run_holds_a_policy_of_the_user(nets: Any, tmp_path: Path, capsys: pyt
     assert (run.settings.policy.kind, run.settings.policy.options) == ("users_nets:Net", {"width": 12})
     assert same(run.policy, result.policy)
     assert run.policy.state_dict()["norm.num_batches_tracked"] > 0  # what is no weight is kept too
-    assert Replanner(run.assembly, run.policy).replan(np.array([1, 1, 1, 1, 1, 1, 1, 2, 2])).plan is not None
+    assert Replanner(run.assembly, run.policy).replan(np.array([1, 1, 1, 1, 1, 1, 1, 2, 2])).value is not None
     assert main(["evaluate", str(tmp_path / "run"), "--states", "10"]) == 0
     assert "of 10 states succeed" in capsys.readouterr().out
 
@@ -202,8 +212,7 @@ class Reinforce(Learner):
         self.given = given
 
     def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
-        from falsework.learn.algorithms.rollout_storage import collect_transitions
-        from falsework.learn.networks.policy import masked_log_probabilities
+        from falsework.learn import collect_transitions, masked_log_probabilities
 
         numbers: dict[str, float] = {}
         for _ in range(steps):

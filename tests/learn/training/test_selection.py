@@ -11,20 +11,22 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 pytest.importorskip("filelock", reason="filelock is not installed: pip install 'falsework[learn]'")
 
-from falsework.assembly import Assembly, load_structure  # noqa: E402
+from falsework import Assembly, load_structure, train  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
-from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.ppo import REINFORCEMENT, PpoPhase  # noqa: E402
-from falsework.learn.config.train import TrainSettings  # noqa: E402
-from falsework.learn.networks.factory import make_policy  # noqa: E402
+from falsework.learn import (  # noqa: E402
+    REINFORCEMENT,
+    ImitationPhase,
+    PolicySettings,
+    PpoPhase,
+    TrainSettings,
+    load_run,
+    make_policy,
+)
 from falsework.learn.training import progress_lines  # noqa: E402
 from falsework.learn.training import trainer as module  # noqa: E402
-from falsework.learn.training.checkpoint import load_run  # noqa: E402
 from falsework.learn.training.evaluate import Success  # noqa: E402
 from falsework.learn.training.logger import read_progress  # noqa: E402
 from falsework.learn.training.selection import BestWeights  # noqa: E402
-from falsework.learn.training.train import train  # noqa: E402
 
 POLICY = PolicySettings("mlp", channels=8, layers=1)
 SETTINGS = TrainSettings(

@@ -19,20 +19,18 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 filelock = pytest.importorskip("filelock", reason="filelock is not installed: pip install 'falsework[learn]'")
 safetensors = pytest.importorskip("safetensors.torch", reason="safetensors is not installed")
 
-from falsework.assembly import load_structure, save_assembly  # noqa: E402
+from falsework import load_structure, train  # noqa: E402
+from falsework.assembly.store import save_assembly  # noqa: E402
 from falsework.assembly.symmetry import symmetries  # noqa: E402
 from falsework.errors import DependencyError, InputError, TrainingError  # noqa: E402
-from falsework.learn.config.imitation import ImitationPhase  # noqa: E402
-from falsework.learn.config.policy import PolicySettings  # noqa: E402
-from falsework.learn.config.ppo import REINFORCEMENT, PpoPhase  # noqa: E402
-from falsework.learn.config.train import METHODS, Phase, TrainSettings  # noqa: E402
+from falsework.learn import REINFORCEMENT, ImitationPhase, PolicySettings, PpoPhase, TrainSettings, load_run  # noqa: E402
+from falsework.learn.config.train import METHODS, Phase  # noqa: E402
 from falsework.learn.data.dataset import load_dataset  # noqa: E402
 from falsework.learn.networks.autocast import Network  # noqa: E402
 from falsework.learn.training import checkpoint  # noqa: E402
 from falsework.learn.training import train as module  # noqa: E402
-from falsework.learn.training.checkpoint import load_run  # noqa: E402
 from falsework.learn.training.logger import read_progress  # noqa: E402
-from falsework.learn.training.train import TrainResult, train  # noqa: E402
+from falsework.learn.training.train import TrainResult  # noqa: E402
 from falsework.learn.training.trainer import Trainer  # noqa: E402
 from falsework.utils.files.output_file import write_whole  # noqa: E402
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from falsework.robots.cells.urdf import load_urdf
-from falsework.robots.model.robot_model import RobotModel
+from falsework.robots import RobotModel, load_urdf
 
 
 def urdf_text() -> str:

@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework import load_cell, load_structure
 from falsework.errors import CellError
+from falsework.robots import Cell, CellRobot, Gripper, builtin_cells, check_cell, load_urdf
 from falsework.robots.cells import cell_file
-from falsework.robots.cells.cell_file import builtin_cells, load_cell, parse_cell
+from falsework.robots.cells.cell_file import parse_cell
 from falsework.robots.cells.cell_model import cell_schema
-from falsework.robots.cells.urdf import load_urdf
-from falsework.robots.cells.validate import check_cell
-from falsework.robots.model.cell import Cell, CellRobot, Gripper
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import block, pose
 from tests.robots.cells.cell_texts import ONE_ARM as GOOD

@@ -12,10 +12,9 @@ pytest.importorskip("yourdfpy", reason="reading URDF files needs yourdfpy; pip i
 pytest.importorskip("yaml", reason="joint_limits.yaml needs PyYAML; pip install 'falsework[robots]'")
 
 from falsework.errors import CellError
+from falsework.robots import Cell, CellWarning, load_urdf
 from falsework.robots.cells.cell_file import parse_cell
-from falsework.robots.cells.urdf import load_urdf
-from falsework.robots.cells.urdf_review import CellWarning
-from falsework.robots.model.cell import Cell, cell_identity
+from falsework.robots.model.cell import cell_identity
 from tests.robots.cells.arm_description import urdf_text
 from tests.robots.cells.cell_texts import TWO_JOINTS
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from falsework import load_cell
 from falsework.cli.main import main
 from falsework.cli.new_cell import NewCell
-from falsework.robots.cells.cell_file import builtin_cells, load_cell
-from falsework.robots.cells.validate import check_cell
+from falsework.robots import builtin_cells, check_cell
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.builtin_robots import BUILTIN
 from falsework.robots.model.part_shapes import place_parts
@@ -42,7 +42,7 @@ def test_a_new_cell_is_valid(tmp_path: Path, arms: str, gripper: str) -> None:
 
 def test_a_new_cell_is_clear_of_the_structure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Also of one that is longer than the arms reach."""
-    from falsework.assembly import load_structure
+    from falsework import load_structure
 
     arch = load_structure("arch:radius=2", density=1.0)
     cell = load_cell(write(tmp_path, "ur10e,ur10e", "--structure", "arch:radius=2", "--density", "1"))

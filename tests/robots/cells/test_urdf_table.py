@@ -14,12 +14,10 @@ import pytest
 pytest.importorskip("yourdfpy", reason="reading URDF files needs yourdfpy; pip install 'falsework[robots]'")
 
 from falsework.errors import CellError
+from falsework.robots import CellWarning, RobotModel, load_urdf
 from falsework.robots.cells.cell_file import parse_cell
-from falsework.robots.cells.urdf import load_urdf
-from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.cells.visuals import link_visuals
 from falsework.robots.kinematics.forward import flange_pose
-from falsework.robots.model.robot_model import RobotModel
 from tests.robots.cells.arm_description import urdf_text
 from tests.robots.cells.cell_texts import TWO_JOINTS as CELL
 

@@ -10,12 +10,11 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from falsework.errors import InputError
-from falsework.robots.cells.urdf import load_urdf
+from falsework.robots import CellRobot, Gripper, load_urdf
 from falsework.robots.kernels.kernel_arrays import make_bodies
 from falsework.robots.kinematics.forward import flange_pose, link_poses
 from falsework.robots.kinematics.inverse import inverse, inverse_flange, solver_of
 from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
-from falsework.robots.model.cell import CellRobot, Gripper
 from falsework.robots.model.shapes import move, pose
 
 pytestmark = pytest.mark.filterwarnings("ignore::falsework.robots.cells.urdf_review.CellWarning")

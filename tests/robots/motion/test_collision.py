@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from falsework.errors import InputError
+from falsework.robots import Cell, CellRobot, Gripper, Obstacle
 from falsework.robots.kernels.collision import distance_between
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.builtin_robots import builtin_robot
-from falsework.robots.model.cell import Cell, CellRobot, Gripper, Obstacle
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import block, hull, move, pose
 from falsework.robots.motion.collision_world import LIFT, PUT_DOWN, CollisionQuery, CollisionWorld, Contact, Scene

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from falsework import Assembly
 from falsework.assembly.library.blocks import Solid, box, gather
-from falsework.assembly.model import Assembly
 
 BEAM, LEFT, RIGHT = 0, 1, 2
 

@@ -8,16 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from falsework import Assembly, Direction, StabilityOracle, plan_robots
 from falsework.assembly.library.blocks import box, gather
-from falsework.assembly.model import Assembly
+from falsework.robots import Cell, CellRobot, Gripper, HybridSettings, RobotPlan
 from falsework.robots.model.builtin_robots import builtin_robot
-from falsework.robots.model.cell import Cell, CellRobot, Gripper
 from falsework.robots.model.shapes import cylinder, pose
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
-from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search.problem.task import Direction
-from falsework.stability import StabilityOracle
+from falsework.robots.planning.hybrid_result import HybridResult
 from tests.robots.plans.orders import APART
 from tests.robots.plans.sunk_cubes import under_a_bar
 
@@ -88,7 +84,7 @@ def planned_in_turn() -> Callable[[Assembly, Cell], RobotPlan]:
     """`planned_in_turn(assembly, cell)`: a plan that lets all arms work, one after the other."""
 
     def plan(assembly: Assembly, cell: Cell) -> RobotPlan:
-        found = plan_robots(assembly, cell, settings=HybridSettings(Direction.DISASSEMBLY, together=True)).plan
+        found = plan_robots(assembly, cell, settings=HybridSettings(Direction.DISASSEMBLY), concurrent=True).value
         assert found is not None
         return replace(found, schedule=None)
 
@@ -110,8 +106,8 @@ def result(column: Assembly, cell: Cell, oracle: StabilityOracle) -> HybridResul
 @pytest.fixture(scope="session")
 def robot_plan(result: HybridResult) -> RobotPlan:
     """That plan."""
-    assert result.plan is not None
-    return result.plan
+    assert result.value is not None
+    return result.value
 
 
 @pytest.fixture(scope="session")

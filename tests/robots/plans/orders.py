@@ -1,6 +1,6 @@
 """Settings of robot plans in the order of disassembly; by default they are in that of assembly."""
 
-from falsework.robots.planning.hybrid_result import HybridSettings
-from falsework.search.problem.task import Direction
+from falsework import Direction
+from falsework.robots import HybridSettings
 
 APART = HybridSettings(Direction.DISASSEMBLY)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from falsework import Assembly, Task
 from falsework.assembly.library.blocks import box, gather
-from falsework.assembly.model import Assembly
-from falsework.robots.model.cell import Cell, Obstacle
+from falsework.robots import Cell, Obstacle
 from falsework.robots.model.shapes import block
-from falsework.search import Task
 
 SLAB = 0
 

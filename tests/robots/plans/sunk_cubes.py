@@ -7,17 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from falsework import Assembly, Direction, StabilityOracle, Task, plan_robots
+from falsework.assembly import HELD, complete_state
 from falsework.assembly.library.blocks import box, gather
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, complete_state
-from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.model.cell import Cell, Obstacle
+from falsework.robots import Cell, HybridSettings, KeyframeGraph, Obstacle
 from falsework.robots.model.shapes import block
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
-from falsework.search import Task
-from falsework.search.problem.task import Direction
-from falsework.stability import StabilityOracle
+from falsework.robots.planning.hybrid_result import HybridResult
 
 NEAR, FAR = 0, 1
 """The cube that the first arm holds by its side, and another on the far side."""

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from falsework.robots import RobotPlan
 from falsework.robots.exports.mcap_bag import write_bag
-from falsework.robots.plans.robot_plan import RobotPlan
 from tests.robots.plans.bag_reading import messages
 
 NANO = 1_000_000_000

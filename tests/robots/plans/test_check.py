@@ -10,15 +10,16 @@ import pytest
 
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
-from falsework.assembly.model import Assembly
+from falsework import Assembly, check
 from falsework.errors import InputError, PlanError
+from falsework.robots import Cell, Obstacle, RobotPlan, RobotStep, Trajectory
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.kinematics.forward import flange_pose
-from falsework.robots.model.cell import Cell, Obstacle, cell_identity
+from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import block
-from falsework.robots.plans.robot_plan import RobotPlan, RobotStep, Trajectory
+from falsework.search import Demands
 
 
 def with_trajectory(plan: RobotPlan, index: int, order: int, change: Callable[[Trajectory], Trajectory]) -> RobotPlan:
@@ -164,3 +165,17 @@ def test_another_structure_or_cell_is_refused(
 def test_a_check_that_is_too_coarse(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> None:
     with pytest.raises(InputError, match="too coarse"):
         check_robot_plan(robot_plan, column, cell, step=1.0)
+
+
+def test_one_check_has_motions_and_states(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> None:
+    report = check(column, robot_plan, cell)
+    assert report.good
+    assert report.states is not None
+    assert report.states.checked == len(robot_plan.plan) + 1
+    strict = check(column, robot_plan, cell, demands=Demands(push=1e6))
+    assert not strict.problems  # the motions are as good as before, the states have no such margin
+    assert strict.states is not None
+    assert not strict.states.good
+    assert not strict.good
+    with pytest.raises(InputError, match="a robot plan is checked in a cell"):
+        check(column, robot_plan, None)  # pyrefly: ignore

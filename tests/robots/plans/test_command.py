@@ -15,8 +15,8 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 
 from falsework.cli.main import main
 from falsework.cli.robot_reports import schedule_text
+from falsework.robots import interruption
 from falsework.robots.plans.robot_plan_file import load_robot_plan
-from falsework.robots.plans.timeline import interruption
 from tests.robots.cells.cell_texts import REACHING as CELL
 
 STACK = "stack:blocks=2,length=0.3,height=0.15,depth=0.3"

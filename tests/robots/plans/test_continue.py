@@ -13,15 +13,12 @@ import pytest
 
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
-from falsework.assembly.model import Assembly
+from falsework import Assembly, Direction, StabilityOracle, Task, plan_robots
 from falsework.errors import InputError, PlanError, StateError
+from falsework.robots import Cell, RobotPlan, interruption, schedule_plan
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.exports.commands import Grip, events_of
-from falsework.robots.model.cell import Cell
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.plans.loads import load_of, loads_at
-from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
     robot_plan_from_dict,
@@ -29,11 +26,7 @@ from falsework.robots.plans.robot_plan_file import (
     save_robot_plan,
 )
 from falsework.robots.plans.robot_plan_model import robot_plan_schema
-from falsework.robots.plans.timeline import interruption
-from falsework.robots.schedule.build import schedule_plan
-from falsework.search import Direction, Task
 from falsework.search.plans.plan_check import validate_plan
-from falsework.stability import StabilityOracle
 from falsework.viewer.arms import Arms
 from tests.robots.plans.orders import APART
 
@@ -52,8 +45,8 @@ def go_on(column: Assembly, cell: Cell, oracle: StabilityOracle) -> Callable[...
         task = Task.from_rules(column.boundary, 2, target=state, identity=column.identity)
         given = dict(zip(("configurations", "held", "gripped"), now, strict=False))
         found = plan_robots(column, cell, task=task, oracle=oracle, **given, **more)
-        assert found.plan is not None, found.explanation
-        return found.plan
+        assert found.value is not None, found.explanation
+        return found.value
 
     return plan
 
@@ -151,7 +144,7 @@ def test_a_carried_part_that_cannot_be_next_is_brought_back(
         configurations=values,
         held=held,
         gripped=gripped,
-    ).plan  # the complete structure is the first cube: the carried one is not in it
+    ).value  # the complete structure is the first cube: the carried one is not in it
     assert rest is not None
     alone = rest.reverse()
     back = next(k for k, entry in enumerate(rest.steps) if entry.robot == robot)
@@ -172,7 +165,7 @@ def test_disassembly_delivers_a_carried_part_first(
     gripped = [grip if k == robot else None for k in range(2)]
     task = Task.from_rules(column.boundary, 2, start=robot_plan.states[step + 1], identity=column.identity)
     given: dict[str, Any] = {"configurations": values, "held": held, "gripped": gripped}
-    rest = plan_robots(column, cell, task=task, oracle=oracle, settings=APART, **given).plan
+    rest = plan_robots(column, cell, task=task, oracle=oracle, settings=APART, **given).value
     assert rest is not None
     assert rest.steps[0].transit
     assert rest.does(0) == f"carry {column.names[part]}"
@@ -191,14 +184,14 @@ def test_arms_that_move_at_the_same_time(
 ) -> None:
     """Another arm keeps clear of a part that waits in a gripper, whatever the delays."""
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
+    from falsework.robots import simulate
     from falsework.robots.exports.mcap_bag import write_bag
-    from falsework.robots.schedule.simulation import simulate
 
     step = inserting(building)[0]
     values, held, gripped = carrying(building, step)
     task = Task.from_rules(column.boundary, 2, target=building.states[step], identity=column.identity)
     now: dict[str, Any] = {"configurations": values, "held": held, "gripped": gripped}
-    rest = plan_robots(column, cell, task=task, oracle=oracle, settings=HybridSettings(together=True), **now).plan
+    rest = plan_robots(column, cell, task=task, oracle=oracle, concurrent=True, **now).value
     assert rest is not None
     assert rest.schedule is not None
     check(rest, column, cell)

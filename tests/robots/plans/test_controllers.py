@@ -14,18 +14,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from falsework.assembly.model import Assembly
+from falsework import Assembly
 from falsework.cli.main import main
 from falsework.errors import InputError, PlanError
+from falsework.robots import Cell, CellRobot, Gripper, RobotPlan, Signals, export_plan
 from falsework.robots.exports.commands import Grip, events_of
 from falsework.robots.exports.controller import ToolLoad, rapid_load, tool_load, ur_payload
-from falsework.robots.exports.export import export_notes, export_plan
+from falsework.robots.exports.export import export_notes
 from falsework.robots.exports.part_loads import part_loads, together
 from falsework.robots.kinematics.forward import flange_pose
-from falsework.robots.model.cell import Cell, CellRobot, Gripper, Signals
 from falsework.robots.model.maker import maker_of
 from falsework.robots.model.shapes import block
-from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import save_robot_plan
 
 
@@ -218,7 +217,7 @@ def test_signals_of_grippers_are_settings(robot_plan: RobotPlan, cell: Cell, tmp
 def timed(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> RobotPlan:
     """The plan with a schedule."""
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
-    from falsework.robots.schedule.build import schedule_plan
+    from falsework.robots import schedule_plan
 
     return schedule_plan(robot_plan, column, cell)
 

@@ -12,20 +12,17 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
 
 
-from falsework.assembly.model import Assembly
+from falsework import Assembly
 from falsework.errors import PlanError
+from falsework.robots import Cell, Precedence, RobotPlan, schedule_plan, simulate
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.checks.delays import check_delays
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.checks.schedule import check_schedule
 from falsework.robots.checks.separation import BodyPath, SeparationProver
-from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.plans.reachable_positions import Overlap, ReachablePositions, Segment
-from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
-from falsework.robots.schedule.build import schedule_plan
-from falsework.robots.schedule.simulation import simulate
+from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 
 
 @pytest.fixture(scope="module")

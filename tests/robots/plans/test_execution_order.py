@@ -10,25 +10,19 @@ import pytest
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
 
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state, empty_state
+from falsework import Assembly, Direction, StabilityOracle, plan_robots
+from falsework.assembly import complete_state, empty_state
 from falsework.errors import InputError
+from falsework.robots import Cell, HybridSettings, RobotPlan, schedule_plan
 from falsework.robots.checks.check import check_robot_plan
-from falsework.robots.model.cell import Cell
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridSettings
-from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import event_times, schedule_of
-from falsework.robots.schedule.build import schedule_plan
-from falsework.search.problem.task import Direction
-from falsework.stability import StabilityOracle
 
 
 @pytest.fixture(scope="module")
 def together(row: Assembly, wide: Cell) -> dict[Direction, RobotPlan]:
     """Plans with the same search, for both orders."""
     made = {
-        direction: plan_robots(row, wide, settings=HybridSettings(direction, seed=1, together=True)).plan
+        direction: plan_robots(row, wide, settings=HybridSettings(direction, seed=1), concurrent=True).value
         for direction in Direction
     }
     return {direction: plan for direction, plan in made.items() if plan is not None}
@@ -36,7 +30,7 @@ def together(row: Assembly, wide: Cell) -> dict[Direction, RobotPlan]:
 
 def test_by_default_it_assembles(column: Assembly, cell: Cell, oracle: StabilityOracle, robot_plan: RobotPlan) -> None:
     """The motions are those of the disassembly, backwards in time; the steps have the numbers of the plan."""
-    plan = plan_robots(column, cell, oracle=oracle).plan
+    plan = plan_robots(column, cell, oracle=oracle).value
     assert plan is not None
     assert plan.direction is Direction.ASSEMBLY
     np.testing.assert_array_equal(plan.states[0], empty_state(column.boundary))

@@ -12,15 +12,13 @@ import numpy as np
 import pytest
 import yaml
 
-from falsework.assembly.model import Assembly
+from falsework import Assembly, export
 from falsework.errors import InputError, PlanError
-from falsework.interop import export
+from falsework.robots import Cell, RobotPlan, export_plan
 from falsework.robots.exports.commands import Grip, events_of
-from falsework.robots.exports.export import FORMATS, export_plan
+from falsework.robots.exports.export import FORMATS
 from falsework.robots.kinematics.forward import flange_pose
-from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import save_robot_plan
 from tests.robots.plans.bag_reading import corners, planning_scenes
 

@@ -13,16 +13,16 @@ import pytest
 
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
-from falsework.assembly.model import Assembly
+from falsework import Assembly
 from falsework.errors import PlanError
+from falsework.robots import Cell, Obstacle, RobotPlan, Trajectory
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.keyframes.keyframes import PathSegment
 from falsework.robots.keyframes.trajectory_assembly import timed_leg
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
-from falsework.robots.model.cell import Cell, Obstacle, cell_identity
+from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.shapes import block
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.robot_plan_file import robot_plan_from_dict, robot_plan_to_dict
 from falsework.robots.plans.robot_record import records_of
 from falsework.search.plans.plan_check import validate_plan
@@ -264,7 +264,7 @@ def wrong_numbers(case: Case) -> str:
 
 
 def wrong_times(case: Case) -> str:
-    from falsework.robots.schedule.build import schedule_plan
+    from falsework.robots import schedule_plan
 
     pytest.importorskip("ortools")
     data = robot_plan_to_dict(schedule_plan(case.plan, case.assembly, case.cell))
@@ -275,7 +275,7 @@ def wrong_times(case: Case) -> str:
 
 
 def wrong_order(case: Case) -> Case:
-    from falsework.robots.schedule.build import schedule_plan
+    from falsework.robots import schedule_plan
 
     pytest.importorskip("ortools")
     plan = schedule_plan(case.plan, case.assembly, case.cell)

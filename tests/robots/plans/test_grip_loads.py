@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from falsework.assembly.model import Assembly
+from falsework import Assembly
+from falsework.robots import Cell, Placement, RobotPlan
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.model.cell import Cell, Placement, cell_identity
+from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.plans.grip_loads import grip_loads, heaviest, overloads
-from falsework.robots.plans.robot_plan import RobotPlan
 
 GRAVITY = 9.81
 

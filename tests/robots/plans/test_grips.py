@@ -9,16 +9,15 @@ import pytest
 
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
-from falsework.assembly import load_structure
+from falsework import Assembly, load_structure, plan_robots
 from falsework.assembly.library.blocks import box, gather
-from falsework.assembly.model import Assembly
+from falsework.robots import Cell, Gripper, Placement
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.checks.grips import surface_fault
 from falsework.robots.grasping.grasp import candidates
-from falsework.robots.model.cell import Cell, Gripper, Placement, cell_identity
+from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.model.shapes import block, cylinder, pose
-from falsework.robots.planning.hybrid_planner import plan_robots
 from tests.robots.plans.orders import APART
 
 CUBE = 0.2
@@ -73,7 +72,7 @@ def test_a_plan_with_jaws_is_right(make_boxes: Callable[..., Assembly], cell_of:
     tool = np.array(pose((0.0, 0.0, 0.18)))
     jaws = Gripper("jaws", "jaw", (palm, *fingers), tool, 10.0, mass=1.0, opening=0.27, depth=0.06)
     cell = replace(plain, robots=(replace(plain.robots[0], gripper=jaws),))
-    plan = plan_robots(assembly, cell, settings=APART).plan
+    plan = plan_robots(assembly, cell, settings=APART).value
     assert plan is not None
     assert check_robot_plan(plan, assembly, cell).good
     narrow = replace(cell, robots=(replace(cell.robots[0], gripper=replace(jaws, opening=0.19)),))

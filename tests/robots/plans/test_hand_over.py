@@ -13,14 +13,13 @@ import pytest
 
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, REMOVED
+from falsework import Assembly, Direction
+from falsework.assembly import HELD, REMOVED
 from falsework.errors import PlanError, StateError
+from falsework.robots import Cell, RobotPlan, export_plan, nodes_of
 from falsework.robots.checks.check import CheckReport, check_robot_plan
 from falsework.robots.exports.commands import Begin, Grip, PublishCount, Wait, commands_of
-from falsework.robots.exports.export import export_plan
-from falsework.robots.model.cell import Cell, cell_identity
-from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.model.cell import cell_identity
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
     robot_plan_from_dict,
@@ -28,8 +27,7 @@ from falsework.robots.plans.robot_plan_file import (
     save_robot_plan,
 )
 from falsework.robots.plans.robot_record import records_of
-from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
-from falsework.search import Direction
+from falsework.robots.plans.timeline import arm_shares, event_times
 from falsework.search.plans.plan_check import validate_plan
 from falsework.viewer.arms import Arms
 from falsework.viewer.pictures.gantt import bars_of
@@ -52,23 +50,23 @@ def begun(falling: Assembly, roofed: Cell) -> dict[str, Any]:
 def plan(falling: Assembly, roofed: Cell, begun: dict[str, Any]) -> RobotPlan:
     """A plan that hands the near cube to the second arm."""
     result = planned(falling, roofed, begun, allow_regrasp=True)
-    assert result.plan is not None
+    assert result.value is not None
     assert result.statistics["releases"] == 0
     assert result.statistics["hand_overs"] > 0
-    return result.plan
+    return result.value
 
 
 @pytest.fixture(scope="module")
 def timed(falling: Assembly, roofed: Cell, begun: dict[str, Any]) -> RobotPlan:
     """A plan in which the arms move at the same time."""
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
-    from falsework.robots.planning.hybrid_planner import plan_robots
-    from falsework.robots.planning.hybrid_result import HybridSettings
+    from falsework import plan_robots
+    from falsework.robots import HybridSettings
 
     given = {key: value for key, value in begun.items() if key != "start"}
     task = make_task(falling, begun, allow_regrasp=True)
-    settings = HybridSettings(Direction.DISASSEMBLY, attempts=4, together=True)
-    found = plan_robots(falling, roofed, task=task, settings=settings, **given).plan
+    settings = HybridSettings(Direction.DISASSEMBLY, attempts=4)
+    found = plan_robots(falling, roofed, task=task, settings=settings, concurrent=True, **given).value
     assert found is not None
     assert found.schedule is not None
     return found
@@ -86,7 +84,7 @@ def what(report: CheckReport) -> str:
 
 def test_without_support_there_is_no_plan(falling: Assembly, roofed: Cell, begun: dict[str, Any]) -> None:
     found = planned(falling, roofed, begun, allow_regrasp=False)
-    assert found.plan is None
+    assert found.value is None
     assert found.explanation is not None
     assert "remove near-0" in found.explanation.text
 
@@ -130,8 +128,8 @@ def test_an_arm_may_take_its_part_back_with_another_grasp(falling: Assembly, roo
     cell = replace(roofed, robots=(roofed.robots[0], helper))
     begun = begin(falling, cell)
     begun["start"][FAR] = REMOVED
-    assert planned(falling, cell, begun, allow_regrasp=False).plan is None
-    plan = planned(falling, cell, begun, allow_regrasp=True).plan
+    assert planned(falling, cell, begun, allow_regrasp=False).value is None
+    plan = planned(falling, cell, begun, allow_regrasp=True).value
     assert plan is not None
     robots = [plan.steps[step].robot for step in halves(plan)]
     assert robots == [1, 0, 0, 1]
@@ -151,7 +149,7 @@ def test_no_plan_begins_between_both_halves(plan: RobotPlan, falling: Assembly, 
             with pytest.raises(StateError, match="two robots hold one part"):
                 planned(falling, roofed, here, allow_regrasp=True)
         else:
-            assert planned(falling, roofed, here, allow_regrasp=True).plan is not None
+            assert planned(falling, roofed, here, allow_regrasp=True).value is not None
 
 
 def test_files_keep_it(plan: RobotPlan, tmp_path: Path) -> None:
@@ -228,8 +226,7 @@ def test_the_check_sees_the_second_arm_in_the_first(plan: RobotPlan, falling: As
 
 
 def test_a_schedule_keeps_the_order_of_both_halves(timed: RobotPlan, falling: Assembly, roofed: Cell) -> None:
-    from falsework.robots.schedule.build import schedule_plan
-    from falsework.robots.schedule.simulation import simulate
+    from falsework.robots import schedule_plan, simulate
 
     for one in (timed, schedule_plan(timed.reverse(), falling, roofed)):
         assert one.schedule is not None

@@ -11,20 +11,14 @@ import pytest
 
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, REMOVED, complete_state
+from falsework import Assembly, Direction, StabilityOracle, Task, plan_robots
+from falsework.assembly import HELD, REMOVED, complete_state
+from falsework.robots import Cell, HybridSettings, KeyframeGraph, RobotPlan, nodes_of
 from falsework.robots.checks.check import check_robot_plan
-from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.model.cell import Cell
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
-from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.planning.hybrid_result import HybridResult
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
-from falsework.robots.plans.timeline import event_times, nodes_of
-from falsework.search import Task
+from falsework.robots.plans.timeline import event_times
 from falsework.search.plans.plan_check import validate_plan
-from falsework.search.problem.task import Direction
-from falsework.stability import StabilityOracle
 from tests.robots.plans.beam_in_turn import BEAM, LEFT, RIGHT, bridge_with
 
 
@@ -48,7 +42,7 @@ def planned(assembly: Assembly, cell: Cell, *, allow_regrasp: bool) -> HybridRes
 @pytest.fixture(scope="module")
 def plan(bridge: Assembly, apart: Cell) -> RobotPlan:
     """A plan in which one arm hands the beam to the other."""
-    found = planned(bridge, apart, allow_regrasp=True).plan
+    found = planned(bridge, apart, allow_regrasp=True).value
     assert found is not None
     return found
 
@@ -59,8 +53,8 @@ def timed(bridge: Assembly, apart: Cell) -> RobotPlan:
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
 
     task = Task.from_rules(bridge.boundary, 2, identity=bridge.identity, allow_regrasp=True)
-    settings = HybridSettings(Direction.DISASSEMBLY, attempts=4, together=True)
-    found = plan_robots(bridge, apart, task=task, settings=settings).plan
+    settings = HybridSettings(Direction.DISASSEMBLY, attempts=4)
+    found = plan_robots(bridge, apart, task=task, settings=settings, concurrent=True).value
     assert found is not None
     assert halves(found)
     return found
@@ -73,7 +67,7 @@ def halves(plan: RobotPlan) -> list[int]:
 
 def test_without_a_hand_over_there_is_no_plan(bridge: Assembly, apart: Cell) -> None:
     """Each block needs the arm of its side, and while one leaves the beam must be held: by the other arm."""
-    assert planned(bridge, apart, allow_regrasp=False).plan is None
+    assert planned(bridge, apart, allow_regrasp=False).value is None
     graph, oracle, complete = KeyframeGraph(bridge, apart), StabilityOracle(bridge), complete_state(bridge.boundary)
     for gone in ((), (LEFT,), (RIGHT,)):
         state = complete.copy()
@@ -108,8 +102,7 @@ def test_one_arm_hands_the_beam_to_the_other(plan: RobotPlan, bridge: Assembly, 
 
 
 def test_no_delay_changes_the_order(timed: RobotPlan, bridge: Assembly, apart: Cell) -> None:
-    from falsework.robots.schedule.build import schedule_plan
-    from falsework.robots.schedule.simulation import simulate
+    from falsework.robots import schedule_plan, simulate
 
     for one in (timed, timed.reverse(), schedule_plan(timed.reverse(), bridge, apart)):
         graph = one.schedule

@@ -8,32 +8,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, complete_state
+from falsework import Assembly, Direction, StabilityOracle, Task, load_structure, plan_robots
+from falsework.assembly import HELD, complete_state
 from falsework.errors import InputError, StateError
-from falsework.robots.keyframes.keyframe_graph import KeyframeGraph, KeyframeSettings
+from falsework.robots import Cell, HybridSettings, KeyframeGraph, Obstacle, Placement
+from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.keyframes.keyframes import Edge, Node
-from falsework.robots.model.cell import Cell, Obstacle, Placement
 from falsework.robots.model.shapes import block
 from falsework.robots.planning.boundary_motions import BoundaryMotions
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
+from falsework.robots.planning.hybrid_result import HybridResult
 from falsework.robots.planning.hybrid_search import HybridSearch
 from falsework.robots.planning.initial_keyframe import task_in_cell
 from falsework.robots.planning.solvability import SolvabilityCheck
-from falsework.search import Direction, Task
-from falsework.search.beam.beam import BeamSearch
+from falsework.search import BeamSearch, SupportGuide
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.deadline import Deadline
-from falsework.search.problem.guide import SupportGuide
-from falsework.stability import StabilityOracle
 from tests.robots.plans.orders import APART
 
 
 def test_a_plan_is_found_and_its_states_are_proven(result: HybridResult, column: Assembly) -> None:
     assert result.found
-    plan = result.plan
+    plan = result.value
     assert plan is not None
     assert len(plan) == 2 * int((~column.boundary).sum())
     assert validate_plan(plan.plan, column).good
@@ -46,10 +41,10 @@ def test_a_plan_is_found_and_its_states_are_proven(result: HybridResult, column:
 
 def test_the_same_seed_gives_the_same_plan(result: HybridResult, column: Assembly, cell: Cell) -> None:
     again = plan_robots(column, cell, settings=APART)
-    assert again.plan is not None
-    assert result.plan is not None
-    np.testing.assert_array_equal(again.plan.actions, result.plan.actions)
-    for one, other in zip(again.plan.moves(), result.plan.moves(), strict=True):
+    assert again.value is not None
+    assert result.value is not None
+    np.testing.assert_array_equal(again.value.actions, result.value.actions)
+    for one, other in zip(again.value.moves(), result.value.moves(), strict=True):
         np.testing.assert_array_equal(one[2].positions, other[2].positions)
         np.testing.assert_array_equal(one[2].times, other[2].times)
 
@@ -58,7 +53,7 @@ def test_from_midway_with_robots_where_they_stand(
     result: HybridResult, column: Assembly, cell: Cell, oracle: StabilityOracle
 ) -> None:
     """From every keyframe of a plan the rest of the way is found, and ends as the plan does."""
-    plan = result.plan
+    plan = result.value
     assert plan is not None
     for index in range(1, len(plan), 2):
         frame = plan.keyframes[index]
@@ -72,10 +67,10 @@ def test_from_midway_with_robots_where_they_stand(
             oracle=oracle,
             settings=APART,
         )
-        assert rest.plan is not None
-        assert len(rest.plan) == len(plan) - index
-        np.testing.assert_array_equal(rest.plan.states[0], plan.states[index])
-        np.testing.assert_array_equal(rest.plan.states[-1], plan.states[-1])
+        assert rest.value is not None
+        assert len(rest.value) == len(plan) - index
+        np.testing.assert_array_equal(rest.value.states[0], plan.states[index])
+        np.testing.assert_array_equal(rest.value.states[-1], plan.states[-1])
 
 
 def test_a_guide_decides_the_order(column: Assembly, cell: Cell, oracle: StabilityOracle) -> None:
@@ -86,8 +81,8 @@ def test_a_guide_decides_the_order(column: Assembly, cell: Cell, oracle: Stabili
         return scores
 
     found = plan_robots(column, cell, oracle=oracle, guide=prefer_two, settings=APART)
-    assert found.plan is not None
-    assert found.plan.plan.inserted_parts[-1] == 2
+    assert found.value is not None
+    assert found.value.plan.inserted_parts[-1] == 2
 
 
 def test_a_guide_is_asked_about_each_state_once(column: Assembly, cell: Cell, oracle: StabilityOracle) -> None:
@@ -99,22 +94,22 @@ def test_a_guide_is_asked_about_each_state_once(column: Assembly, cell: Cell, or
         return np.zeros(actions.shape)
 
     found = plan_robots(column, cell, oracle=oracle, guide=counting, settings=APART)
-    assert found.plan is not None
-    assert asked == [state.tobytes() for state in found.plan.states[:-1]]
+    assert found.value is not None
+    assert asked == [state.tobytes() for state in found.value.states[:-1]]
     assert found.statistics["dead_ends"] == 0
     again = plan_robots(column, cell, guide=counting, settings=APART)
-    assert again.plan is not None
-    np.testing.assert_array_equal(again.plan.actions, found.plan.actions)
-    assert len(asked) == 2 * len(found.plan)
+    assert again.value is not None
+    np.testing.assert_array_equal(again.value.actions, found.value.actions)
+    assert len(asked) == 2 * len(found.value)
 
 
 def test_where_rollouts_fail_the_plan_is_searched_for(
     column: Assembly, cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("falsework.robots.planning.solvability.roll_out", lambda *_, **__: [])
+    monkeypatch.setattr("falsework.robots.planning.solvability.follow_scores", lambda *_, **__: [])
     found = plan_robots(column, cell, guide=SupportGuide(column), settings=APART)
-    assert found.plan is not None
-    assert validate_plan(found.plan.plan, column).good
+    assert found.value is not None
+    assert validate_plan(found.value.plan, column).good
 
 
 def test_a_target_and_missing_parts(column: Assembly, cell: Cell, oracle: StabilityOracle) -> None:
@@ -122,8 +117,8 @@ def test_a_target_and_missing_parts(column: Assembly, cell: Cell, oracle: Stabil
     target[1] = 0
     task = Task.from_rules(column.boundary, 2, target=target)
     found = plan_robots(column, cell, task=task, oracle=oracle, settings=APART)
-    assert found.plan is not None
-    assert found.plan.plan.inserted_parts.tolist() == [1]
+    assert found.value is not None
+    assert found.value.plan.inserted_parts.tolist() == [1]
     late = plan_robots(
         column,
         cell,
@@ -131,8 +126,8 @@ def test_a_target_and_missing_parts(column: Assembly, cell: Cell, oracle: Stabil
         oracle=oracle,
         settings=APART,
     )
-    assert late.plan is not None
-    assert late.plan.plan.inserted_parts[-1] == 2  # taken off first: put in last
+    assert late.value is not None
+    assert late.value.plan.inserted_parts[-1] == 2  # taken off first: put in last
     guided = plan_robots(
         column,
         cell,
@@ -141,8 +136,8 @@ def test_a_target_and_missing_parts(column: Assembly, cell: Cell, oracle: Stabil
         guide=SupportGuide(column),
         settings=APART,
     )
-    assert guided.plan is not None
-    assert guided.plan.plan.inserted_parts[-1] == 2
+    assert guided.value is not None
+    assert guided.value.plan.inserted_parts[-1] == 2
 
 
 def test_what_is_out_of_reach_is_named(column: Assembly, cell_of: Callable[..., Cell]) -> None:
@@ -290,7 +285,7 @@ def test_a_structure_that_locks_itself_is_proven_so(cell: Cell) -> None:
 
 
 def test_a_deadline_ends_the_search(column: Assembly, cell: Cell) -> None:
-    found = plan_robots(column, cell, settings=HybridSettings(Direction.DISASSEMBLY, deadline=1e-6))
+    found = plan_robots(column, cell, settings=HybridSettings(Direction.DISASSEMBLY), deadline=1e-6)
     assert not found.found
     assert found.explanation is not None
     assert found.explanation.outcome == "interrupted"
@@ -300,7 +295,7 @@ def test_a_deadline_ends_the_search(column: Assembly, cell: Cell) -> None:
     )
 
 
-@pytest.mark.parametrize("support", [False, True])
+@pytest.mark.parametrize("allow_regrasp", [False, True])
 def test_ctrl_c_in_a_search_for_states_ends_the_whole_search(
     column: Assembly, cell: Cell, oracle: StabilityOracle, monkeypatch: pytest.MonkeyPatch, allow_regrasp: bool
 ) -> None:
@@ -344,7 +339,7 @@ def test_wrong_starts(column: Assembly, cell: Cell, oracle: StabilityOracle) -> 
     with pytest.raises(InputError, match=r"at the start bodies are too near: .* m?c?m into each other; move arm"):
         plan_robots(column, cell, configurations=[down, cell.homes[1]], oracle=oracle, settings=APART)
     with pytest.raises(InputError, match="leaves no time"):
-        HybridSettings(Direction.DISASSEMBLY, deadline=0.0)
+        plan_robots(column, cell, oracle=oracle, deadline=0.0)
     with pytest.raises(InputError, match="at least one attempt"):
         HybridSettings(Direction.DISASSEMBLY, attempts=0)
 

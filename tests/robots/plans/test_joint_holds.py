@@ -8,17 +8,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, REMOVED, complete_state
+from falsework import Assembly, StabilityOracle, Task, plan_robots
+from falsework.assembly import HELD, REMOVED, complete_state
+from falsework.robots import Cell, KeyframeGraph
 from falsework.robots.kernels.coordination import conflicts
 from falsework.robots.keyframes.joint_holds import HoldingOracle, JointHolds
-from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.model.cell import Cell
 from falsework.robots.motion.collision_world import Contact, Scene
-from falsework.robots.planning.hybrid_planner import plan_robots
 from falsework.robots.planning.solvability import SolvabilityCheck
-from falsework.search import Task
-from falsework.stability import StabilityOracle
 from tests.robots.plans.orders import APART
 
 
@@ -149,7 +145,7 @@ def test_plans_keep_to_it(column: Assembly, cell: Cell, graph: KeyframeGraph) ->
     least = np.where(column.boundary, HELD, REMOVED).astype(np.uint8)
     least[[1, 2]] = HELD
     graph.joint.exclude((1, 2), least)
-    plan = plan_robots(column, cell, graph=graph, settings=APART).plan
+    plan = plan_robots(column, cell, graph=graph, settings=APART).value
     assert plan is not None
     assert not ((plan.plan.states[:, 1] == HELD) & (plan.plan.states[:, 2] == HELD)).any()
 

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from falsework.assembly.model import Assembly
-from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.model.cell import Cell
+from falsework import Assembly
+from falsework.robots import Cell, KeyframeGraph
 from falsework.robots.motion.collision_world import NO_CONTACT, Attached, Scene
 from falsework.robots.motion.motion_cache import MotionCache, scene_digest
 

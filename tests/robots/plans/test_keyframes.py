@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
+from falsework import Assembly
+from falsework.assembly import complete_state
+from falsework.robots import Cell, KeyframeGraph
 from falsework.robots.grasping.exit_directions import ExitDirections
-from falsework.robots.keyframes.keyframe_graph import KeyframeGraph, KeyframeSettings
+from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.model.cell import Cell
 
 
 @pytest.fixture(scope="module")

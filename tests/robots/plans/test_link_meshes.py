@@ -11,16 +11,14 @@ import pytest
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 pytest.importorskip("yourdfpy", reason="reading URDF files needs yourdfpy; pip install 'falsework[robots]'")
 
-from falsework.assembly.model import Assembly
-from falsework.robots.cells.urdf import load_urdf
+from falsework import Assembly
+from falsework.robots import Cell, CellRobot, Gripper, Obstacle, RobotModel, RobotPlan, load_urdf
 from falsework.robots.cells.urdf_meshes import hull_mesh
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
-from falsework.robots.model.cell import Cell, CellRobot, Gripper, Obstacle, cell_identity
+from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import block, cylinder
-from falsework.robots.plans.robot_plan import RobotPlan
 
 pytestmark = pytest.mark.filterwarnings("ignore::falsework.robots.cells.urdf_review.CellWarning")
 

@@ -13,31 +13,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure, save_assembly
+from falsework import Assembly, Direction, StabilitySettings, Task, export, load_structure, plan_robots
+from falsework.assembly import HELD, REMOVED, Loads, complete_state
 from falsework.assembly.library.blocks import box, gather
-from falsework.assembly.loads import Loads
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, REMOVED, complete_state
+from falsework.assembly.store import save_assembly
 from falsework.cli.main import main
 from falsework.errors import CellError, PlanError
-from falsework.interop import export
+from falsework.robots import Cell, HybridSettings, KeyframeGraph, Placement, RobotPlan, export_plan
 from falsework.robots.exports.commands import Begin, Grip, Pressing, PublishCount, Wait, commands_of
-from falsework.robots.exports.export import export_plan
-from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.kinematics.forward import flange_pose, tool_pose
-from falsework.robots.model.cell import Cell, Placement, cell_identity
+from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.cell_holds import CellScale, stability_in
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.plans.grip_loads import grip_loads, overloads
 from falsework.robots.plans.presses import timed_presses
-from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
 from falsework.robots.plans.timeline import event_times, schedule_of
 from falsework.search.plans.plan_check import validate_plan
-from falsework.search.problem.task import Direction, Task
-from falsework.stability import StabilitySettings
-from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, Press
+from falsework.stability import HoldSettings
+from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, Press
 from tests.robots.plans.bag_reading import wrenches
 from tests.robots.plans.orders import APART
 from tests.robots.plans.test_export import load_yaml, run_programs
@@ -65,7 +58,7 @@ def pressed(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> RobotPlan:
         configurations=(home, grip),
         held=(None, SIDE),
         settings=APART,
-    ).plan
+    ).value
     assert plan is not None
     plan = plan.reverse()
     (step,) = (k for k in range(len(plan)) if plan.actions[k] == UPPER)
@@ -362,10 +355,10 @@ def test_arms_press_where_the_search_needs_it(gap: Assembly, cell: Cell, togethe
     def planned(cell: Cell, holds: HoldSettings) -> tuple[RobotPlan, list[int]]:
         """Return the plan and the order in which parts come."""
         task = Task.from_rules(gap.boundary, 2, start=start, target=end, missing=[2])
-        given: dict[str, Any] = {"configurations": (cell.homes[0], grip), "held": (None, 1)}
-        limits = HybridSettings(Direction.DISASSEMBLY, attempts=2, together=together)
+        given: dict[str, Any] = {"configurations": (cell.homes[0], grip), "held": (None, 1), "concurrent": together}
+        limits = HybridSettings(Direction.DISASSEMBLY, attempts=2)
         stability = StabilitySettings(reserve=1.1, holds=holds)
-        found = plan_robots(gap, cell, task=task, settings=limits, stability=stability, **given).plan
+        found = plan_robots(gap, cell, task=task, settings=limits, stability=stability, **given).value
         assert found is not None
         return found.reverse(), found.plan.inserted_parts.tolist()
 
@@ -390,10 +383,10 @@ def test_a_plan_without_the_reserve_where_none_keeps_it(cell: Cell, make_boxes: 
     """A cube that an earthquake pushes with 0.52 of its weight, on a friction of 0.55."""
     alone = make_boxes((-0.1, -0.1, 0.0))
     shaken = alone.replace(loads=Loads.from_arrays(alone.part_count, acceleration=(0.52, 0.0, 0.0)))
-    plan = plan_robots(shaken, cell, settings=APART).plan
+    plan = plan_robots(shaken, cell, settings=APART).value
     assert plan is not None
     assert plan.plan.claim.reserve == 1.0
-    calm = plan_robots(alone, cell, settings=APART).plan
+    calm = plan_robots(alone, cell, settings=APART).value
     assert calm is not None
     assert calm.plan.claim.reserve == 1.1
 

@@ -15,28 +15,25 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import REMOVED, complete_state
+from falsework import Assembly, Direction, plan_robots
+from falsework.assembly import REMOVED, complete_state
 from falsework.errors import PlanError
+from falsework.robots import Cell, HybridSettings, KeyframeGraph, Obstacle, RobotPlan, RobotStep, export_plan
 from falsework.robots.checks.check import CheckReport, check_robot_plan
 from falsework.robots.checks.delays import check_delays
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.checks.put_down import unrest
 from falsework.robots.exports.commands import Grip, events_of
-from falsework.robots.exports.export import export_plan
 from falsework.robots.kernels.coordination import conflicts, still
-from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.putting_down import downwards
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.kinematics.inverse import inverse
-from falsework.robots.model.cell import Cell, Obstacle, cell_identity
+from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import block, move
 from falsework.robots.motion.collision_world import CollisionWorld
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
+from falsework.robots.planning.hybrid_result import HybridResult
 from falsework.robots.plans.loads import Load, load_of, lying_motions
-from falsework.robots.plans.robot_plan import RobotPlan, RobotStep
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
     robot_plan_from_dict,
@@ -48,7 +45,6 @@ from falsework.robots.plans.timeline import activities_at, event_times
 from falsework.robots.schedule.conflicts import choices
 from falsework.robots.schedule.itinerary import Itineraries
 from falsework.robots.schedule.swept_bodies import SweptBodies
-from falsework.search import Direction
 from falsework.search.plans.plan_check import validate_plan
 from falsework.viewer.arms import Arms
 from falsework.viewer.pictures.gantt import bars_of
@@ -80,7 +76,7 @@ def one(cell_of: Callable[..., Cell]) -> Cell:
 @pytest.fixture(scope="module")
 def plan(alone: Assembly, one: Cell) -> RobotPlan:
     """A plan in which the slab is put down."""
-    found = planned(alone, one, allow_regrasp=True).plan
+    found = planned(alone, one, allow_regrasp=True).value
     assert found is not None
     return found
 
@@ -103,8 +99,8 @@ def timed(stack: Assembly, two: Cell) -> RobotPlan:
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
 
     task = make_task(stack, two, allow_regrasp=True)
-    settings = HybridSettings(Direction.DISASSEMBLY, attempts=3, together=True)
-    found = plan_robots(stack, two, task=task, settings=settings).plan
+    settings = HybridSettings(Direction.DISASSEMBLY, attempts=3)
+    found = plan_robots(stack, two, task=task, settings=settings, concurrent=True).value
     assert found is not None
     assert sum(step.put_down is not None for step in found.steps) == 1
     return found
@@ -132,7 +128,7 @@ def what(report: CheckReport) -> str:
 def test_without_it_there_is_no_plan(alone: Assembly, one: Cell) -> None:
     """The arm reaches the slab by its edges only, and with these grasps no drop-off pose is free."""
     found = planned(alone, one, allow_regrasp=False)
-    assert found.plan is None
+    assert found.value is None
     assert found.explanation is not None
     assert "remove slab-0" in found.explanation.text
     graph, state = KeyframeGraph(alone, one), complete_state(alone.boundary)
@@ -190,7 +186,7 @@ def test_in_reverse_it_is_gripped_for_its_place(plan: RobotPlan, alone: Assembly
 
 
 def test_it_is_not_put_down_where_it_can_be_delivered(alone: Assembly, cell_of: Callable[..., Cell]) -> None:
-    free = planned(alone, cell_of(1), allow_regrasp=True).plan
+    free = planned(alone, cell_of(1), allow_regrasp=True).value
     assert free is not None
     assert all(step.put_down is None for step in free.steps)
     graph, state = KeyframeGraph(alone, cell_of(1)), complete_state(alone.boundary)
@@ -200,7 +196,7 @@ def test_it_is_not_put_down_where_it_can_be_delivered(alone: Assembly, cell_of: 
 
 
 def test_without_a_floor_there_is_no_place(alone: Assembly, one: Cell) -> None:
-    assert planned(alone, replace(one, floor=None), allow_regrasp=True).plan is None
+    assert planned(alone, replace(one, floor=None), allow_regrasp=True).value is None
 
 
 def test_files_keep_it(plan: RobotPlan, tmp_path: Path) -> None:
@@ -340,8 +336,7 @@ def test_faces_are_turned_downwards_by_the_least_rotation(seed: int) -> None:
 
 
 def test_a_schedule_keeps_other_arms_away_whatever_the_delays(timed: RobotPlan, stack: Assembly, two: Cell) -> None:
-    from falsework.robots.schedule.build import schedule_plan
-    from falsework.robots.schedule.simulation import simulate
+    from falsework.robots import schedule_plan, simulate
 
     for plan in (timed, timed.reverse(), schedule_plan(timed.reverse(), stack, two)):
         assert plan.schedule is not None

@@ -5,16 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
-from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.model.cell import Cell
+from falsework import Assembly, Direction, StabilityOracle, Task, load_structure
+from falsework.assembly import complete_state
+from falsework.robots import Cell, KeyframeGraph
 from falsework.robots.planning.action_ranking import ExecutionHeuristic
 from falsework.robots.planning.solvability import SolvabilityCheck
-from falsework.search import Direction, Task
-from falsework.search.problem.guide import MemoizedGuide, SupportGuide
-from falsework.stability import StabilityOracle
+from falsework.search import SupportGuide
+from falsework.search.problem.guide import MemoizedGuide
 
 ARCH = load_structure("arch:blocks=5")
 TASK = Task.from_rules(ARCH.boundary, 2)

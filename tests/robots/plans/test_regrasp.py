@@ -12,33 +12,26 @@ import pytest
 
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
+from falsework import Assembly, Direction, Outcome, Task, Verdict, plan_robots
+from falsework.assembly import HELD, INSTALLED, REMOVED, complete_state
 from falsework.errors import InputError, PlanError, StateError
+from falsework.robots import Cell, HybridSettings, KeyframeGraph, Obstacle, RobotPlan, export_plan, nodes_of
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.exports.commands import Begin, Grip, Wait, commands_of
-from falsework.robots.exports.export import export_plan
 from falsework.robots.keyframes.failure_report import describe_failure
-from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.model.cell import Cell, Obstacle
 from falsework.robots.model.shapes import block
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridSettings
 from falsework.robots.planning.solvability import SolvabilityCheck
-from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
     robot_plan_from_dict,
     robot_plan_to_dict,
     save_robot_plan,
 )
-from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
-from falsework.search import Outcome, Task
+from falsework.robots.plans.timeline import arm_shares, event_times
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.regrasp_route import RegraspRoute
-from falsework.search.problem.task import Direction
 from falsework.search.together.rule import InterlockedSets
-from falsework.stability import Verdict, Verdicts
+from falsework.stability import Verdicts
 from falsework.viewer.pictures.gantt import bars_of
 from tests.robots.plans.orders import APART
 from tests.robots.plans.sunk_cubes import FAR, NEAR, begin, cubes, make_task, planned
@@ -59,14 +52,14 @@ def begun(sunk: Assembly, roofed: Cell) -> dict:
 @pytest.fixture(scope="module")
 def plan(sunk: Assembly, roofed: Cell, begun: dict) -> RobotPlan:
     """A plan that holds the near cube again from above."""
-    found = planned(sunk, roofed, begun, allow_regrasp=True).plan
+    found = planned(sunk, roofed, begun, allow_regrasp=True).value
     assert found is not None
     return found
 
 
 def test_without_regrasping_there_is_no_plan(sunk: Assembly, roofed: Cell, begun: dict) -> None:
     found = planned(sunk, roofed, begun, allow_regrasp=False)
-    assert found.plan is None
+    assert found.value is None
     assert found.explanation is not None
     assert "remove near-0" in found.explanation.text
 
@@ -168,13 +161,12 @@ def test_programs_open_the_gripper_before_the_retreat(plan: RobotPlan, tmp_path:
 
 def test_a_schedule_keeps_the_order_of_release_and_hold(sunk: Assembly, roofed: Cell, begun: dict) -> None:
     pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
-    from falsework.robots.schedule.build import schedule_plan
-    from falsework.robots.schedule.simulation import simulate
+    from falsework.robots import schedule_plan, simulate
 
     task = make_task(sunk, begun, allow_regrasp=True)
     given = {key: value for key, value in begun.items() if key != "start"}
-    settings = HybridSettings(Direction.DISASSEMBLY, attempts=4, together=True)
-    plan = plan_robots(sunk, roofed, task=task, settings=settings, **given).plan
+    settings = HybridSettings(Direction.DISASSEMBLY, attempts=4)
+    plan = plan_robots(sunk, roofed, task=task, settings=settings, concurrent=True, **given).value
     assert plan is not None
     assert "open" in [plan.grip(step) for step in range(len(plan))]
     for one in (plan, schedule_plan(plan.reverse(), sunk, roofed)):
@@ -302,9 +294,9 @@ def test_a_planned_release_is_carried_out_at_once(
     task = make_task(sunk, begun, allow_regrasp=True)
     given: dict[str, Any] = {key: value for key, value in begun.items() if key != "start"}
     given["settings"] = HybridSettings(Direction.DISASSEMBLY, attempts=1)
-    assert plan_robots(sunk, roofed, task=task, **given).plan is None
+    assert plan_robots(sunk, roofed, task=task, **given).value is None
     monkeypatch.setattr(SolvabilityCheck, "prepare", prepared)
-    found = plan_robots(sunk, roofed, task=task, **given).plan
+    found = plan_robots(sunk, roofed, task=task, **given).value
     assert found is not None
     np.testing.assert_array_equal(found.states, states)
     assert check_robot_plan(found, sunk, roofed).good

@@ -11,24 +11,20 @@ import pytest
 
 pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
 
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
+from falsework import Assembly, StabilityOracle
+from falsework.assembly import complete_state
+from falsework.robots import Cell, KeyframeGraph, RobotPlan, Trajectory, schedule_plan
 from falsework.robots.interleaving.reordering import follow, reorder, views
 from falsework.robots.interleaving.search import OrderSearch
 from falsework.robots.interleaving.work import Work
-from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.keyframes.trajectory_assembly import make_robot_plan
-from falsework.robots.model.cell import Cell
 from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.planning.initial_keyframe import task_in_cell
 from falsework.robots.planning.solvability import SolvabilityCheck
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
-from falsework.robots.schedule.build import schedule_plan
 from falsework.robots.schedule.conflicts import choices, fixed_precedences
 from falsework.robots.schedule.itinerary import Itineraries
 from falsework.robots.schedule.solver import solve
-from falsework.stability.oracle import StabilityOracle
 
 
 class Case:

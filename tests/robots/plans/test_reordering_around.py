@@ -11,24 +11,16 @@ import pytest
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
 
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, INSTALLED
+from falsework import Assembly, Direction, Task, plan_robots
+from falsework.assembly import HELD, INSTALLED
+from falsework.robots import Cell, HybridSettings, KeyframeGraph, RobotPlan, schedule_plan, simulate
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.interleaving.next_steps import grippers_allow
 from falsework.robots.interleaving.reordering import follow, lies_free, reorder, views
-from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node
-from falsework.robots.model.cell import Cell
 from falsework.robots.motion.collision_world import CollisionQuery
 from falsework.robots.planning import plan_builder
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridSettings
-from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import event_times
-from falsework.robots.schedule.build import schedule_plan
-from falsework.robots.schedule.simulation import simulate
-from falsework.search import Task
-from falsework.search.problem.task import Direction
 from tests.robots.plans.beam_in_turn import bridge_with
 from tests.robots.plans.roofed_slab import slab, tabled
 
@@ -56,7 +48,7 @@ def planned(request: pytest.FixtureRequest, cell_of: Callable[..., Cell]) -> Pla
         assembly, cell = slab(tiles=2), tabled(cell_of(2))
     task = Task.from_rules(assembly.boundary, 2, identity=assembly.identity, allow_regrasp=True)
     plans, given = [], []
-    settings = HybridSettings(Direction.DISASSEMBLY, attempts=4, together=True)
+    settings = HybridSettings(Direction.DISASSEMBLY, attempts=4)
     for change in (True, False):
 
         def ordered(graph, oracle, root, chain, timed, *, change=change, **more):
@@ -65,7 +57,7 @@ def planned(request: pytest.FixtureRequest, cell_of: Callable[..., Cell]) -> Pla
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(plan_builder, "reorder", ordered)
-            plans.append(plan_robots(assembly, cell, task=task, settings=settings).plan)
+            plans.append(plan_robots(assembly, cell, task=task, settings=settings, concurrent=True).value)
     better, as_found = plans
     assert better is not None
     assert as_found is not None

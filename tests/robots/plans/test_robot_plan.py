@@ -13,16 +13,17 @@ import jsonschema
 import numpy as np
 import pytest
 
+from falsework import Direction
 from falsework.errors import InputError, PlanError
+from falsework.robots import RobotPlan, Trajectory
 from falsework.robots.model.cell import cell_identity
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
     robot_plan_to_dict,
     save_robot_plan,
 )
 from falsework.robots.plans.robot_plan_model import robot_plan_schema
-from falsework.search import Direction, plan_schema
+from falsework.search.plans.plan_model import plan_schema
 
 
 def ramp(rows: list[tuple[float, float, float]]) -> Trajectory:

@@ -13,10 +13,8 @@ import numpy as np
 import pytest
 import yaml
 
-from falsework.robots.exports.export import export_plan
+from falsework.robots import Cell, RobotPlan, export_plan
 from falsework.robots.kinematics.forward import flange_pose
-from falsework.robots.model.cell import Cell
-from falsework.robots.plans.robot_plan import RobotPlan
 
 FILE = Path(__file__).resolve().parents[3] / "examples" / "13_ros2_control.py"
 
@@ -38,7 +36,7 @@ def test_the_description_has_the_arms_of_the_cell(
 ) -> None:
     """Their flanges are where the cell has them, and the mock hardware begins where the plan does."""
     pytest.importorskip("yourdfpy")
-    from falsework.robots.cells.urdf import load_urdf
+    from falsework.robots import load_urdf
 
     starts = {arm["robot"]: arm["start"] for arm in content["arms"]}
     text = example["description"](cell, starts)

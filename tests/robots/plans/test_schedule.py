@@ -15,26 +15,21 @@ import pytest
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 pytest.importorskip("ortools", reason="schedules need OR-Tools; pip install 'falsework[schedule]'")
 
-from falsework.assembly.model import Assembly
+from falsework import Assembly, Direction, plan_robots
 from falsework.errors import InputError, PlanError
+from falsework.robots import Cell, HybridSettings, Precedence, RobotPlan, nodes_of, schedule_plan, simulate
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.checks.schedule import check_schedule
 from falsework.robots.keyframes.failure_report import Explanation
 from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
-from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
+from falsework.robots.planning.hybrid_result import HybridResult
 from falsework.robots.planning.hybrid_search import HybridSearch
-from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import load_robot_plan, robot_plan_to_dict, save_robot_plan
-from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
-from falsework.robots.plans.timeline import arm_shares, event_times, nodes_of
-from falsework.robots.schedule.build import schedule_plan
-from falsework.robots.schedule.simulation import simulate
+from falsework.robots.plans.temporal_graph import TemporalPlanGraph
+from falsework.robots.plans.timeline import arm_shares, event_times
 from falsework.search.problem.deadline import Deadline
-from falsework.search.problem.task import Direction
 from tests.older_files import as_robot_version_2
 from tests.robots.plans.orders import APART
 
@@ -60,7 +55,7 @@ def graph_of(plan: RobotPlan) -> TemporalPlanGraph:
 @pytest.mark.usefixtures("without_numba")
 def test_arguments_have_the_types_of_the_portable_code(row: Assembly, wide: Cell) -> None:
     """Numba, which takes twenty seconds where LLVM takes two, compiles nothing for a plan and its schedule."""
-    plan = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, seed=1, together=True)).plan
+    plan = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, seed=1), concurrent=True).value
     assert plan is not None
     assert plan.schedule is not None
 
@@ -144,7 +139,7 @@ def test_arms_spend_all_their_time_somehow(scheduled: RobotPlan) -> None:
 
 def test_one_arm_stays_sequential(column: Assembly, cell_of: Callable[..., Cell]) -> None:
     cell = cell_of(1)
-    plan = plan_robots(column, cell, settings=APART).plan
+    plan = plan_robots(column, cell, settings=APART).value
     assert plan is not None
     graph = graph_of(schedule_plan(plan, column, cell))
     assert graph.makespan == pytest.approx(plan.seconds)
@@ -231,8 +226,8 @@ def test_times_that_do_not_fit_the_motions(
 
 
 def test_a_deadline_that_the_first_search_uses_up_ends_without_a_plan(row: Assembly, wide: Cell) -> None:
-    found = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, deadline=1e-3, together=True))
-    assert found.plan is None
+    found = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY), deadline=1e-3, concurrent=True)
+    assert found.value is None
     assert found.statistics["search"] == "sequential"
 
 
@@ -245,14 +240,16 @@ def test_the_longer_of_two_partial_plans_is_kept(row: Assembly, wide: Cell, monk
     """The second search has what is left of the deadline, and often gets less far."""
     partial = SimpleNamespace(statistics={})
 
-    def search(graph: Any, task: Any, oracle: Any, guide: Any, settings: HybridSettings, *more: Any) -> Any:
+    def search(
+        graph: Any, task: Any, oracle: Any, guide: Any, settings: HybridSettings, *more: Any, **choices: Any
+    ) -> Any:
         first = not given_lines(settings)
         why = Explanation("interrupted", 3 if first else 1, 6, (), None, (), "stopped")
         found = HybridResult(None, partial if first else None, why, {})  # type: ignore[arg-type]
         return SimpleNamespace(run=lambda root: found)
 
     monkeypatch.setattr("falsework.robots.planning.hybrid_planner.HybridSearch", search)
-    found = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY, deadline=10.0, together=True))
+    found = plan_robots(row, wide, settings=HybridSettings(Direction.DISASSEMBLY), deadline=10.0, concurrent=True)
     assert found.partial is partial
     assert found.explanation is not None
     assert found.explanation.reached == 3
@@ -262,23 +259,23 @@ def test_the_longer_of_two_partial_plans_is_kept(row: Assembly, wide: Cell, monk
 def test_longer_lines_are_tried_where_short_ones_lead_to_no_plan(
     row: Assembly, wide: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    settings = HybridSettings(Direction.DISASSEMBLY, deadline=120.0, together=True)
-    found = plan_robots(row, wide, settings=settings)
-    assert found.plan is not None
-    assert found.plan.schedule is not None
+    settings = HybridSettings(Direction.DISASSEMBLY)
+    found = plan_robots(row, wide, settings=settings, deadline=120.0, concurrent=True)
+    assert found.value is not None
+    assert found.value.schedule is not None
     assert found.statistics["search"] == "together"
 
-    def search(*given: Any) -> HybridSearch:
-        made = HybridSearch(*given)
+    def search(*given: Any, **more: Any) -> HybridSearch:
+        made = HybridSearch(*given, **more)
         if not given_lines(made.settings):
             made.clock = Deadline(1e-9)
         return made
 
     monkeypatch.setattr("falsework.robots.planning.hybrid_planner.HybridSearch", search)
-    other = plan_robots(row, wide, settings=settings)
-    alone = plan_robots(row, wide, settings=APART).plan
-    assert other.plan is not None
+    other = plan_robots(row, wide, settings=settings, deadline=120.0, concurrent=True)
+    alone = plan_robots(row, wide, settings=APART).value
+    assert other.value is not None
     assert alone is not None
-    assert other.plan.schedule is not None
-    assert other.statistics["search"] == other.plan.statistics["search"] == "sequential"
-    assert other.plan.makespan <= alone.seconds
+    assert other.value.schedule is not None
+    assert other.statistics["search"] == other.value.statistics["search"] == "sequential"
+    assert other.value.makespan <= alone.seconds

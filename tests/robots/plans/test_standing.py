@@ -9,18 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, complete_state
-from falsework.robots.model.cell import Cell
-from falsework.robots.planning.hybrid_planner import plan_robots
-from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings
+from falsework import Assembly, Direction, StabilityOracle, StabilitySettings, Task, load_structure, plan_robots
+from falsework.assembly import HELD, complete_state
+from falsework.robots import Cell, HybridSettings
+from falsework.robots.planning.hybrid_result import HybridResult
 from falsework.robots.planning.solvability import SolvabilityCheck
-from falsework.search import Route, Task
 from falsework.search.plans.plan_check import validate_plan
-from falsework.search.problem.task import Direction
-from falsework.stability import Replay, StabilityOracle, StabilitySettings
-from falsework.stability.contact.history import History
+from falsework.search.problem.result import Route
+from falsework.stability.contact.history import History, Replay
 from tests.robots.plans.orders import APART
 
 ARCH = load_structure("arch:blocks=5")
@@ -194,38 +190,38 @@ def test_a_forbidden_state_takes_its_only_ways_with_it() -> None:
 
 
 def test_a_plan_says_by_which_criterion_it_stands(column: Assembly, cell: Cell, result: HybridResult) -> None:
-    assert result.plan is not None
+    assert result.value is not None
     assert result.statistics["criterion"] == "contact"
     assert result.statistics["replay"]["stands"]
-    assert result.plan.plan.claim.criterion == "contact"
+    assert result.value.plan.claim.criterion == "contact"
     plain = plan_robots(
         column,
         cell,
         oracle=StabilityOracle(column, StabilitySettings(criterion="equilibrium")),
         settings=APART,
     )
-    assert plain.plan is not None
+    assert plain.value is not None
     assert plain.statistics["criterion"] == "equilibrium"
     assert plain.statistics["replay"] is None
-    assert plain.plan.plan.claim.criterion == "equilibrium"
+    assert plain.value.plan.claim.criterion == "equilibrium"
 
 
 def test_a_plan_that_falls_is_not_delivered_but_another_one_is(
     column: Assembly, cell: Cell, result: HybridResult
 ) -> None:
     """The search for a plan without motions replays its steps; the plan with motions is replayed as a whole."""
-    assert result.plan is not None
-    bad = result.plan.states[2].copy()
+    assert result.value is not None
+    bad = result.value.states[2].copy()
     oracle = StabilityOracle(column)
     falling = Falling(oracle.replayer, lambda state: np.array_equal(state, bad))
     oracle.__dict__["replayer"] = falling
     found = plan_robots(column, cell, oracle=oracle, settings=APART)
-    assert found.plan is not None
+    assert found.value is not None
     assert (falling.routes[0] == bad).all(axis=1).any()
     assert found.statistics["replays_fallen"] == 1
-    assert not (found.plan.plan.states == bad).all(axis=1).any()
+    assert not (found.value.plan.states == bad).all(axis=1).any()
     assert found.statistics["replay"]["stands"]
-    assert validate_plan(found.plan.plan, column).good
+    assert validate_plan(found.value.plan, column).good
 
 
 def test_where_every_plan_falls_none_is_delivered_and_the_step_is_named(column: Assembly, cell: Cell) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from falsework.errors import InputError, PlanError
-from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
+from falsework.robots import Precedence
+from falsework.robots.plans.temporal_graph import MotionNode, TemporalPlanGraph
 
 NODES = (MotionNode(0, 0, 0, 2.0), MotionNode(1, 1, 0, 3.0), MotionNode(0, 2, 0, 1.0))
 EDGES = (Precedence(0, 2.0, 2, "arm"), Precedence(0, 0.5, 1, "volume"), Precedence(1, 1.0, 2, "state"))

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.search import BeamSettings, Direction, Outcome, Task
+from falsework import Direction, Outcome, Task
+from falsework.search import BeamSearch, BeamSettings
 from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
-from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.nogoods import Nogoods, luby
 
 

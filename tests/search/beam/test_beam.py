@@ -8,23 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, Direction, Outcome, StabilityOracle, Task, load_structure
 from falsework.errors import InputError
-from falsework.search import (
-    BeamSearch,
-    BeamSettings,
-    Direction,
-    ExhaustiveSearch,
-    Outcome,
-    Route,
-    SearchProgress,
-    SupportGuide,
-    Task,
-)
+from falsework.search import BeamSearch, BeamSettings, ExhaustiveSearch, SearchProgress, SupportGuide
 from falsework.search.beam.frontier import Level, PackedLevel, expand, pack
 from falsework.search.beam.scores import Priorities, Scores
 from falsework.search.problem.hashing import StateHash
-from falsework.stability import StabilityOracle
+from falsework.search.problem.result import Route
 
 BOTH = pytest.mark.parametrize("direction", list(Direction))
 WAYS = pytest.mark.parametrize("way", [{}, {"lookahead": 8}, {"lookahead": 4, "commit": True}, {"diversity": "none"}])

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.search import BeamSearch, BeamSettings, Direction, Outcome, Task
+from falsework import Direction, Outcome, Task
+from falsework.search import BeamSearch, BeamSettings
 from falsework.search.beam.failed_moves import FailedMoves
 
 CHAIN = [(k, k + 1) for k in range(1, 7)]

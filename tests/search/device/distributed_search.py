@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from falsework.search import BeamSettings, Direction, Task
+from falsework import Direction, Task
+from falsework.search import BeamSettings
 from falsework.search.device.beam import DeviceBeam
 from falsework.utils.distributed import ProcessGroup, init_distributed
 

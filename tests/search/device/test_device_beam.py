@@ -9,18 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework import Direction, Outcome, StabilityOracle, StateGraph, Task, load_structure
 from falsework.errors import InputError
 from falsework.geometry.clearance.table import ClearanceTable
-from falsework.search import BeamSearch, BeamSettings, Direction, ExhaustiveSearch, Outcome, Route, StateGraph, Task
+from falsework.search import BeamSearch, BeamSettings, ExhaustiveSearch, TensorRules
 from falsework.search.backend import beam_search
 from falsework.search.beam.k_means import k_means
 from falsework.search.device.beam import DeviceBeam
 from falsework.search.device.k_means import find_centers
 from falsework.search.device.oracle import BatchedTensorOracle, HostOracle
-from falsework.search.device.rules import TensorRules
 from falsework.search.problem.hashing import StateHash
-from falsework.stability import StabilityOracle
+from falsework.search.problem.result import Route
 from falsework.utils.bits import pack
 from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import choose_device, mix, put, uniform

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework import Direction, StabilityOracle, StateGraph, Task, load_structure
 from falsework.errors import InputError
-from falsework.search import Direction, StateGraph, Task
 from falsework.search.device.oracle import HostOracle
-from falsework.stability import StabilityOracle
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[gpu]'")
 

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from scipy.stats import kendalltau
 
+from falsework import Direction, StateGraph, Task
 from falsework.errors import InputError
-from falsework.search import Alternatives, Direction, ExhaustiveSearch, Route, StateGraph, Task, choose_alternatives
-from falsework.search.plans.alternatives import order_distance, state_distance
+from falsework.search import ExhaustiveSearch
+from falsework.search.plans.alternatives import Alternatives, choose_alternatives, order_distance, state_distance
 from falsework.search.problem.guide import NoveltyGuide
+from falsework.search.problem.result import Route
 
 
 def full_graph(rules: Any, seed: int, parts: int, robots: int = 2) -> StateGraph:

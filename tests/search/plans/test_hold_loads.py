@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from falsework.assembly import Assembly, load_structure
-from falsework.assembly.state import HELD
+from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, Task, find_plans, load_structure
+from falsework.assembly import HELD
 from falsework.errors import PlanError
 from falsework.geometry import TriangleMesh
-from falsework.search import Plan, Task, find_plans, validate_plan, validate_proofs
 from falsework.search.plans.build_proofs import prove_build
+from falsework.search.plans.plan_check import validate_plan, validate_proofs
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.result import Route
-from falsework.stability import StabilityOracle
+from falsework.stability import HoldSettings
 from falsework.stability.contact.hold_loads import largest_load
-from falsework.stability.holds import HoldMode, HoldSettings
-from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
+from falsework.stability.holds import HoldMode
+from falsework.stability.settings import EQUILIBRIUM
 
 SPEC = "arch:blocks=5"
 FACES = [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4)]

@@ -15,25 +15,24 @@ import jsonschema
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
-from falsework.errors import InputError, PlanError
-from falsework.search import (
+from falsework import (
     Action,
+    Assembly,
     Direction,
     Plan,
+    StabilityOracle,
+    StabilitySettings,
     Task,
+    Verdict,
     find_plans,
-    load_plan,
-    plan_schema,
-    save_plan,
-    validate_plan,
-    validate_proofs,
+    load_structure,
 )
-from falsework.search.margins.demands import Demands
-from falsework.search.margins.plan_margins import PlanMargins
+from falsework.errors import InputError, PlanError
+from falsework.search import Demands, PlanMargins
 from falsework.search.plans import packed_proofs
-from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
-from falsework.stability import StabilityOracle, StabilitySettings, Verdict
+from falsework.search.plans.plan_check import validate_plan, validate_proofs
+from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict, save_plan
+from falsework.search.plans.plan_model import plan_schema
 from falsework.stability.settings import EQUILIBRIUM
 from tests.older_files import as_version_3
 

@@ -17,30 +17,20 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from falsework.assembly import Assembly, load_structure
-from falsework.assembly.props import prop_places, with_props
+from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, Task, find_plans, load_structure
+from falsework.assembly import prop_places, with_props
 from falsework.errors import InputError, PlanError, ReadWarning
 from falsework.geometry import TriangleMesh
-from falsework.search import (
-    Plan,
-    PlanReport,
-    Task,
-    find_plans,
-    load_plan,
-    plan_schema,
-    save_plan,
-    validate_plan,
-    validate_proofs,
-)
-from falsework.search.margins.demands import Demands
-from falsework.search.margins.plan_margins import PlanMargins
+from falsework.search import Demands, PlanMargins
 from falsework.search.plans import build_proofs, packed_proofs, plan_check, plan_reader
 from falsework.search.plans.build_proofs import prove_build
-from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
+from falsework.search.plans.plan_check import validate_plan, validate_proofs
+from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict, save_plan
+from falsework.search.plans.plan_model import plan_schema
+from falsework.search.plans.plan_report import PlanReport
 from falsework.search.plans.plan_source import structure_to_check
 from falsework.search.problem.result import Route
-from falsework.stability import StabilityOracle
-from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
+from falsework.stability.settings import EQUILIBRIUM
 
 Peak = Callable[[Callable[[], Any]], int]
 
@@ -504,7 +494,8 @@ def test_certificates_in_a_plan_are_evaluated_instead_of_solving(plan: Plan, mon
         solved = validate_plan(bare, assembly, settings)
         assert (solved.good, solved.certified) == (True, 0)
         with monkeypatch.context() as patch:
-            for module, name in ((build_proofs, "Stability"), (build_proofs, "Replayer"), (plan_check, "Stability")):
+            solvers = ((build_proofs, "StabilityOracle"), (build_proofs, "Replayer"), (plan_check, "StabilityOracle"))
+            for module, name in solvers:
                 patch.setattr(module, name, type(name, (), {}))  # whoever asks a solver or a replay fails
             report = validate_plan(made, assembly, settings)
         assert report.good

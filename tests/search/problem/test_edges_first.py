@@ -7,19 +7,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
-from falsework.search import find_plans
-from falsework.search.find import Planning, make_task
+from falsework import (
+    Assembly,
+    Direction,
+    PlannerSettings,
+    StabilityOracle,
+    StabilitySettings,
+    find_plans,
+    load_structure,
+    make_task,
+)
+from falsework.assembly import complete_state
+from falsework.search import SupportGuide
 from falsework.search.planner import Planner
+from falsework.search.planning import Planning
 from falsework.search.problem.edge_rows import edge_rows
-from falsework.search.problem.guide import SupportGuide
-from falsework.search.problem.task import Direction
-from falsework.search.settings import PlannerSettings
 from falsework.search.strategies import EDGES, Portfolio
-from falsework.stability import StabilityOracle
-from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
+from falsework.stability.settings import EQUILIBRIUM
 
 _LENGTH, _COURSES = 12, 13
 

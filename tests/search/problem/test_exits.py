@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 from baselines.depth_first import DepthFirstSearch
 
-from falsework.assembly.model import Assembly
+from falsework import Assembly, Direction, Outcome, Task, find_plans
 from falsework.geometry import TriangleMesh
-from falsework.search import find_plans, validate_plan
-from falsework.search.beam.beam import BeamSearch
-from falsework.search.beam.settings import BeamSettings
-from falsework.search.exhaustive import ExhaustiveSearch
+from falsework.search import BeamSearch, BeamSettings, ExhaustiveSearch
 from falsework.search.planner import Planner
-from falsework.search.problem.result import Outcome
-from falsework.search.problem.task import Direction, Task
+from falsework.search.plans.plan_check import validate_plan
 
 AXIS = np.array([0.237, 0.171, 1.0])
 FACES = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),

@@ -9,17 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from falsework import StateGraph, Task
 from falsework.errors import InputError
-from falsework.search import (
-    BeamSearch,
-    BeamSettings,
-    ExhaustiveSearch,
-    StateGraph,
-    Task,
-    load_state_graph,
-    save_state_graph,
-)
-from falsework.search.problem.state_graph import FORMAT
+from falsework.search import BeamSearch, BeamSettings, ExhaustiveSearch
+from falsework.search.problem.state_graph import FORMAT, load_state_graph, save_state_graph
 from falsework.utils.archive import read_archive, write_archive
 
 

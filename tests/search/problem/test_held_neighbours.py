@@ -6,12 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from falsework.assembly import load_structure
-from falsework.search.find import make_task
+from falsework import Direction, StabilityOracle, load_structure, make_task
+from falsework.search import SupportGuide
 from falsework.search.planner import Planner
-from falsework.search.problem.guide import SupportGuide
-from falsework.search.problem.task import Direction
-from falsework.stability import StabilityOracle
 from falsework.stability.settings import EQUILIBRIUM
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from falsework import Direction, Task
 from falsework.errors import InputError, StateError
-from falsework.search import Direction, Task
 
 STAGE = {1: 0, 2: 1, 0: 2}
 

@@ -12,32 +12,31 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from falsework.assembly import Assembly, keep_props, load_structure, prop_places, with_props
-from falsework.errors import AssemblyError, InputError, PlanError
-from falsework.interop.instruction_table import assembly_instructions
-from falsework.interop.tracks import tracks_of
-from falsework.search import (
+from falsework import (
     Action,
+    Assembly,
     Direction,
-    ExhaustiveRegraspSearch,
     Outcome,
     Plan,
     PlannerSettings,
+    StabilityOracle,
     find_plans,
-    load_plan,
+    load_structure,
     make_task,
     min_robots,
-    plan_from_dict,
-    plan_schema,
-    plan_to_dict,
-    prove_route,
-    save_plan,
-    structure_of_plan,
-    validate_plan,
-    validate_proofs,
 )
+from falsework import sheet as make_sheet
+from falsework.assembly import prop_places, with_props
+from falsework.assembly.props import keep_props
+from falsework.errors import AssemblyError, InputError, PlanError
+from falsework.interop.tracks import tracks_of
+from falsework.search.find import prove_route
+from falsework.search.plans.plan_check import validate_plan, validate_proofs
+from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict, save_plan
+from falsework.search.plans.plan_model import plan_schema
+from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.problem.regrasp_route import RegraspRoute
-from falsework.stability import StabilityOracle
+from falsework.search.regrasp.exhaustive import ExhaustiveRegraspSearch
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +108,7 @@ def test_no_plan_is_proven(small_arch: Assembly, arch_oracle: StabilityOracle) -
     assert result.outcome is Outcome.PROVED_IMPOSSIBLE
     assert result.reached == 0
     answer = min_robots(small_arch, oracle=arch_oracle, allow_regrasp=True)
-    assert (answer.robots, answer.least, answer.proven) == (2, 2, True)
+    assert (answer.value, answer.bound, answer.proven) == (2, 2, True)
 
 
 def test_a_limit_on_states(small_arch: Assembly, arch_oracle: StabilityOracle) -> None:
@@ -243,6 +242,6 @@ def test_props_that_cannot_be(small_arch: Assembly, propped_arch: Assembly) -> N
 
 def test_what_takes_no_plans_with_holding_again(regrasped: Plan, small_arch: Assembly) -> None:
     with pytest.raises(PlanError, match="held again"):
-        assembly_instructions(regrasped, small_arch)
+        make_sheet(small_arch, regrasped)
     tracks = tracks_of(regrasped, small_arch)
     assert sum(len(track.path) for track in tracks.tracks) == 2 * 7

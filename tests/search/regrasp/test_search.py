@@ -11,17 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.search import (
-    Direction,
-    ExhaustiveRegraspSearch,
-    ExhaustiveSearch,
-    Outcome,
-    PlannerSettings,
-    Task,
-)
+from falsework import Direction, Outcome, PlannerSettings, Task
+from falsework.search import ExhaustiveSearch
 from falsework.search.planner import Planner
 from falsework.search.problem.regrasp_moves import RegraspMoves
 from falsework.search.regrasp.beam import RegraspBeam
+from falsework.search.regrasp.exhaustive import ExhaustiveRegraspSearch
 
 State = tuple[int, ...]
 

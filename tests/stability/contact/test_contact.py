@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import library, load_structure
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state, empty_state
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, load_structure, verify_certificates
+from falsework.assembly import complete_state, empty_state, library
 from falsework.errors import InputError
 from falsework.geometry import TriangleMesh
-from falsework.stability import Proof, StabilityOracle, StabilitySettings, Verdict, verify_certificates
+from falsework.stability import Proof, Verdicts
 from falsework.stability.certificate import forces_of_displacement, residual_of_displacement
-from falsework.stability.judges import settle
+from falsework.stability.judges.discrete_elements import settle
 from falsework.stability.settings import EQUILIBRIUM
-from falsework.stability.verdict import Verdicts
 
 RATIOS = (0.4, 0.7, 1.0)
 """Tangential over normal stiffness: Mindlin's lie between 0.67 and 1."""

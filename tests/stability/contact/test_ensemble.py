@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from falsework.assembly import Assembly, load_structure
-from falsework.search import Plan, PlannerSettings, find_plans
-from falsework.stability import Replayer, StabilityOracle, StabilitySettings
+from falsework import Assembly, Plan, PlannerSettings, StabilityOracle, StabilitySettings, find_plans, load_structure
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.varied_replay import GROUPS, EnsembleReplayer, changed, variations
 from falsework.stability.holds import Press
 

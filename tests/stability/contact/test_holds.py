@@ -10,14 +10,15 @@ import pytest
 from msgspec import structs
 from numpy.typing import NDArray
 
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
+from falsework import Assembly, StabilityOracle, StabilitySettings
+from falsework.assembly import complete_state
 from falsework.errors import InputError
-from falsework.stability import Replayer, StabilityOracle, StabilitySettings
+from falsework.stability import HoldSettings
 from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate, StepProof
 from falsework.stability.contact.newton import MOVES_AWAY, OVERLOADS, RESTS
 from falsework.stability.contact.press_kernel import press_responses
-from falsework.stability.holds import HoldMode, HoldSettings, Press, inexact_presses, limits_of
+from falsework.stability.contact.replay import Replayer
+from falsework.stability.holds import HoldMode, Press, inexact_presses, limits_of
 from falsework.stability.stiffness import normal_stiffness
 
 SOFT = HoldSettings(stiffness=1e4)

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly.model import Assembly
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict
 from falsework.errors import InputError
-from falsework.stability import PressOracle, StabilityOracle, StabilitySettings
-from falsework.stability.holds import HoldMode, HoldSettings, inexact_presses
+from falsework.stability import HoldSettings, PressOracle, Proof
+from falsework.stability.holds import HoldMode, inexact_presses
 from falsework.stability.settings import EQUILIBRIUM
-from falsework.stability.verdict import Proof, Verdict
 
 PLATES = 3
 

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly.state import HELD, complete_state
-from falsework.stability import CpuSettings, StabilityOracle, StabilitySettings, Verdict
-from falsework.stability.judges import DiscreteElementSettings, settle
+from falsework import StabilityOracle, StabilitySettings, Verdict
+from falsework.assembly import HELD, complete_state
+from falsework.stability import CpuSettings
+from falsework.stability.judges.discrete_elements import DiscreteElementSettings, settle
 
 
 def compare(random_scenes: Any, seeds: range) -> tuple[int, int, int]:

@@ -11,17 +11,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly import library, load_structure
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
+from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, find_plans, load_structure, make_task
+from falsework.assembly import complete_state, library
 from falsework.errors import InputError
-from falsework.search import Plan, find_plans
-from falsework.search.find import make_task
 from falsework.search.plans.plan_replay import PlanReplay
-from falsework.stability import Replayer, ReplaySettings, StabilityOracle, StabilitySettings
-from falsework.stability.contact.replay import replay_plans
+from falsework.stability.contact.history import ReplaySettings
+from falsework.stability.contact.replay import Replayer, replay_plans
 from falsework.stability.contact.varied_replay import replay_varied
-from falsework.stability.judges import replay_by_discrete_elements
+from falsework.stability.judges.discrete_elements import replay_by_discrete_elements
 
 
 def plan_states(assembly: Assembly, robots: int = 2) -> NDArray[np.uint8]:

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly.model import Assembly
-from falsework.stability import StabilityOracle, StabilitySettings, Verdict, verify_certificates
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, verify_certificates
 from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.gpu.solver import GpuSolver

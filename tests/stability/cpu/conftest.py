@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly import library
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, INSTALLED, complete_state
+from falsework import Assembly
+from falsework.assembly import HELD, INSTALLED, complete_state, library
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly.joints import Joints
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
-from falsework.stability import StabilityOracle, Verdict, Verdicts, verify_certificates
+from falsework import Assembly, StabilityOracle, Verdict, verify_certificates
+from falsework.assembly import HELD, INSTALLED, REMOVED, Joints, complete_state
+from falsework.stability import Verdicts
 from falsework.stability.cpu import solver as cpu_solver
 from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.solver import CpuSolver, kernel_options

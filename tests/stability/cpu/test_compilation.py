@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly import Assembly, load_structure
+from falsework import Assembly, StabilitySettings, load_structure
+from falsework.assembly import complete_state
 from falsework.assembly.library.blocks import box, gather
-from falsework.assembly.state import complete_state
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import build_problem
-from falsework.stability.settings import StabilitySettings
 
 
 def judge_all(assembly: Assembly, states: NDArray[np.uint8]) -> None:

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly.model import Assembly, ContactWarning
+from falsework import Assembly, StabilityOracle, Verdict
+from falsework.assembly import ContactWarning
 from falsework.geometry import TriangleMesh
-from falsework.stability import ExactSolver, StabilityOracle, Verdict
+from falsework.stability import ExactSolver
 from falsework.stability.settings import EQUILIBRIUM
 
 ROOF = [(0, 1, 2), (3, 5, 4), (0, 3, 4), (0, 4, 1), (1, 4, 5), (1, 5, 2), (2, 5, 3), (2, 3, 0)]

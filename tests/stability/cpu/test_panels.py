@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly import load_structure
-from falsework.stability import build_problem
+from falsework import load_structure
 from falsework.stability.cpu import ordering
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.layout import KernelArrays, build_structure, make_scratch
 from falsework.stability.cpu.ordering import Graph, elimination_order
 from falsework.stability.cpu.panels import factor_panels, solve_panels
+from falsework.stability.problem import build_problem
 
 
 def sheet(width: int, height: int, shear: bool = False) -> Graph:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
+from falsework import load_structure
 from falsework.stability.contact.kernel import build_contact_structure
 from falsework.stability.cpu.products import Operation, congruence, product, square_product
 from falsework.stability.problem import build_problem

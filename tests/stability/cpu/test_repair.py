@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, complete_state
-from falsework.stability import StabilityOracle, Verdict, verify_certificates
+from falsework import Assembly, StabilityOracle, Verdict, verify_certificates
+from falsework.assembly import HELD, INSTALLED, REMOVED, complete_state
 from falsework.stability.cpu.neighbourhood import extend_region, freeze_outside_corridor
 from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.solver import CpuSolver, kernel_options

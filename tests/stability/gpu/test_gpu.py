@@ -11,23 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import library, load_structure
-from falsework.assembly.model import Assembly
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, load_structure, verify_certificates
+from falsework.assembly import library
 from falsework.errors import DependencyError, InputError
-from falsework.stability import (
-    Solver,
-    StabilityOracle,
-    StabilitySettings,
-    Verdict,
-    build_problem,
-    solvers,
-    verify_certificates,
-)
+from falsework.stability import GpuSettings, solvers
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.driver import KERNELS, CudaDriver, compile_kernel
 from falsework.stability.gpu.layout import build_layout
 from falsework.stability.gpu.solver import GpuSolver, MemoryWarning
-from falsework.stability.settings import EQUILIBRIUM, GpuSettings
+from falsework.stability.problem import build_problem
+from falsework.stability.settings import EQUILIBRIUM
+from falsework.stability.verdict import Solver
 
 SMALL = ("arch:blocks=7", "wall:bricks=3,courses=3", "corbel", "bottle", "polycube")
 

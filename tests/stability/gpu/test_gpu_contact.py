@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import library, load_structure
-from falsework.assembly.model import Assembly
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, load_structure, verify_certificates
+from falsework.assembly import library
 from falsework.search.device.oracle import DeviceOracle
-from falsework.stability import Proof, StabilityOracle, StabilitySettings, Verdict, build_problem, verify_certificates
+from falsework.stability import GpuSettings, Proof
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
-from falsework.stability.settings import EQUILIBRIUM, GpuSettings
+from falsework.stability.problem import build_problem
+from falsework.stability.settings import EQUILIBRIUM
 
 CONTACT = StabilitySettings()
 

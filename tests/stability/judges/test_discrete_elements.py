@@ -12,23 +12,20 @@ import pytest
 from numpy.typing import NDArray
 
 import falsework.stability.judges
-from falsework.assembly import library, load_structure
-from falsework.assembly.model import Assembly
-from falsework.assembly.state import complete_state
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, find_plans, load_structure
+from falsework.assembly import complete_state, library
 from falsework.errors import InputError, StateError
-from falsework.search import find_plans
-from falsework.stability import StabilityOracle, StabilitySettings, Verdict
-from falsework.stability.holds import HoldMode, HoldSettings, Press
-from falsework.stability.judges import (
-    BuildJudge,
+from falsework.stability import HoldSettings
+from falsework.stability.holds import HoldMode, Press
+from falsework.stability.judges import discrete_elements
+from falsework.stability.judges.build_judge import BuildJudge, matched_sink
+from falsework.stability.judges.discrete_elements import (
     DiscreteElementSettings,
-    Judgement,
     Settling,
-    discrete_elements,
-    matched_sink,
     replay_by_discrete_elements,
     settle,
 )
+from falsework.stability.judges.judgement import Judgement
 from falsework.stability.stiffness import normal_stiffness
 
 STANDS, OPEN, FALLS = 1, 0, -1

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import library, load_structure
-from falsework.assembly.state import complete_state
+from falsework import load_structure
+from falsework.assembly import complete_state, library
 from falsework.errors import DependencyError, StateError
 from falsework.geometry import TriangleMesh
-from falsework.stability.judges import judge_by_lmgc90, lmgc90, settle
+from falsework.stability.judges import lmgc90
+from falsework.stability.judges.discrete_elements import settle
+from falsework.stability.judges.lmgc90 import judge_by_lmgc90
 
 FALL = 0.5 * 9.81 * 0.3**2
 """What falls freely falls so far while LMGC90 computes, metres."""

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework.assembly import Assembly
+from falsework import Assembly, StabilityOracle, StabilitySettings
+from falsework.assembly import complete_state
 from falsework.assembly.library.blocks import box, gather
-from falsework.assembly.state import complete_state
 from falsework.geometry import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
-from falsework.stability import StabilityOracle, StabilitySettings
 
 _DEPTH = 40.0
 """Across the span, m: so wide that the structure fails in its plane."""

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import Joints, Loads, load_structure
-from falsework.assembly.state import complete_state
+from falsework import StabilityOracle, StabilitySettings, load_structure, verify_certificates
+from falsework.assembly import Joints, Loads, complete_state
 from falsework.errors import InputError
-from falsework.stability import Bound, StabilityOracle, StabilitySettings, StateMargins, verify_certificates
+from falsework.stability import StateMargins
+from falsework.stability.margins.state_margins import Bound
 
 CRITERIA = (StabilitySettings(), StabilitySettings(criterion="equilibrium", cone="quadratic"))
 WITHIN = 0.011

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly.state import complete_state
-from falsework.stability import StabilityOracle, StabilitySettings
+from falsework import StabilityOracle, StabilitySettings
+from falsework.assembly import complete_state
 from falsework.stability.margins.nearness import nearness_to_limit
 
 

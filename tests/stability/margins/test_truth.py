@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from falsework.assembly import load_structure
-from falsework.stability import Replayer, StabilityOracle, StabilitySettings
-from falsework.stability.holds import HoldSettings
+from falsework import StabilityOracle, StabilitySettings, load_structure
+from falsework.stability import HoldSettings
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.margins.conditions import Condition
 
 STRUCTURES = ("arch:blocks=5", "corbel", "catenary:blocks=5")

@@ -8,17 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework.assembly import library
-from falsework.assembly.state import complete_state
+from falsework import StabilityOracle, StabilitySettings, verify_certificates
+from falsework.assembly import complete_state, library
 from falsework.errors import DependencyError, InputError
-from falsework.stability import (
-    ExactSolver,
-    GurobiSolver,
-    Solver,
-    StabilityOracle,
-    StabilitySettings,
-    verify_certificates,
-)
+from falsework.stability import ExactSolver
+from falsework.stability.reference.gurobi import GurobiSolver
+from falsework.stability.verdict import Solver
 
 
 @pytest.fixture

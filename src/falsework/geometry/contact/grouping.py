@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.contact.creases import expand
 from falsework.geometry.contact.patches import Patches
 
 Array = NDArray[np.float64]
@@ -13,6 +14,8 @@ COPLANAR = 0.1
 """Largest angle between the normals of patches that form one plane, degrees."""
 CURVED_FROM = 16
 """Pairs of parts with more planes than this have their interface grouped by its curvature."""
+_MANY = 256
+"""Patches of a pair from which a tree takes less time than comparing all."""
 
 
 def segment_sum(values: Array, owner: NDArray[np.integer], count: int) -> Array:
@@ -26,11 +29,11 @@ def segment_mean(values: Array, owner: NDArray[np.integer], count: int) -> Array
     return segment_sum(values, owner, count) / np.maximum(np.bincount(owner, minlength=count), 1)[:, None]
 
 
-def planes(patches: Patches, coplanar: float, tolerance: float | Array) -> NDArray[np.int64]:
+def planes(patches: Patches, coplanar: float, tolerance: float | Array, many: int = _MANY) -> NDArray[np.int64]:
     """Assign patches to planes of their pair of parts.
 
-    All pairs go forward together: in each round the largest patch that is left of a pair collects the
-    patches of that pair within `coplanar` degrees and `tolerance` metres of its plane; one number or one a patch.
+    The largest patch that is left of a pair collects the patches of that pair within `coplanar` degrees and
+    `tolerance` metres, one number or one a patch, of its plane. Pairs of up to `many` patches go forward together.
 
     Returns:
         Plane of every patch, counted from 0, shape (patches,).
@@ -40,10 +43,15 @@ def planes(patches: Patches, coplanar: float, tolerance: float | Array) -> NDArr
     pair = _pairs(patches.parts)
     centre = segment_mean(patches.points, patches.owner, count)
     plane = np.full(count, -1, dtype=np.int64)
-    limit = np.cos(np.radians(coplanar))
     rest = np.lexsort((-patches.areas, pair))
-    corners = np.arange(len(patches.points))
     found = 0
+    large = np.bincount(pair, minlength=1) > many
+    for one in np.flatnonzero(large).tolist():
+        order = rest[np.searchsorted(pair[rest], one) : np.searchsorted(pair[rest], one, side="right")]
+        found = _planes_of_pair(patches, order, centre, coplanar, tolerances, plane, found)
+    rest = rest[~large[pair[rest]]]
+    limit = np.cos(np.radians(coplanar))
+    corners = np.arange(len(patches.points))
     while len(rest):
         leads = np.append(True, pair[rest[1:]] != pair[rest[:-1]])
         seed = rest[np.flatnonzero(leads)[np.cumsum(leads) - 1]]
@@ -62,6 +70,52 @@ def planes(patches: Patches, coplanar: float, tolerance: float | Array) -> NDArr
         found += int(leads.sum())
         rest = rest[~taken]
     return plane
+
+
+def _planes_of_pair(
+    patches: Patches,
+    order: NDArray[np.int64],
+    centre: Array,
+    coplanar: float,
+    tolerances: Array,
+    plane: NDArray[np.int64],
+    found: int,
+) -> int:
+    """Assign the patches of one pair of parts, in the given order of seeds, to planes counted from `found`.
+
+    A tree over normals and distances from the origin finds the patches that may lie in the plane of a seed, so that an
+    interface of as many planes as facets takes no longer than a flat one.
+
+    Returns:
+        The next number of a plane.
+    """
+    from scipy.spatial import KDTree
+
+    normals, places = patches.normals[order], centre[order] - centre[order].mean(axis=0)
+    chord = 2 * np.sin(np.radians(coplanar) / 2)
+    # Of a patch in the plane of a seed, the distance from the origin differs from that of the seed by at most this.
+    slip = chord * float(np.linalg.norm(places, axis=1).max()) + float(tolerances[order].max())
+    level = np.einsum("ij,ij->i", normals, places) * (chord / slip)
+    tree = KDTree(np.column_stack([normals, level]))
+    start = np.searchsorted(patches.owner, order)
+    stop = np.searchsorted(patches.owner, order, side="right")
+    limit = np.cos(np.radians(coplanar))
+    left = np.ones(len(order), dtype=bool)
+    for seed in range(len(order)):
+        if not left[seed]:
+            continue
+        near = np.array(tree.query_ball_point(tree.data[seed], 1.01 * chord, p=np.inf), dtype=np.int64)
+        near = near[left[near]]
+        near = near[normals[near] @ normals[seed] >= limit]
+        row, corner = expand(start[near], stop[near])
+        height = np.abs((patches.points[corner] - centre[order[seed]]) @ normals[seed])
+        off = np.zeros(len(near), dtype=bool)
+        off[row[height > tolerances[order[near]][row]]] = True
+        taken = np.append(near[~off], seed)
+        left[taken] = False
+        plane[order[taken]] = found
+        found += 1
+    return found
 
 
 def curved_groups(patches: Patches, plane: NDArray[np.int64], curvature: float, tolerance: float) -> NDArray[np.int64]:

@@ -148,7 +148,7 @@ def _with_joints(
 ) -> Contacts:
     """Replace the contacts of pairs that overlap too much, or lack a part of their joint, by those of the joint."""
     tolerance = max(settings.lengths(meshes))
-    joints = find_joints(meshes, among, settings.curvature, 2 * tolerance)
+    joints = find_joints(meshes, among, settings.curvature, 2 * tolerance).without_far_sides(meshes, overlaps)
     first, second = overlaps.parts.T
     check_joints(meshes, overlaps, joints.bound[first, second])
     area = np.zeros((2, len(meshes), len(meshes)))
@@ -221,7 +221,9 @@ def _contacts(
     leans = np.zeros(count)
     away = np.linalg.norm(patches.normals - normals[group], axis=1)
     np.maximum.at(leans, group, patches.lean + np.where(away > FLAT, away, 0.0))
-    narrow = Narrow(parts[rows], normals[rows], ends, extent, np.where(leans > FLAT, leans, 0.0)[rows])
+    narrow = Narrow(
+        parts[rows], normals[rows], ends, extent, np.where(leans > FLAT, leans, 0.0)[rows], np.zeros((len(rows), 2))
+    )
     return frozen(*arrays, curved=curved, lean=lean), width[index] < tolerance, narrow
 
 
@@ -281,7 +283,9 @@ def _with_thin(contacts: Contacts, thin: NDArray[np.bool_], angle: float, tolera
     for place, row in enumerate(rows.tolist()):
         ends[place] = _farthest(contacts.points[contacts.start[row] : contacts.start[row + 1]])
     extent = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    places = Narrow(contacts.parts[rows], contacts.normals[rows], ends, extent, np.zeros(len(rows)))
+    places = Narrow(
+        contacts.parts[rows], contacts.normals[rows], ends, extent, np.zeros(len(rows)), np.zeros((len(rows), 2))
+    )
     covered = np.zeros(len(contacts), dtype=bool)
     covered[rows[_adds_nothing(wide, places, angle, tolerance)]] = True
     return contacts.take(np.flatnonzero(~covered))

@@ -27,6 +27,8 @@ BRIDGED = 1 / 100
 about its other supports turns by about this angle in radians, which changes the friction that it needs by 0.01."""
 _THROUGH = 0.95
 """Largest overlap of a joint, as a share of the thickness of the thinner part. Cubes reach `OVERLAP` first."""
+_MANY_VERTICES = 500
+"""Vertices from which the extent of a part is that of the corners of its hull."""
 _ANGLE = 30.0
 """Largest angle between surfaces that face each other, degrees: two tessellations of one warped face differ by 20."""
 
@@ -95,6 +97,17 @@ class JointSurfaces:
         group = np.unique(self.group[chosen], return_inverse=True)[1]
         return JointSurfaces(self.patches.take(chosen), group, self.bound, self.bridged)
 
+    def without_far_sides(self, meshes: Sequence[TriangleMesh], overlaps: Overlaps) -> JointSurfaces:
+        """Leave out patches that are deeper than the thinner part is thick, of parts that do not overlap.
+
+        Nested cups that do not touch have such patches: the inside of one is opposed to the outside of the other.
+        """
+        thickness = np.array([mesh.thickness for mesh in meshes])
+        apart = np.ones(self.bound.shape, dtype=bool)
+        apart[tuple(overlaps.parts.T)] = False
+        deep = -self.patches.distance[:, 0] > _THROUGH * thickness[self.patches.parts].min(axis=1)
+        return self.take(~(deep & apart[tuple(self.patches.parts.T)]))
+
     def near(self, tolerance: float) -> NDArray[np.bool_]:
         """Return whether two parts are so near to each other that a gap between them is an inaccuracy.
 
@@ -140,7 +153,7 @@ def find_joints(
         [_extents(mesh.vertices, faces.normals[faces.part == part]) for part, mesh in enumerate(meshes)]
     )
     found = []
-    for i, j in opposed_faces(faces, OVERLAP * extent, _ANGLE, among):
+    for i, j in opposed_faces(faces, GAP * extent, OVERLAP * extent, _ANGLE, among):
         smaller = np.minimum(extent[i], extent[j])
         found.append(intersect_faces(faces, i, j, gap=GAP * smaller, overlap=OVERLAP * smaller))
     patches = Patches.join(found)
@@ -170,6 +183,10 @@ def _depths(patches: Patches, group: NDArray[np.int64]) -> Array:
 
 def _extents(vertices: Array, normals: Array) -> Array:
     """Return the extent of a part along each normal, shape (normals,), metres."""
+    if len(vertices) > _MANY_VERTICES:
+        from scipy.spatial import ConvexHull
+
+        vertices = vertices[ConvexHull(vertices).vertices]
     extent = np.empty(len(normals))
     step = max(1, 2_000_000 // len(vertices))
     for start in range(0, len(normals), step):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.contact.creases import Creases, Surface, expand, rises
-from falsework.geometry.mesh.boxes import iterate_box_pairs
+from falsework.geometry.mesh.boxes import crossing_boxes, pairs_of_groups
 from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
@@ -42,10 +42,18 @@ class Narrow:
     """Length that touches, zero for a point, shape (places,), metres."""
     lean: Array
     """Largest angle between the normal and those of the surfaces that have one, shape (places,), radians."""
+    gaps: Array
+    """Distance of the parts at both ends, along the normal, negative where they overlap, shape (places, 2), metres."""
 
     def take(self, chosen: NDArray) -> Narrow:
         """Return those places alone, in that order."""
         return Narrow(*(array[chosen] for array in vars(self).values()))
+
+    @staticmethod
+    def none() -> Narrow:
+        """Return no places."""
+        numbers, pairs = np.zeros(0), np.zeros((0, 2))
+        return Narrow(pairs.astype(np.int32), np.zeros((0, 3)), np.zeros((0, 2, 3)), numbers, numbers, pairs)
 
     @staticmethod
     def join(found: Sequence[Narrow]) -> Narrow:
@@ -97,11 +105,10 @@ def narrow_places(meshes: Sequence[TriangleMesh], limits: ContactTolerances, sli
     rims = every.take(every.turn > np.radians(limits.angle))
     found = [slivers.take(_inside_a_rim(slivers, every, limits))]
     corners = surface.corners
-    half = limits.reach / 2
     vertices, first = np.unique(surface.faces.ravel(), return_index=True)
     of_face = _groups(sharp.face, np.arange(len(sharp.face)), len(corners))
     tips = _groups(first // 3, vertices, len(corners))
-    for i, j in _near_faces(corners, surface.part, half):
+    for i, j in _near_faces(corners, surface.part, limits.reach):
         row, edge = _members(of_face, i)
         found.append(_edges_on_faces(surface, sharp, rims, edge, j[row], limits))
         row, vertex = _members(tips, i)
@@ -126,13 +133,13 @@ def _members(groups: tuple[Index, Index], chosen: Index) -> tuple[Index, Index]:
     return row, member[place]
 
 
-def _near_faces(corners: Array, part: NDArray[np.int32], half: float) -> Iterator[tuple[Index, Index]]:
-    """Yield chunks of ordered pairs of faces of different parts whose boxes, grown by `half`, overlap."""
-    for i, j in iterate_box_pairs(corners.min(axis=1) - half, corners.max(axis=1) + half):
-        keep = part[i] != part[j]
-        i, j = i[keep], j[keep]
-        for chunk in range(0, len(i), _CHUNK):
-            yield i[chunk : chunk + _CHUNK], j[chunk : chunk + _CHUNK]
+def _near_faces(corners: Array, part: NDArray[np.int32], reach: float) -> Iterator[tuple[Index, Index]]:
+    """Yield chunks of pairs of faces of different parts whose boxes are within `reach`, each pair both ways round."""
+    boxes = np.stack([corners.min(axis=1), corners.max(axis=1)])
+    for i, j in pairs_of_groups(boxes, boxes + np.array([-reach, reach])[:, None, None], part):
+        for chunk in range(0, len(i), _CHUNK // 2):
+            one, two = i[chunk : chunk + _CHUNK // 2], j[chunk : chunk + _CHUNK // 2]
+            yield np.concatenate([one, two]), np.concatenate([two, one])
 
 
 def _ordered(first: NDArray[np.int32], second: NDArray[np.int32], normals: Array) -> tuple[NDArray[np.int32], Array]:
@@ -179,7 +186,8 @@ def merged(found: Narrow, coplanar: float, tolerance: float) -> tuple[Narrow, Ar
             if extent >= tolerance or found.extent[one[0]] == 0:
                 lean = found.lean[one[far // 2]][order]
                 whole = np.array([extent]), np.array([lean.max()])
-                out.append(Narrow(found.parts[one[:1]], normal[None], ends[None, order], *whole))
+                gaps = found.gaps[one].ravel()[far][order]
+                out.append(Narrow(found.parts[one[:1]], normal[None], ends[None, order], *whole, gaps[None]))
                 outer.append(normals[None, order])
                 leans.append(lean[None])
             rest = rest[~near]
@@ -217,7 +225,7 @@ def _edges_on_faces(
     ends = ends - height[:, :, None] / 2 * normal[:, None]
     parts, normals = _ordered(sharp.part[edge], surface.part[face], -normal)
     # The face has a normal and the edge has none, so that nothing is inclined to it.
-    return Narrow(parts, normals, ends, extent, np.zeros(len(extent))).take(extent > 1e-3 * limits.tolerance)
+    return Narrow(parts, normals, ends, extent, np.zeros(len(extent)), height).take(extent > 1e-3 * limits.tolerance)
 
 
 def _clip(start: Array, stop: Array, level: Array, climb: Array) -> None:
@@ -234,7 +242,8 @@ def _clip(start: Array, stop: Array, level: Array, climb: Array) -> None:
 def _along_edges(ends: Array, part: NDArray[np.int32], edges: Creases, limits: ContactTolerances) -> Array:
     """Return the length of segments over which an edge of a part runs beside them, shape (segments,), metres."""
     covered = np.zeros(len(ends))
-    for rows, near in _with_edges(part, edges):
+    width = NARROW * limits.tolerance
+    for rows, near in _with_edges(ends, part, edges, width):
         origin, along = ends[rows, 0], ends[rows, 1] - ends[rows, 0]
         length = np.linalg.norm(along, axis=1)
         along /= np.maximum(length, 1e-300)[:, None]
@@ -248,23 +257,30 @@ def _along_edges(ends: Array, part: NDArray[np.int32], edges: Creases, limits: C
         high = np.minimum(np.maximum(first, second), length)
         middle = origin + ((low + high) / 2)[:, None] * along
         away = np.linalg.norm(np.cross(middle - edges.tail[near], edges.along[near]), axis=1)
-        beside = (away <= NARROW * limits.tolerance) & (high > low)
+        beside = (away <= width) & (high > low)
         covered += np.bincount(rows[beside], (high - low)[beside], len(ends))
     return covered
 
 
-def _with_edges(part: NDArray[np.int32], edges: Creases) -> Iterator[tuple[Index, Index]]:
-    """Yield each row with each edge of its part; in chunks."""
-    start = np.searchsorted(edges.part, part, side="left")
-    stop = np.searchsorted(edges.part, part, side="right")
-    total = np.cumsum(stop - start)
-    begin = 0
-    while begin < len(part):
-        done = total[begin - 1] if begin else 0
-        end = max(begin + 1, int(np.searchsorted(total, done + _CHUNK)))
-        rows, near = expand(start[begin:end], stop[begin:end])
-        yield rows + begin, near
-        begin = end
+def _with_edges(ends: Array, part: NDArray[np.int32], edges: Creases, width: float) -> Iterator[tuple[Index, Index]]:
+    """Yield segments with the edges of their part whose boxes are within a little more than `width`; in chunks.
+
+    Args:
+        ends: of the segments, or points twice, shape (segments, 2, 3), metres.
+        part: of each segment, shape (segments,).
+        edges: of all parts.
+        width: metres.
+    """
+    if not len(ends) or not len(edges.tail):
+        return
+    heads = edges.tail + edges.length[:, None] * edges.along
+    boxes = np.minimum(edges.tail, heads), np.maximum(edges.tail, heads)
+    reach = 1.1 * width
+    for rows, near in crossing_boxes(ends.min(axis=1) - reach, ends.max(axis=1) + reach, *boxes):
+        own = part[rows] == edges.part[near]
+        rows, near = rows[own], near[own]
+        for chunk in range(0, len(rows), _CHUNK):
+            yield rows[chunk : chunk + _CHUNK], near[chunk : chunk + _CHUNK]
 
 
 def _inside_a_rim(slivers: Narrow, edges: Creases, limits: ContactTolerances) -> NDArray[np.bool_]:
@@ -274,18 +290,18 @@ def _inside_a_rim(slivers: Narrow, edges: Creases, limits: ContactTolerances) ->
     for side in (0, 1):
         part = slivers.parts[:, side]
         along = slivers.extent - _along_edges(slivers.ends, part, edges, limits) > limits.tolerance
-        inside |= np.where(point, _from_edges(slivers.ends[:, 0], part, edges) > NARROW * limits.tolerance, along)
+        inside |= np.where(point, ~_on_edges(slivers.ends[:, 0], part, edges, NARROW * limits.tolerance), along)
     return inside
 
 
-def _from_edges(points: Array, part: NDArray[np.int32], edges: Creases) -> Array:
-    """Return the distance of points from the nearest edge of a part, shape (points,), metres."""
-    nearest = np.full(len(points), np.inf)
-    for rows, near in _with_edges(part, edges):
+def _on_edges(points: Array, part: NDArray[np.int32], edges: Creases, width: float) -> NDArray[np.bool_]:
+    """Return whether points are within `width` of an edge of a part, shape (points,)."""
+    found = np.zeros(len(points), dtype=bool)
+    for rows, near in _with_edges(points[:, None], part, edges, width):
         arms = points[rows] - edges.tail[near]
         at = np.clip(np.einsum("ei,ei->e", arms, edges.along[near]), 0.0, edges.length[near])
-        np.minimum.at(nearest, rows, np.linalg.norm(arms - at[:, None] * edges.along[near], axis=1))
-    return nearest
+        found[rows[np.linalg.norm(arms - at[:, None] * edges.along[near], axis=1) <= width]] = True
+    return found
 
 
 def _corners_on_faces(
@@ -306,10 +322,13 @@ def _corners_on_faces(
         inside &= np.einsum("ei,ei->e", point - corners[:, side], inwards) >= -1e-6 * limits.tolerance
     keep = np.flatnonzero(inside)
     keep = keep[rises(surface, vertex[keep], normal[keep], limits.sine)]
-    keep = keep[_from_edges(point[keep], surface.part[face[keep]], rims) > NARROW * limits.tolerance]
-    middle = point[keep] - height[keep, None] / 2 * normal[keep]
+    keep = keep[~_on_edges(point[keep], surface.part[face[keep]], rims, NARROW * limits.tolerance)]
+    height = height[keep]
+    middle = point[keep] - height[:, None] / 2 * normal[keep]
     parts, normals = _ordered(part[keep], surface.part[face[keep]], -normal[keep])
-    return Narrow(parts, normals, np.stack([middle, middle], axis=1), *np.zeros((2, len(keep))))
+    ends, gaps = np.stack([middle, middle], axis=1), np.stack([height, height], axis=1)
+    none = np.zeros(len(keep))
+    return Narrow(parts, normals, ends, none, none, gaps)
 
 
 def _crossings(sharp: Creases, one: Index, two: Index, limits: ContactTolerances) -> Narrow:
@@ -337,5 +356,6 @@ def _crossings(sharp: Creases, one: Index, two: Index, limits: ContactTolerances
         keep &= (at >= margin[:, 0]) & (at <= sharp.length[edge] - margin[:, 1])
     point = sharp.tail[one] + at_one[:, None] * d + height[:, None] / 2 * normal
     parts, normals = _ordered(sharp.part[one], sharp.part[two], normal)
-    found = Narrow(parts, normals, np.stack([point, point], axis=1), *np.zeros((2, len(one))))
-    return found.take(keep)
+    ends, gaps = np.stack([point, point], axis=1), np.stack([height, height], axis=1)
+    none = np.zeros(len(one))
+    return Narrow(parts, normals, ends, none, none, gaps).take(keep)

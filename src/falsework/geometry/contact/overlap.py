@@ -94,9 +94,9 @@ def _have_layer(
     faces = Faces.from_meshes(meshes)
     row = np.full((len(meshes), len(meshes)), -1)
     row[pairs[:, 0], pairs[:, 1]] = np.arange(len(pairs))
-    reach = np.full(len(faces.part), limit.max())
+    deepest = np.full(len(faces.part), limit.max())
     area = np.zeros(len(pairs))
-    for i, j in opposed_faces(faces, reach, _OPPOSED, row >= 0):
+    for i, j in opposed_faces(faces, np.full(len(faces.part), -tolerance), deepest, _OPPOSED, row >= 0):
         depth_limit = limit[row[faces.part[i], faces.part[j]]]
         patches = intersect_faces(faces, i, j, gap=np.full(len(i), -tolerance), overlap=depth_limit)
         area += np.bincount(row[patches.parts[:, 0], patches.parts[:, 1]], patches.areas, len(pairs))

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from falsework.geometry.mesh.boxes import iterate_box_pairs
+from falsework.geometry.mesh.boxes import pairs_of_groups
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 
 Array = NDArray[np.float64]
 
 _CHUNK = 200_000
 """Pairs of faces that are intersected at once; bounds the memory of very fine meshes."""
+_SLACK = 1.01
+"""Growth of the boxes of faces beyond what the distances demand, so that rounding loses no pair."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +36,8 @@ class Patches:
     """Corners, midway between the two faces, shape (points, 3), metres."""
     owner: NDArray[np.int64]
     """Patch of every corner, ascending, shape (points,)."""
-    distance: Array
-    """Smallest and largest distance of the two faces over the patch, negative where they overlap, shape (patches, 2),
+    gaps: Array
+    """Distance of the two faces at every corner, along the normal, negative where they overlap, shape (points,),
     metres."""
     faces: NDArray[np.int64]
     """Face of part `a` and of part `b`, shape (patches, 2)."""
@@ -43,8 +46,25 @@ class Patches:
     radians."""
 
     @staticmethod
+    def none() -> Patches:
+        """Return no patches."""
+        ints, vectors, numbers = np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3)), np.zeros(0)
+        return Patches(
+            ints.astype(np.int32), vectors, numbers, vectors, np.zeros(0, dtype=np.int64), numbers, ints, numbers
+        )
+
+    @cached_property
+    def distance(self) -> Array:
+        """Smallest and largest distance of the two faces over each patch, shape (patches, 2), metres."""
+        distance = np.full((len(self.areas), 2), (np.inf, -np.inf))
+        np.minimum.at(distance[:, 0], self.owner, self.gaps)
+        np.maximum.at(distance[:, 1], self.owner, self.gaps)
+        return distance
+
+    @staticmethod
     def join(found: Sequence[Patches]) -> Patches:
-        """Return all patches of several."""
+        """Return all patches of several, none of none."""
+        found = found or [Patches.none()]
         counts = np.cumsum([0] + [len(patches.areas) for patches in found])
         return Patches(
             parts=np.concatenate([patches.parts for patches in found]),
@@ -52,7 +72,7 @@ class Patches:
             areas=np.concatenate([patches.areas for patches in found]),
             points=np.concatenate([patches.points for patches in found]),
             owner=np.concatenate([patches.owner + first for patches, first in zip(found, counts, strict=False)]),
-            distance=np.concatenate([patches.distance for patches in found]),
+            gaps=np.concatenate([patches.gaps for patches in found]),
             faces=np.concatenate([patches.faces for patches in found]),
             lean=np.concatenate([patches.lean for patches in found]),
         )
@@ -67,7 +87,7 @@ class Patches:
             self.areas[chosen],
             self.points[corners],
             owner,
-            self.distance[chosen],
+            self.gaps[corners],
             self.faces[chosen],
             self.lean[chosen],
         )
@@ -83,6 +103,13 @@ class Faces:
     """Shape (faces,)."""
     normals: Array
     """Outwards, unit length, shape (faces, 3)."""
+
+    @cached_property
+    def balls(self) -> tuple[Array, Array]:
+        """Centres, shape (faces, 3), and radii, shape (faces,), of balls around the faces, metres."""
+        centre: Array = self.corners.mean(axis=1)
+        radius: Array = np.linalg.norm(self.corners - centre[:, None], axis=2).max(axis=1)
+        return centre, radius
 
     @staticmethod
     def from_meshes(meshes: Sequence[TriangleMesh]) -> Faces:
@@ -111,38 +138,39 @@ def face_patches(
         least: side of a square whose area is rounding, metres; None: a thousandth of the larger of gap and overlap.
     """
     faces = Faces.from_meshes(meshes)
-    reach = np.full(len(faces.part), max(abs(gap), overlap))
     least = max(gap, overlap) / 1000 if least is None else least
+    count = len(faces.part)
     return Patches.join(
         [
             intersect_faces(faces, i, j, gap=np.full(len(i), gap), overlap=np.full(len(i), overlap), least=least)
-            for i, j in opposed_faces(faces, reach, angle)
+            for i, j in opposed_faces(faces, np.full(count, gap), np.full(count, overlap), angle)
         ]
     )
 
 
 def opposed_faces(
-    faces: Faces, reach: Array, angle: float, among: NDArray[np.bool_] | None = None
+    faces: Faces, gap: Array, overlap: Array, angle: float, among: NDArray[np.bool_] | None = None
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield pairs of faces that look at each other and whose boxes overlap; in chunks.
+    """Yield pairs of faces that look at each other and may touch, as far as their boxes tell; in chunks.
 
     Args:
         faces: faces of all parts.
-        reach: twice the length by which the box of each face grows, shape (faces,), metres.
+        gap: largest distance between each face and others that touch it, shape (faces,), metres.
+        overlap: largest depth to which others that touch each face may pass through it, shape (faces,), metres.
         angle: largest angle between the faces, degrees.
         among: whether faces of two parts are compared, shape (parts, parts); None: all.
     """
-    low = faces.corners.min(axis=1) - reach[:, None] / 2
-    high = faces.corners.max(axis=1) + reach[:, None] / 2
+    boxes = np.stack([faces.corners.min(axis=1), faces.corners.max(axis=1)])
+    # Distances count along the mean normal of two faces, which differs from that of either by half of their angle.
+    turn = np.arccos(np.clip(faces.normals, -1.0, 1.0))
+    up, down = (np.cos(np.clip(turned - np.radians(angle / 2), 0.0, np.pi / 2)) for turned in (turn, np.pi - turn))
+    ahead, behind = np.maximum(gap, 0.0)[:, None], np.maximum(overlap, 0.0)[:, None]
+    growth = np.stack([-np.maximum(ahead * down, behind * up), np.maximum(ahead * up, behind * down)])
     limit = -np.cos(np.radians(angle))
-    for i, j in iterate_box_pairs(low, high):
-        keep = faces.part[i] < faces.part[j]
-        if among is not None:
-            keep &= among[faces.part[i], faces.part[j]]
-        i, j = i[keep], j[keep]
+    for i, j in pairs_of_groups(boxes, boxes + _SLACK * growth, faces.part, among):
         keep = np.einsum("ij,ij->i", faces.normals[i], faces.normals[j]) <= limit
         i, j = i[keep], j[keep]
-        for chunk in range(0, max(len(i), 1), _CHUNK):
+        for chunk in range(0, len(i), _CHUNK):
             yield i[chunk : chunk + _CHUNK], j[chunk : chunk + _CHUNK]
 
 
@@ -167,6 +195,8 @@ def intersect_faces(
     """
     normals = faces.normals[i] - faces.normals[j]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    beside = _balls_may_touch(faces, i, j, normals, gap=gap, overlap=overlap)
+    i, j, normals, gap, overlap = i[beside], j[beside], normals[beside], gap[beside], overlap[beside]
     origin = faces.corners[i].mean(axis=1)
     frames = frames_of(normals)
     a = np.einsum("kij,kvj->kvi", frames, faces.corners[i] - origin[:, None])
@@ -194,20 +224,33 @@ def intersect_faces(
     source = kept[owner]
     height = np.einsum("pi,pi->p", slope_a[source] + slope_b[source], flat) + level_a[source] + level_b[source]
     local = np.column_stack([height / 2, flat])
-    distance = np.full((len(areas), 2), (np.inf, -np.inf))
-    between = level_b[source] - level_a[source] + np.einsum("pi,pi->p", slope_b[source] - slope_a[source], flat)
-    np.minimum.at(distance[:, 0], owner, between)
-    np.maximum.at(distance[:, 1], owner, between)
+    gaps = level_b[source] - level_a[source] + np.einsum("pi,pi->p", slope_b[source] - slope_a[source], flat)
     return Patches(
         parts=np.stack([faces.part[i[kept]], faces.part[j[kept]]], axis=1),
         normals=normals[kept],
         areas=areas,
         points=origin[source] + np.einsum("pji,pj->pi", frames[source], local),
         owner=owner,
-        distance=distance,
+        gaps=gaps,
         faces=np.stack([i[kept], j[kept]], axis=1),
         lean=np.arcsin(np.minimum(np.linalg.norm(faces.normals[i[kept]] + faces.normals[j[kept]], axis=1) / 2, 1.0)),
     )
+
+
+def _balls_may_touch(
+    faces: Faces, i: NDArray[np.int64], j: NDArray[np.int64], normals: Array, *, gap: Array, overlap: Array
+) -> NDArray[np.bool_]:
+    """Test whether balls around pairs of faces are beside each other, and their distance along the normal in its band.
+
+    Boxes of faces that look along no axis have much space around them, and this is cheaper than a projection.
+    """
+    centre, radius = faces.balls
+    arm, reach = centre[j] - centre[i], _SLACK * (radius[i] + radius[j])
+    ahead = np.einsum("ki,ki->k", arm, normals)
+    aside = np.einsum("ki,ki->k", arm, arm) - ahead**2
+    swing = reach * np.linalg.norm(faces.normals[i] + faces.normals[j], axis=1) / 2
+    slack = (_SLACK - 1.0) * np.maximum(np.abs(gap), overlap)
+    return (aside <= reach**2) & (ahead - swing <= gap + slack) & (ahead + swing >= -overlap - slack)
 
 
 def frames_of(normals: Array) -> Array:

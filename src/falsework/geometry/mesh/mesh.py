@@ -137,3 +137,20 @@ def mass_properties(meshes: Sequence[TriangleMesh], density: NDArray[np.float64]
     for array in arrays:
         array.setflags(write=False)
     return MassProperties(*arrays)
+
+
+def ground_slab(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
+    """Return a slab whose top is level with the lowest point and that reaches past the parts on all sides."""
+    low = np.min([mesh.bounds[0] for mesh in meshes], axis=0)
+    high = np.max([mesh.bounds[1] for mesh in meshes], axis=0)
+    size = float((high - low).max())
+    bottom = np.array([low[0] - 0.1 * size, low[1] - 0.1 * size, low[2] - 0.05 * size])
+    top = np.array([high[0] + 0.1 * size, high[1] + 0.1 * size, low[2]])
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+    faces = [
+        (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
+        (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
+    ]  # fmt: skip
+    taken = {mesh.name for mesh in meshes}
+    name = next(name for name in ("ground", *(f"ground-{n}" for n in range(len(meshes)))) if name not in taken)
+    return TriangleMesh.from_arrays(name, np.where(corners, top, bottom), faces)

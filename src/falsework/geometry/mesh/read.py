@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +54,7 @@ def load_meshes(path: str | Path, unit: str = "m", *, supports: Collection[int |
         supports: ids or names of fixed parts; open surfaces among them are given a thickness, see `thicken_supports`.
 
     Raises:
-        InputError: no such path, nothing to read in it, ids missing or doubled, or an unknown unit.
+        InputError: no such path, nothing to read in it, ids doubled, or an unknown unit.
         MeshError: a mesh that does not bound a solid.
     """
     scale = unit_length(unit)
@@ -70,10 +70,10 @@ def load_meshes(path: str | Path, unit: str = "m", *, supports: Collection[int |
 def read_surfaces(path: str | Path) -> list[PartSurface]:
     """Read the surfaces of all parts, unchecked, each with a name of its own.
 
-    A folder holds one file a part (OBJ, STL, PLY, glTF). Names that are all numbers are the ids of the parts and must
-    be `0` to `m - 1`; other names are put in natural order. A single file holds one object a part, in the order of the
-    file or of ids; separate solids are parts of their own. Files whose names begin with a dot are not looked at. glTF
-    is read as its standard has it, y up, and turned to z up.
+    A folder holds one file a part (OBJ, STL, PLY, glTF). Names that are all numbers are the ids of the parts, which are
+    put in that order, with a warning if there are gaps; other names are put in natural order. A single file holds one
+    object a part, in the order of the file or of ids; separate solids are parts of their own. Files whose names begin
+    with a dot are not looked at. glTF is read as its standard has it, y up, and turned to z up.
 
     Args:
         path: folder or file.
@@ -82,7 +82,7 @@ def read_surfaces(path: str | Path) -> list[PartSurface]:
         At least one; those of a file in a folder that cannot be read have an `error`.
 
     Raises:
-        InputError: no such path, nothing to read in it, or ids missing or doubled.
+        InputError: no such path, nothing to read in it, or ids doubled.
         MeshError: a single file that cannot be read.
     """
     source = Path(path)
@@ -149,18 +149,21 @@ def _has_meshes(folder: Path) -> bool:
 
 def _order(names: Sequence[str], where: Path) -> list[int]:
     """Return the order of parts by id where all names are numbers, else in natural order; each name once."""
-    ids = [int(name) if name.isdecimal() else None for name in names]
-    if all(number is not None for number in ids):
-        for number in range(len(ids)):
-            if ids.count(number) > 1:
-                raise InputError(f"part {number} occurs {ids.count(number)} times in {where}; give every id once")
-        missing = sorted(set(range(len(ids))) - set(ids))
-        if missing:
-            raise InputError(
-                f"part {missing[0]} is missing in {where}: {len(ids)} parts need the ids 0 to {len(ids) - 1}, "
-                "or names that are not numbers"
+    if all(name.isdecimal() for name in names):
+        ids = [int(name) for name in names]
+        order = sorted(range(len(ids)), key=ids.__getitem__)
+        for one, two in pairwise(order):
+            if ids[one] == ids[two]:
+                count = ids.count(ids[one])
+                raise InputError(f"part {ids[one]} occurs {count} times in {where}; give every id once")
+        missing = next((number for number, index in enumerate(order) if ids[index] != number), None)
+        if missing is not None:
+            warn_of(
+                where,
+                f"there is no part {missing}: the {len(ids)} parts are numbered from 0 to {len(ids) - 1} in the order "
+                "of their ids, which are their names",
             )
-        return sorted(range(len(ids)), key=lambda index: ids[index] or 0)
+        return order
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"part {name!r} occurs {names.count(name)} times in {where}; give every name once")

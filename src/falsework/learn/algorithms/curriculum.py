@@ -61,7 +61,7 @@ class Curriculum:
         self._targets = None if targets is None else targets[:0]
         self._left = torch.zeros(0, dtype=torch.int64, device=device)
         self.visited = torch.zeros(0, dtype=torch.bool, device=device)
-        self._surrogate = torch.zeros(0, device=device)
+        self.surrogate = torch.zeros(0, device=device)
         self.entropy = torch.zeros(0, device=device)
         self.far = torch.zeros(2, device=device)
         """Rollouts from the far end of what is drawn, and successes among them, since the horizon moved."""
@@ -89,7 +89,7 @@ class Curriculum:
             "starts": starts[rows],
             "_left": left[rows],
             "visited": torch.zeros(len(rows), dtype=torch.bool, device=starts.device),
-            "_surrogate": torch.zeros(len(rows), device=starts.device),
+            "surrogate": torch.zeros(len(rows), device=starts.device),
             "entropy": torch.full((len(rows),), self.settings.entropy, device=starts.device),
         }
         if targets is not None:
@@ -137,11 +137,11 @@ class Curriculum:
         surrogate = gather_rows(surrogate, self._shards)
         self.visited[rows] = True
         # Rows may be there several times: means, and one success is enough to be called one.
-        times = torch.zeros_like(self._surrogate).index_add_(0, rows, torch.ones_like(surrogate))
+        times = torch.zeros_like(self.surrogate).index_add_(0, rows, torch.ones_like(surrogate))
         drawn = times > 0
         total = torch.zeros_like(times).index_add_(0, rows, surrogate)
         solved = torch.zeros_like(times).index_add_(0, rows, success.float()) > 0
-        self._surrogate = torch.where(drawn, total / times.clamp(min=1), self._surrogate)
+        self.surrogate = torch.where(drawn, total / times.clamp(min=1), self.surrogate)
         risen = (self.entropy + self.settings.entropy_rise).clamp(max=self.settings.entropy_most)
         entropy = torch.where(solved, self.settings.entropy, torch.maximum(risen, self.entropy))
         self.entropy = torch.where(drawn, entropy, self.entropy)
@@ -161,7 +161,7 @@ class Curriculum:
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """See `StartSampler`."""
-        columns = {name: getattr(self, f"_{name}") for name in ("starts", "visited", "surrogate", "entropy", "far")}
+        columns = {name: getattr(self, name) for name in ("starts", "visited", "surrogate", "entropy", "far")}
         if self._targets is not None:
             columns["targets"] = self._targets
         return {**columns, "counts": torch.tensor([self.updates, self.horizon])}
@@ -174,7 +174,7 @@ class Curriculum:
         """See `StartSampler`."""
         device = self._left.device
         for name in ("starts", "visited", "surrogate", "entropy", "far"):
-            setattr(self, f"_{name}", tensors[name].to(device).clone())
+            setattr(self, name, tensors[name].to(device).clone())
         self.visited = self.visited.bool()
         self._targets = tensors["targets"].to(device).clone() if "targets" in tensors else None
         self._left = self._rules.steps_left(self.starts, self._targets)
@@ -182,7 +182,7 @@ class Curriculum:
 
     def probability(self, inside: torch.Tensor) -> torch.Tensor:
         """Return the probability of drawing each state: by its rank in surrogate loss, zero beyond the horizon."""
-        surrogate = torch.where(inside, self._surrogate, -1.0)
+        surrogate = torch.where(inside, self.surrogate, -1.0)
         order = torch.argsort(surrogate, descending=True, stable=True)
         rank = torch.arange(1, len(order) + 1, device=order.device, dtype=torch.float32)
         probability = torch.empty_like(rank).scatter_(0, order, rank.pow(-self.settings.rank_power))

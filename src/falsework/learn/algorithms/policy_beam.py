@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 
 from falsework.learn.env.environment import Environment
-from falsework.learn.env.rollout import PolicyFunction, evaluate
+from falsework.learn.env.rollout import PolicyFunction, forward_in_pieces
 from falsework.learn.networks.policy import masked_log_probabilities
 from falsework.search.device.parallel_beams import ParallelLevel, next_level, with_ancestors
 from falsework.search.device.rules import TensorRules
@@ -62,7 +62,7 @@ def policy_beam_search(
         level = levels[-1].take(going)
         goals = None if targets is None else targets[level.owner]
         mask = rules.moves(level.states, goals)
-        logits, _ = evaluate(policy, level.states, goals, environment.rows_at_once)
+        logits, _ = forward_in_pieces(policy, level.states, goals, environment.rows_at_once)
         score = level.value[:, None] + masked_log_probabilities(logits, mask)
         kept = next_level(rules, level, _candidates(rules, level, score, mask, width), stable, width, _SPARE)
         if len(kept.states) == 0:

@@ -165,19 +165,21 @@ def check_states(path: Path | str, arrays: Mapping[str, NDArray[Any]], parts: in
             raise InputError(f"{path} is damaged ({name} contains no states of {parts} parts); {remedy}")
 
 
-def training_task(assembly: Assembly, robots: int = 2, clearance: bool = False, fixed: Sequence[int] = ()) -> Task:
+def training_task(
+    assembly: Assembly, robots: int = 2, removable_only_if_clear: bool = False, fixed: Sequence[int] = ()
+) -> Task:
     """Return the task of complete disassembly that data sets and policies use.
 
     Args:
         assembly: the structure.
         robots: parts held at a time.
-        clearance: parts are removed only if they have a free exit direction.
+        removable_only_if_clear: parts are removed only if they have a free exit direction.
         fixed: parts that are never touched.
 
     Raises:
         InputError: fewer than one robot, or parts that do not exist.
     """
-    table = assembly.clearance if clearance else None
+    table = assembly.clearance if removable_only_if_clear else None
     return Task.from_rules(assembly.boundary, robots, fixed=tuple(fixed), clearance=table, identity=assembly.identity)
 
 
@@ -297,7 +299,7 @@ def build_dataset(
         DependencyError: torch is not installed.
         InputError: no such device, or no path leads from the empty structure to the complete one.
     """
-    from falsework.stability import StabilityOracle
+    from falsework.stability.oracle import StabilityOracle
 
     where = choose_device(device)
     asked = tensor_oracle(StabilityOracle(assembly), where) if oracle is None else oracle

@@ -212,7 +212,7 @@ def build_goal_dataset(
         DependencyError: torch is not installed.
         InputError: no such device, or a structure so small that the wider search finds no new pair.
     """
-    from falsework.stability import StabilityOracle
+    from falsework.stability.oracle import StabilityOracle
 
     where = choose_device(device)
     asked = tensor_oracle(StabilityOracle(assembly), where) if oracle is None else oracle

@@ -63,8 +63,8 @@ class RandomWalkGoals:
         if held_out is not None and len(held_out):
             allowed = StateIndex(np.unique(held_out, axis=0)).find(graph.states) < 0
         levels = graph.edges_by_level()
-        back = Reach.over(levels, graph.target, graph.source, allowed)
-        on = Reach.over(levels[::-1], graph.source, graph.target, allowed)
+        back = WalkReach.over(levels, graph.target, graph.source, allowed)
+        on = WalkReach.over(levels[::-1], graph.source, graph.target, allowed)
         ends = np.flatnonzero(allowed & (back.meets | on.meets))
         if len(ends) == 0:
             raise InputError("no path connects two states of this graph; search with a greater width")
@@ -145,7 +145,7 @@ class RandomWalkGoals:
 
 
 @dataclass(frozen=True, eq=False)
-class Reach:
+class WalkReach:
     """Lengths of walks along edges of one direction from each state of a graph; all of shape (states,)."""
 
     meets: NDArray[np.bool_]
@@ -158,7 +158,7 @@ class Reach:
     @classmethod
     def over(
         cls, levels: list[slice], near: NDArray[np.int32], far: NDArray[np.int32], allowed: NDArray[np.bool_]
-    ) -> Reach:
+    ) -> WalkReach:
         """Follow edges from `near` to `far`, given as slices farthest first."""
         degree = np.bincount(near, minlength=len(allowed))
         meets = np.zeros(len(allowed), dtype=bool)

@@ -119,7 +119,7 @@ class Environment:
         *,
         oracle: Oracle | None = None,
         device: torch.device | str = "auto",
-        clearance: bool = False,
+        removable_only_if_clear: bool = False,
         fixed: Sequence[int] = (),
     ) -> None:
         """Copy rules and problem to the device.
@@ -129,7 +129,7 @@ class Environment:
             robots: number of parts that may be held at once.
             oracle: decides stability; pass an existing `StabilityOracle` to reuse its cache.
             device: where states, rules and verdicts live: `auto`, `cpu`, `cuda`, `cuda:1`.
-            clearance: remove a part only if it has a free exit direction.
+            removable_only_if_clear: remove a part only if it has a free exit direction.
             fixed: parts that are never touched.
 
         Raises:
@@ -139,7 +139,7 @@ class Environment:
         self.assembly = assembly
         self.device = choose_device(device) if isinstance(device, str) else torch.device(device)
         self.oracle: Oracle = StabilityOracle(assembly) if oracle is None else oracle
-        table = assembly.clearance if clearance else None
+        table = assembly.clearance if removable_only_if_clear else None
         task = Task.from_rules(assembly.boundary, robots, fixed=fixed, clearance=table, identity=assembly.identity)
         self.rules = TensorRules(task.judged_by(self.oracle), self.device)
         self.counters = EnvironmentCounters()

@@ -54,7 +54,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         *,
         starts: StateGraph | ArrayLike | None = None,
         target: ArrayLike | None = None,
-        clearance: bool = False,
+        removable_only_if_clear: bool = False,
         fixed: Sequence[int] = (),
         illegal: Literal["end", "error"] = "end",
         oracle: Oracle | None = None,
@@ -68,7 +68,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
             starts: stable states that episodes start from, one drawn evenly for each, shape (count, parts), or a state
                 graph, of which those are taken that lead to its target; the complete structure if not given.
             target: state to end in, shape (parts,); nothing but boundary and fixed parts if not given.
-            clearance: remove a part only if it has a free exit direction.
+            removable_only_if_clear: remove a part only if it has a free exit direction.
             fixed: parts that are never touched.
             illegal: what an illegal action does: `end` the episode with reward -1, or raise an `error`.
             oracle: decides stability; pass an existing one to reuse its cache. If not given, one
@@ -91,7 +91,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
             known = StabilitySettings(criterion=starts.criterion) if isinstance(starts, StateGraph) else None
             oracle = StabilityOracle(self.assembly, known or StabilitySettings())
         self._oracle: Oracle = oracle
-        table = self.assembly.clearance if clearance else None
+        table = self.assembly.clearance if removable_only_if_clear else None
         whole = Task.from_rules(self.assembly.boundary, robots, target=target, fixed=fixed, clearance=table)
         whole = whole.judged_by(oracle)
         self._starts = self._check_starts(starts, whole, target, fixed)

@@ -112,7 +112,7 @@ def _ask(
     """Return logits and values, in smaller and smaller pieces if memory runs out."""
     while True:
         try:
-            return evaluate(policy, states, targets, environment.rows_at_once)
+            return forward_in_pieces(policy, states, targets, environment.rows_at_once)
         except torch.OutOfMemoryError:
             if min(environment.rows_at_once, len(states)) < 2:
                 raise
@@ -121,7 +121,7 @@ def _ask(
 
 
 @torch.no_grad()
-def evaluate(
+def forward_in_pieces(
     policy: PolicyFunction, states: torch.Tensor, targets: torch.Tensor | None = None, rows_at_once: int = 1 << 13
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return logits and values of many states without gradients; shapes as in `PolicyFunction`, `float32`."""

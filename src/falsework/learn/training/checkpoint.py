@@ -175,7 +175,8 @@ def load_structure_of(folder: Path, metadata: Mapping[str, Any]) -> Assembly:
     Raises:
         InputError: it is not there any more, or is another one by now.
     """
-    from falsework.assembly import library, load_structure
+    from falsework.assembly import library
+    from falsework.assembly.load import load_structure
 
     structure = metadata["structure"]
     if structure is None:

@@ -104,7 +104,7 @@ def throughput(environment: Environment, seconds: float, shards: ProcessGroup = 
     }
 
 
-def evaluate(
+def measure_success(
     environment: Environment,
     policy: PolicyFunction,
     sets: Sets,

@@ -97,7 +97,7 @@ class Trainer:
             settings.robots,
             oracle=oracle,
             device=device,
-            clearance=settings.removable_only_if_clear,
+            removable_only_if_clear=settings.removable_only_if_clear,
         )
         self.solved = SolvableStates(self.environment.rules)
         self.policy = make_policy(assembly, settings.policy, device, settings.seed, given=plugins.policy)

@@ -38,6 +38,7 @@ from falsework.robots.plans.motion_limits import OUTSIDE, check_limits
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.presses import press_fault
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.search.plans.plan_report import PlanReport
 from falsework.search.problem.task import Direction
 
 Array = NDArray[np.float64]
@@ -85,10 +86,13 @@ class CheckReport:
     """Proven lower bound on the makespan, the work of the busiest arm, seconds; None without a schedule. That of the
     plan itself may be larger, and is not checked."""
 
+    states: PlanReport | None = None
+    """Check of the stability of the states, where it was made."""
+
     @property
     def good(self) -> bool:
         """Whether no problem was found."""
-        return not self.problems
+        return not self.problems and (self.states is None or self.states.good)
 
 
 class _Checker:

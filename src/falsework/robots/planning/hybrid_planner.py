@@ -41,6 +41,7 @@ def plan_robots(
     cell: AnyCell,
     *,
     task: Task | None = None,
+    concurrent: bool = False,
     configurations: Sequence[ArrayLike] | None = None,
     held: Sequence[int | None] | None = None,
     gripped: Sequence[ArrayLike | None] | None = None,
@@ -49,7 +50,9 @@ def plan_robots(
     guide: Guide | None = None,
     settings: HybridSettings = HybridSettings(),
     progress: Progress | None = None,
+    deadline: float | None = None,
     graph: KeyframeGraph | None = None,
+    forces: bool = False,
 ) -> HybridResult:
     """Find a plan with motions for the robots of a cell.
 
@@ -63,6 +66,7 @@ def plan_robots(
         task: states and rules; by default the whole structure is assembled. As in all tasks the start state is the one
             with more parts: an assembly begins in the target state. The number of robots is that of the cell, and
             every part needs a free exit direction, not downwards.
+        concurrent: robots move at the same time: motions are shortened, steps reordered, and the plan has a schedule.
         configurations: joint values of the robots before the first step that is executed, shape (joints,) each. By
             default they are at home in disassembly, and in assembly where the first motion begins.
         held: the part that each robot holds in place then, or carries; needed in disassembly if the start state has
@@ -76,7 +80,9 @@ def plan_robots(
         guide: action heuristic, such as a trained policy, added to the ease of execution by the arms.
         settings: order of execution, and limits of the search.
         progress: callback, called at intervals; notebooks show it if not given.
+        deadline: seconds after which the search ends with what it has.
         graph: keyframe graph of the same structure and cell, whose motions are used again.
+        forces: keep the contact forces that prove each state in the plan.
 
     Raises:
         CellError: a gripper bears less than the weight of a part.
@@ -84,23 +90,23 @@ def plan_robots(
         StateError: held parts that do not go with the state that is begun with.
         DependencyError: robots are to move at the same time, and OR-Tools is missing.
     """
-    if settings.together:
+    if concurrent:
         import_ortools()
     assembly, cell = as_assembly(assembly), as_cell(cell)
     progress = or_notebook(progress, "planning motions")
     if oracle is None:
         given: dict[str, Any] = {"task": task, "configurations": configurations, "held": held, "gripped": gripped}
-        given |= {"guide": guide, "progress": progress, "graph": graph}
+        given |= {"concurrent": concurrent, "guide": guide, "settings": settings, "progress": progress, "graph": graph}
         return _keeping_reserve(
-            lambda oracle, limits: plan_robots(assembly, cell, oracle=oracle, settings=limits, **given),
+            lambda oracle, left: plan_robots(assembly, cell, oracle=oracle, deadline=left, forces=forces, **given),
             assembly,
             cell,
             stability,
-            settings,
+            deadline,
         )
     now = configurations, held, gripped
     continues = settings.direction is Direction.ASSEMBLY and any(given is not None for given in now)
-    clock, needed = Deadline(settings.deadline), parts_of(task, continues=continues)
+    clock, needed = Deadline(deadline), parts_of(task, continues=continues)
 
     def search(limits: HybridSettings, graph: KeyframeGraph | None, clock: Deadline) -> HybridResult:
         graph = graph or KeyframeGraph(assembly, cell, settings=limits.keyframes, seed=limits.seed, **needed)
@@ -113,38 +119,39 @@ def plan_robots(
             ends = BoundaryMotions(graph)
             root = first if continues or configurations is None else ends.begin(first)
             ends.end_at(last, insert)
-            result = HybridSearch(graph, ends.reached(within), oracle, guide, limits, progress, ends, clock).run(root)
+            within_ends = (graph, ends.reached(within), oracle, guide, limits, progress, ends, clock)
+            result = HybridSearch(*within_ends, concurrent=concurrent, forces=forces).run(root)
             # That a carried part cannot be next is no proof for plans that bring it back.
             if result.explanation is None or (clock.passed and _may_exist(result)):
                 break
         assert result is not None
         return result
 
-    return _together(search, settings, graph, clock) if settings.together else search(settings, graph, clock)
+    return _concurrent(search, settings, graph, clock) if concurrent else search(settings, graph, clock)
 
 
 def _keeping_reserve(
-    search: Callable[[StabilityOracle, HybridSettings], HybridResult],
+    search: Callable[[StabilityOracle, float | None], HybridResult],
     assembly: Assembly,
     cell: Cell,
     stability: StabilitySettings,
-    settings: HybridSettings,
+    deadline: float | None,
 ) -> HybridResult:
     """Return the result of a search with the reserve, or where it finds no order of the parts, of one without.
 
     Args:
-        search: finds a plan with an oracle, within limits.
-        assembly, cell, stability, settings: as in `plan_robots`; the limits are those of both searches together.
+        search: finds a plan with an oracle, within some seconds.
+        assembly, cell, stability, deadline: as in `plan_robots`; the deadline is that of both searches together.
     """
-    clock = Deadline(settings.deadline)
-    result = search(StabilityOracle(assembly, stability_in(cell, assembly, stability)), settings)
+    clock = Deadline(deadline)
+    result = search(StabilityOracle(assembly, stability_in(cell, assembly, stability)), deadline)
     if not result.no_order or stability.reserve <= 1.0 or clock.passed:
         return result
     plain = stability_in(cell, assembly, replace(stability, reserve=1.0))
-    return search(StabilityOracle(assembly, plain), replace(settings, deadline=clock.left if clock.limited else None))
+    return search(StabilityOracle(assembly, plain), clock.left if clock.limited else None)
 
 
-def _together(
+def _concurrent(
     search: Callable[[HybridSettings, KeyframeGraph | None, Deadline], HybridResult],
     settings: HybridSettings,
     graph: KeyframeGraph | None,
@@ -158,7 +165,7 @@ def _together(
         approaches=tuple(sorted(lines.approaches)),
         withdrawals=tuple(sorted({shortest, *lines.withdrawals})),
     )
-    first = Deadline(None if settings.deadline is None else _SHARE * settings.deadline)
+    first = Deadline(_SHARE * clock.left if clock.limited else None)
     result = search(replace(settings, keyframes=short), graph, first)
     if graph is None and _may_exist(result):
         again = search(settings, graph, clock)
@@ -167,7 +174,7 @@ def _together(
         if again.explanation is None or again.explanation.reached >= reached:
             result, kind = again, "sequential"
     found = {"search": kind, "seconds": round(clock.seconds, 3)}
-    for plan in filter(None, (result.plan, result.partial)):
+    for plan in filter(None, (result.value, result.partial)):
         plan.statistics.update(found)
     return replace(result, statistics=result.statistics | found)
 

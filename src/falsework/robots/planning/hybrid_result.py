@@ -10,7 +10,7 @@ from falsework.errors import InputError
 from falsework.robots.keyframes.failure_report import Explanation
 from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.search.problem.deadline import check_deadline
+from falsework.search.problem.result import Outcome, Result
 from falsework.search.problem.task import Direction
 from falsework.utils.quantity import check_seed
 
@@ -23,17 +23,11 @@ class HybridSettings:
     """Order in which the plan is executed, and in which its makespan is made short."""
     seed: int = 0
     """Same seed, same machine, same result, unless the deadline passes."""
-    deadline: float | None = None
-    """Seconds after which the search ends with what it has."""
     attempts: int = 40
     """Number of searches, each in another order."""
     dead_ends: int = 15
     """States at which the first search may go no further; then the next one begins, and may have more."""
     keyframes: KeyframeSettings = field(default_factory=KeyframeSettings)
-    together: bool = False
-    """Whether robots move at the same time: motions are shortened, steps reordered, and the plan has a schedule."""
-    forces: bool = False
-    """Whether to keep the contact forces that prove each state in the plan."""
 
     def __post_init__(self) -> None:
         if self.direction not in set(Direction):
@@ -41,15 +35,14 @@ class HybridSettings:
         object.__setattr__(self, "direction", Direction(self.direction))
         if min(self.attempts, self.dead_ends) < 1:
             raise InputError("a search needs at least one attempt and dead end; give numbers from 1 on")
-        check_deadline(self.deadline)
         check_seed(self.seed)
 
 
 @dataclass(frozen=True, eq=False)
-class HybridResult:
+class HybridResult(Result[RobotPlan]):
     """Result of a search for a robot plan."""
 
-    plan: RobotPlan | None
+    value: RobotPlan | None
     """Plan in the order of the settings, or None."""
     partial: RobotPlan | None
     """Without a plan: the longest partial plan whose replay succeeds, if it has any step. As searches begin at the
@@ -61,9 +54,22 @@ class HybridResult:
     """Whether no order of the parts was found in which the structure stands, whatever the arms."""
 
     @property
-    def found(self) -> bool:
-        """Whether there is a plan."""
-        return self.plan is not None
+    def outcome(self) -> Outcome:
+        """Whether there is a plan, and if not, whether that is proved; an interrupted search proves nothing."""
+        if self.explanation is None:
+            return Outcome.FOUND
+        proved = self.explanation.outcome == Outcome.PROVED_IMPOSSIBLE
+        return Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND
+
+    @property
+    def bound(self) -> float | None:
+        """Makespan that no schedule of the motions can be below, seconds; None without a schedule."""
+        return None if self.value is None or self.value.schedule is None else self.value.schedule.lower_bound
+
+    @property
+    def reason(self) -> str:
+        """Why there is no plan, in one line."""
+        return "" if self.explanation is None else self.explanation.text
 
 
 @dataclass(frozen=True)

@@ -60,6 +60,9 @@ class HybridSearch:
         progress: Progress | None,
         ends: BoundaryMotions,
         clock: Deadline,
+        *,
+        concurrent: bool = False,
+        forces: bool = False,
     ) -> None:
         self.graph, self.task, self.oracle, self.ends, self.clock = graph, task, oracle, ends, clock
         self.assembly, self.cell, self.settings, self.progress = graph.assembly, graph.cell, settings, progress
@@ -74,7 +77,8 @@ class HybridSearch:
         self.tried: Counter[tuple[str, int]] = Counter()
         self.dead = self.graph.dead = DeadEnds()
         self.failures = FailedActions(self.graph, self.solvability)
-        self.maker = PlanBuilder(self.graph, oracle, self.solvability, ends, settings, self.deadline_passed)
+        given = (self.graph, oracle, self.solvability, ends, settings, self.deadline_passed)
+        self.maker = PlanBuilder(*given, concurrent=concurrent, forces=forces)
         self.counts: Counter[str] = Counter()
         self.attempt = 0
         self.unreachable: list[int] | None = None

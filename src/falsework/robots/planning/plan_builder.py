@@ -33,6 +33,9 @@ class PlanBuilder:
         ends: BoundaryMotions,
         settings: HybridSettings,
         stop: Callable[[], bool],
+        *,
+        concurrent: bool = False,
+        forces: bool = False,
     ) -> None:
         """Make plans of the edges of `graph`.
 
@@ -41,11 +44,14 @@ class PlanBuilder:
             oracle: decides stability.
             solvability: the task, and the actions that its rules allow.
             ends: motions before and after the chains.
-            settings: order, whether robots move at the same time, and the seed.
+            settings: order and seed.
             stop: tells when to end with the order found so far.
+            concurrent: whether robots move at the same time.
+            forces: whether plans keep the forces that prove their states.
         """
         self.graph, self.oracle, self.solvability = graph, oracle, solvability
         self.ends, self.settings, self.stop = ends, settings, stop
+        self.concurrent, self.forces = concurrent, forces
         self._timed: dict[PathSegment, Trajectory | None] = {}
 
     def plan(self, root: Node, chain: list[Edge], *, whole: bool) -> RobotPlan:
@@ -57,7 +63,7 @@ class PlanBuilder:
             whole: whether the chain reaches the target; a partial plan is scheduled as it is.
         """
         builds = self.settings.direction is Direction.ASSEMBLY
-        if self.settings.together and whole:
+        if self.concurrent and whole:
             chain = self._shortened(chain)
             self._make(root, chain)
             given = {"legal": self.solvability.legal, "stop": self.stop, "builds": builds}
@@ -69,7 +75,7 @@ class PlanBuilder:
             root, chain = self.ends.around(root, chain)
         plan = self._make(root, chain)
         plan = plan.reverse() if builds else plan
-        if not self.settings.together:
+        if not self.concurrent:
             return plan
         return schedule_plan(plan, self.graph.assembly, self.graph.cell, parts=self.graph.parts)
 
@@ -86,6 +92,6 @@ class PlanBuilder:
         return found
 
     def _make(self, root: Node, chain: list[Edge]) -> RobotPlan:
-        task, forces = self.ends.whole(self.solvability.task), self.settings.forces
+        task, forces = self.ends.whole(self.solvability.task), self.forces
         cell, assembly = self.graph.cell, self.graph.assembly
         return make_robot_plan(assembly, cell, task, self.oracle, root, chain, forces=forces, timed=self._timed)

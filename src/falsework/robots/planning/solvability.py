@@ -27,7 +27,7 @@ from falsework.search.planner import Planner
 from falsework.search.plans.plan_replay import Acceptance
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.result import Route, SearchResult, Stop, barred_row
-from falsework.search.problem.rollout import roll_out
+from falsework.search.problem.rollout import follow_scores
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
 from falsework.stability.oracle import StabilityOracle
@@ -224,7 +224,7 @@ class SolvabilityCheck:
             return None
         rows = 1 if rng is None else _VARIED_WIDTH
         for _ in range(MAX_FALLEN_REPLAYS):
-            rollouts = roll_out(
+            rollouts = follow_scores(
                 [self.task],
                 np.repeat(self.task.start[None], rows, axis=0),
                 np.zeros(rows, dtype=np.int64),

@@ -109,7 +109,7 @@ def validate_plan(
         InputError: something other than a plan.
     """
     if not isinstance(plan, Plan):
-        raise InputError(f"validate_plan checks a Plan, not {type(plan).__name__}; results have theirs in plans")
+        raise InputError(f"{type(plan).__name__} is no plan; give a Plan, such as the value of a result")
     if not isinstance(assembly, Assembly):
         assembly = structure_of_plan(plan, structure=as_assembly(assembly))
     check_identity(plan, assembly)

@@ -74,6 +74,8 @@ class SourceEntry(FileModel, frozen=True):
     """Whether a fixed ground was put under the lowest point."""
     interfaces: Literal["found", "stored", "compare"] | None = None
     """Source of the contacts: found from the meshes, or stored in the file."""
+    settle: Positive | None = None
+    """Largest motion with which parts settled into their clearance, m."""
     loads: tuple[LoadEntry, ...] | None = None
     earthquake: Earthquake | None = None
     """Pseudo-static horizontal acceleration along x, or along x and y, in shares of gravity."""

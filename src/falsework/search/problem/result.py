@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, States
+from falsework.errors import NotFoundError
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
 from falsework.utils.quantity import counted
+
+T = TypeVar("T")
 
 REPORTED_STATES = 64
 """States that a result has as deepest and as rejected, at most."""
@@ -28,6 +32,53 @@ class Outcome(StrEnum):
     """Every reachable state was examined, under rules that exclude no possible action: there is no plan."""
     NOT_FOUND = "not_found"
     """The search was limited or interrupted before it found a plan; one may exist."""
+
+
+class Result(Generic[T]):
+    """Answer of a planner: the best value that it found, how certain the answer is, and what it took.
+
+    All planners return one, with more about what they did: `find_plans`, `plan_robots`, `replan`, `min_robots`.
+    """
+
+    if TYPE_CHECKING:  # fields of some results, properties of others
+
+        @property
+        def value(self) -> T | None:
+            """The best that was found; None where nothing was."""
+
+        @property
+        def outcome(self) -> Outcome:
+            """Whether something was found, and if not, whether there is nothing."""
+
+        @property
+        def bound(self) -> float | None:
+            """What no value can be better than, in the unit of what is optimised; None where no bound is known."""
+
+        @property
+        def statistics(self) -> Mapping[str, Any]:
+            """Work of the search: `seconds`, `verdicts` and others."""
+
+        @property
+        def reason(self) -> str:
+            """Why there is no value, in words; empty where there is one."""
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a value."""
+        return self.outcome is Outcome.FOUND
+
+    def unwrap(self) -> T:
+        """Return the value.
+
+        Raises:
+            NotFoundError: there is none; the message says why.
+        """
+        value = self.value
+        if value is None:
+            proved = self.outcome is Outcome.PROVED_IMPOSSIBLE
+            what = "it is proved that there is none" if proved else "none was found, which proves nothing"
+            raise NotFoundError(f"{what}: {self.reason}" if self.reason else what)
+        return value
 
 
 @dataclass(frozen=True, eq=False)

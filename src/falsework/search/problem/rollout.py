@@ -34,7 +34,7 @@ class Rollout:
     """Whether the last state was found not to be stable."""
 
 
-def roll_out(
+def follow_scores(
     tasks: Sequence[Task],
     starts: Sequence[States] | States,
     owner: NDArray[np.int64],

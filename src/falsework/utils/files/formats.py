@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 READERS, EXPORTERS = "falsework.readers", "falsework.exporters"
 """Groups of entry points; each names an object of the class below."""
+FOLDER = "/"
+"""Ending of a folder, for readers of folders with more in them than the meshes of parts."""
 _KINDS = {"Assembly": "a structure", "Plan": "a plan", "RobotPlan": "a robot plan"}
 
 
@@ -24,7 +26,7 @@ class Reader:
     """Reader of structures in files of one format."""
 
     suffixes: tuple[str, ...]
-    """Endings of the names of its files, in lower case."""
+    """Endings of the names of its files, in lower case, or `FOLDER`."""
     load: Callable[..., Any]
     """Takes the path and the options of `load_structure`, and returns an `Assembly`."""
     parts: Callable[..., Any] | None = None
@@ -39,7 +41,7 @@ class Exporter:
     """Writer of structures and plans in one format."""
 
     write: Callable[..., None]
-    """Takes the path, the assembly, the plan or robot plan if it is to be shown, and the options that are given."""
+    """Takes the assembly, the path, the plan or robot plan if it is to be shown, and the options that are given."""
     suffixes: tuple[str, ...] = ()
     """Endings of the names of files that stand for the format, in lower case."""
     shows: tuple[str, ...] = ("Assembly",)
@@ -85,12 +87,17 @@ def formats(group: str) -> dict[str, Any]:
 
 
 def reader_of(path: Path) -> Reader | None:
-    """Return the reader that recognizes a file, if one does."""
-    suffix = path.suffix.lower()
-    for reader in formats(READERS).values() if path.is_file() else ():
+    """Return the reader that recognizes a file or folder, if one does."""
+    suffix = FOLDER if path.is_dir() else path.suffix.lower()
+    for reader in formats(READERS).values() if path.is_file() or _has_more(path) else ():
         if suffix in reader.suffixes and reader.recognizes(path):
             return reader
     return None
+
+
+def _has_more(folder: Path) -> bool:
+    """Return whether a folder has JSON files of other programs, without which no reader needs to be imported."""
+    return folder.is_dir() and any(file.name != "assembly.json" for file in folder.glob("*.json"))
 
 
 def exporter_by_suffix(path: Path | str) -> str | None:
@@ -99,13 +106,13 @@ def exporter_by_suffix(path: Path | str) -> str | None:
     return next((name for name, exporter in formats(EXPORTERS).items() if suffix in exporter.suffixes), None)
 
 
-def write_format(name: str, path: Path | str, assembly: Any, plan: Any = None, **options: Any) -> None:
+def write_format(assembly: Any, path: Path | str, name: str, plan: Any = None, **options: Any) -> None:
     """Write a structure, or a plan of it, in a format.
 
     Args:
-        name: of the format.
-        path: file to write, or folder.
         assembly: the structure; None for a robot plan that needs none.
+        path: file to write, or folder.
+        name: of the format.
         plan: plan or robot plan to show; None for the structure at rest.
         options: of the format; None is equivalent to omission.
 
@@ -134,4 +141,4 @@ def write_format(name: str, path: Path | str, assembly: Any, plan: Any = None, *
             ExportWarning,
             stacklevel=3,
         )
-    exporter.write(path, assembly, plan, **{key: value for key, value in given.items() if key in exporter.options})
+    exporter.write(assembly, path, plan, **{key: value for key, value in given.items() if key in exporter.options})

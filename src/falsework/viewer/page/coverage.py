@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
-from falsework.search.problem.rollout import roll_out
+from falsework.search.problem.rollout import follow_scores
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import StabilityOracle
 
@@ -40,6 +40,6 @@ def visited_states(
     seen = [starts[:1]]
     for several, rng in ((starts[:1], None), (starts[1:], np.random.default_rng(0))):
         owner = np.zeros(len(several), dtype=np.int64)
-        played = roll_out([task], several, owner, guide.log_probabilities, rng=rng, stable=stable)
+        played = follow_scores([task], several, owner, guide.log_probabilities, rng=rng, stable=stable)
         seen += [rollout.states[: len(rollout.states) - rollout.unstable] for rollout in played]
     return np.unique(np.concatenate(seen), axis=0)

@@ -163,10 +163,10 @@ def new_plan(answer: ReplanResult, seconds: float, old: Plan | None, before: int
         before: steps that are done and not in the new plan, with which its numbers go on.
     """
     decided = answer.decided_by.value
-    if answer.plan is None:
+    if answer.value is None:
         kind = "there is no plan" if answer.outcome.value == "proved_impossible" else "no plan was found"
         return NewPlan(False, f"{kind} ({seconds:.2f} s, {decided}): {answer.reason}", seconds, decided)
-    plan = answer.plan
+    plan = answer.value
     texts = [f"{len(plan) - answer.built} steps in {seconds:.2f} s, decided by {decided}."]
     placed = int((plan.actions[: answer.built] >= len(plan.boundary)).sum())
     for need in plan.needs:

@@ -101,7 +101,7 @@ class Page:
         Raises:
             InputError: another ending than .html, or a place that cannot be written.
         """
-        save_page(path, self.model)
+        save_page(self.model, path)
 
     def _repr_html_(self) -> str:
         page = html.escape(record(self.model), quote=True)

@@ -190,12 +190,12 @@ def record(shown: Viewable | ViewerState) -> str:
     return f"{head}</head>{body.replace('</body>', f'{_panel(model, arrows)}</body>', 1)}"
 
 
-def save_page(path: Path | str, shown: Viewable | ViewerState) -> None:
+def save_page(shown: Viewable | ViewerState, path: Path | str) -> None:
     """Write what is viewable as one HTML file.
 
     Args:
-        path: file to write; it ends in .html.
         shown: plan, robot plan, state graph or structure, or a viewer of it, which stays where it is.
+        path: file to write; it ends in .html.
 
     Raises:
         InputError: another ending, or a place that cannot be written.
@@ -240,11 +240,11 @@ def _panel(model: ViewerState, shown: dict[str, Arrows]) -> str:
 
 
 def _write_page(
-    path: Path | str, assembly: Assembly, plan: Plan | RobotPlan | None, *, cell: AnyCell | None = None
+    assembly: Assembly, path: Path | str, plan: Plan | RobotPlan | None, *, cell: AnyCell | None = None
 ) -> None:
     from falsework.viewer.viewable import viewable_of
 
-    save_page(path, viewable_of(assembly if plan is None else plan, None if plan is None else assembly, cell=cell))
+    save_page(viewable_of(assembly if plan is None else plan, None if plan is None else assembly, cell=cell), path)
 
 
 EXPORTER = Exporter(_write_page, (".html",), ("Assembly", "Plan", "RobotPlan"), ("cell",), complete=True)

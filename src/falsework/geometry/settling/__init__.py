@@ -1,0 +1,1 @@
+"""Settling of parts into their clearance."""

@@ -1,0 +1,53 @@
+"""Measurement of the margins of a plan or of states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from numpy.typing import ArrayLike
+
+from falsework.assembly.load import AnyStructure, as_assembly
+from falsework.assembly.state import complete_state
+from falsework.search.plans.plan import Plan
+from falsework.search.plans.plan_check import check_identity
+from falsework.stability.margins.state_margins import StateMargins
+from falsework.stability.oracle import StabilityOracle
+from falsework.stability.settings import StabilitySettings
+
+
+def margins(
+    assembly: AnyStructure,
+    subject: Plan | ArrayLike | None = None,
+    kinds: Sequence[str] | None = None,
+    *,
+    stability: StabilitySettings | None = None,
+    deadline: float | None = None,
+) -> list[StateMargins]:
+    """Measure how far friction, tilt, loads and pushes are from the limit of stability.
+
+    Args:
+        assembly: the structure, or its name or path.
+        subject: a plan, for all its states; or a state, shape (parts,), or states, shape (states, parts). The complete
+            structure if not given.
+        kinds: margins to measure; by default all but the polygon of tilts and the settlement of supports.
+        stability: criterion; that of the plan if not given.
+        deadline: seconds for each state after which searches return what they have proven.
+
+    Returns:
+        One entry a state, each value with a certificate on both sides of its bound.
+
+    Raises:
+        PlanError: a plan for another structure.
+        InputError: a margin that is not defined under the criterion, or a deadline of zero or less.
+        StateError: states of the wrong length or with other values.
+    """
+    assembly, settings = as_assembly(assembly), stability or StabilitySettings()
+    if isinstance(subject, Plan):
+        check_identity(subject, assembly)
+        if stability is None:
+            settings = StabilitySettings(
+                subject.claim.criterion, "quadratic" if subject.claim.cone == "quadratic" else "octagon"
+            )
+        subject = subject.states
+    oracle = StabilityOracle(assembly, settings)
+    return oracle.margins(complete_state(assembly.boundary) if subject is None else subject, kinds, deadline=deadline)
