@@ -269,7 +269,7 @@ def test_ways_out_can_be_sent_to_another_process() -> None:
 def test_no_number_of_robots_is_refuted_where_holds_open_ways() -> None:
     """With two robots, the fewest, the bar is held aside."""
     found = min_robots(latch(), stability=SETTINGS, moves=2, target=[0, 2, 2])
-    assert found.count == 2
+    assert found.value == 2
 
 
 def rings(name: str, sections: list[np.ndarray], *, close: bool) -> TriangleMesh:
