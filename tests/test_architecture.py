@@ -38,7 +38,7 @@ CORE = ("errors", "utils", "geometry", "assembly", "stability", "search", "repla
 # Sub-packages of each room, likewise. Modules at the root of a room may use them, and be used by them.
 SUBPACKAGES = {
     "utils": ("files", "cache", "display"),
-    "geometry": ("mesh", "contact", "settling", "clearance"),
+    "geometry": ("mesh", "contact", "settling", "clearance", "paths"),
     "assembly": ("library",),
     "stability": ("second_order", "cpu", "contact", "gpu", "reference", "margins", "judges"),
     "search": ("problem", "together", "beam", "margins", "plans", "regrasp", "device"),

@@ -92,6 +92,7 @@ def test_the_answer_says_what_was_checked(falsework: Run, planned: Path) -> None
         "props": 0,
         "prop_limit": 0,
         "parts_at_once": 1,
+        "moves": 1,
         "start": [0, 0, 0, 2, 2],
         "end": [1, 1, 1, 2, 2],
     }

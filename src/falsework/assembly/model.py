@@ -24,6 +24,7 @@ from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, ground_slab, mass_properties
+from falsework.geometry.paths.motions import PartMotions
 from falsework.geometry.settling.settle import settle_parts
 from falsework.geometry.settling.settlement import Settlement
 from falsework.utils.display.notebook import Displayed
@@ -254,6 +255,12 @@ class Assembly(Displayed):
         _, overlap = self.contact_settings.lengths(self.meshes)
         return SetClearance(self.meshes, self.contacts, self.clearance, overlap)
 
+    @cached_property
+    def part_motions(self) -> PartMotions:
+        """Swept tests of moves of the parts."""
+        _, overlap = self.contact_settings.lengths(self.meshes)
+        return PartMotions(self.meshes, self.contacts, overlap)
+
     def replace(
         self,
         *,
@@ -288,7 +295,7 @@ class Assembly(Displayed):
         )
         for array in (fixed, densities):
             array.setflags(write=False)
-        for name in ("clearance", "clearance_of_sets"):  # they depend on the meshes alone
+        for name in ("clearance", "clearance_of_sets", "part_motions"):  # they depend on the meshes alone
             if name in self.__dict__:
                 changed.__dict__[name] = self.__dict__[name]
         return changed

@@ -229,6 +229,7 @@ class CheckPlan(JudgingCommand):
         props = f" and {counted(about.prop_limit, 'prop')}" if about.props else ""
         several = f", up to {about.parts_at_once} parts in one step" if about.parts_at_once > 1 else ""
         start, end = (_state_words(state, assembly) for state in (about.start, about.end))
+        several += f", ways out of up to {about.moves} moves" if about.moves > 1 else ""
         return (
             f"checked: {named}, digest {about.identity[:12]}, {assembly.part_count} parts, {len(about.boundary)} "
             f"boundary ({', '.join([*fixed, *more])}); {counted(about.steps, 'step')} with "

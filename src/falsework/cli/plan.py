@@ -234,6 +234,8 @@ class MakePlan(Command):
             output.outcome(failure.outcome)
             output.record(failure.to_dict(assembly) | ({"shortfall": lacks} if demanding is not None else {}))
             reason = f"{failure.in_which(f'every state keeps {demands}') if lacks else failure.text}{words}"
+            if failure.proven and self.task.moves > 1 and not self.task.turns:
+                reason += "; that holds for any number of straight moves, turns were not allowed"
             output.note(f"{cut}: {reason}; {saved}" if result.interrupted else f"falsework: {reason}")
             if planning.fallen is not None:
                 self._show_fallen(planning.fallen, output)
@@ -318,6 +320,7 @@ class MakePlan(Command):
         from msgspec import to_builtins
 
         from falsework.cli.demands import margin_lines
+        from falsework.interop.instruction_table import describe_path
         from falsework.search.problem.task import Direction
 
         seconds, asked, found = planning.result.seconds, planning.result.counters.asked, planning.alternatives
@@ -354,6 +357,10 @@ class MakePlan(Command):
         for step in first:
             if len(step.parts) > 1:
                 output.say(f"step {step.number} inserts {len(step.parts)} parts at once: {step}")
+        for step, path in zip(first, first.exit_paths, strict=False):
+            if path:
+                moves = counted(len(path), "move")
+                output.say(f"step {step.number} inserts {step.name} in {moves}: {describe_path(path)}")
         for prop in first.props:
             place = ", ".join(f"{value:.3f}" for value in prop.at)
             name = first.part_names[prop.part]

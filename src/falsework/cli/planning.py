@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.search.beam.settings import BeamSettings
-    from falsework.search.find import TaskRules
     from falsework.search.plans.plan import PartDeadline, Plan
     from falsework.search.problem.task import Direction, Task
+    from falsework.search.task_rules import TaskRules
     from falsework.stability.contact.hold_loads import Loads
     from falsework.stability.judges.judgement import Judgement
     from falsework.stability.oracle import StabilityOracle
@@ -76,6 +76,12 @@ class RegraspOptions(RuleOptions):
     parts_at_once: Annotated[int, arg(metavar="K")] = 1
     """Largest number of parts that one step may insert: parts that lock each other, each held by a robot of its own, or
     all carried by one. More than 1 implies --removable-only-if-clear."""
+    moves: Annotated[int, arg(metavar="K")] = 1
+    """Largest number of straight moves in which a part may leave, such as out and then up, where it has no straight
+    way. Other parts that robots hold may move aside meanwhile. More than 1 implies --removable-only-if-clear."""
+    turns: bool = False
+    """Let a part that leaves also turn about an axis, such as a lid about its hinge, or screw. A turn is one of the
+    --moves. Implies --removable-only-if-clear."""
 
     def rules(self, assembly: Assembly) -> TaskRules:
         """Return the rules, as `find_plans` takes them.
@@ -90,7 +96,8 @@ class RegraspOptions(RuleOptions):
         # States are given without places for props, which are absent at both ends.
         plain = keep_props(assembly, ()) if assembly.props else assembly
         rules = super().rules(plain)
-        return {**rules, "allow_regrasp": self.wider, "props": self.props, "parts_at_once": self.parts_at_once}
+        ways: TaskRules = {"parts_at_once": self.parts_at_once, "moves": self.moves, "turns": self.turns}
+        return {**rules, "allow_regrasp": self.wider, "props": self.props, **ways}
 
     @property
     def wider(self) -> bool:

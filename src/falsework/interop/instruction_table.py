@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError, PlanError
+from falsework.geometry.paths.moves import ExitPath
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import NO_ROBOT, Action, name_together
 from falsework.stability.holds import Press, describe_force
@@ -124,6 +125,9 @@ class AssemblyInstructions:
 
     def comes_in(self, step: AssemblyInstruction) -> str:
         """Describe from where the parts of a step come in; empty for a release."""
+        moves = self.timeline.path_of(step.parts[0]) if step.place else ()
+        if moves:
+            return describe_path(moves)
         words = dict.fromkeys(describe_motion(way) for way in step.directions) if step.directions is not None else {}
         return "; ".join(words)
 
@@ -183,6 +187,16 @@ def describe_motion(way: NDArray[np.float64]) -> str:
     if abs(way[2]) > _LEANS:
         sides.append("above" if way[2] < 0 else "below")
     return f"from {' and '.join(sides)}" if sides else "straight in"
+
+
+def describe_path(path: ExitPath) -> str:
+    """Describe how a part comes in that undoes an exit path, such as `from +x, then from above`."""
+    words = []
+    for move in reversed(path):
+        turn = f"turning by {abs(np.degrees(move.angle)):.0f}°" if move.turns else ""
+        shift = describe_motion(-np.array(move.direction)) if move.distance else ""
+        words.append(", ".join(filter(None, (shift, turn))))
+    return ", then ".join(words)
 
 
 def instructions_csv(sheet: AssemblyInstructions) -> str:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
-from falsework.errors import InputError
+from falsework.errors import InputError, PlanError
+from falsework.geometry.paths.moves import ExitPath
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.plans.steps import NO_ROBOT, moved_parts
 from falsework.viewer.appearance import diagonal
@@ -73,8 +74,8 @@ class Tracks:
 def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Tracks:
     """Put a plan on a time axis.
 
-    A part that is removed leaves along a collision-free straight path, if there is one, and then disappears; one that
-    is inserted does the opposite.
+    A part that is removed leaves along the collision-free way of the plan, or a straight one if there is one, and then
+    disappears; one that is inserted does the opposite.
 
     Args:
         plan: plan to animate.
@@ -82,7 +83,7 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
         step_seconds: length of a step.
 
     Raises:
-        PlanError: the plan is for another structure.
+        PlanError: the plan is for another structure, or a part turns on its way in.
         InputError: a step of no length.
     """
     check_identity(plan, assembly)
@@ -101,6 +102,11 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
             holder[moved[0]].append((begin, int(robots[step + 1, moved[0]])))
             continue
         leaves = bool(present[step, moved[0]])
+        if plan.exit_paths and plan.exit_paths[step]:
+            shown[moved[0]].append((begin, True))
+            holder[moved[0]].append((begin, int(robots[step + 1, moved[0]])))
+            path[moved[0]] += _way_in(plan.exit_paths[step], begin, end)
+            continue
         ways = exit_directions(assembly, plan.states[step if leaves else step + 1], moved)
         for part, way in zip(moved, reach * ways, strict=True):
             away = _triple(way)
@@ -114,6 +120,22 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
                 path[part] += [(begin, away), (end, home)]
     tracks = (Track(_clean(shown[part]), _clean(holder[part]), tuple(path[part])) for part in range(parts))
     return Tracks(tuple(tracks), len(plan) * step_seconds)
+
+
+def _way_in(moves: ExitPath, begin: float, end: float) -> list[tuple[float, tuple[float, float, float]]]:
+    """Return the keys of a part that comes in by the moves of its way out, undone, at one speed.
+
+    Raises:
+        PlanError: one of them turns the part.
+    """
+    if any(move.turns for move in moves):
+        raise PlanError("a part turns on its way in, which these files cannot show; make a picture or a recording")
+    stops, done = [np.zeros(3)], [0.0]
+    for move in moves:
+        stops.append(stops[-1] + move.distance * np.array(move.direction))
+        done.append(done[-1] + move.distance)
+    times = [end - (end - begin) * length / done[-1] for length in done]
+    return [(time, _triple(stop)) for time, stop in zip(times[::-1], stops[::-1], strict=True)]
 
 
 def _clean(keys: list[tuple[float, Value]]) -> tuple[tuple[float, Value], ...]:

@@ -32,6 +32,12 @@ class ExecutedSteps:
                 "present state"
             )
 
+        if self.plan.exit_paths:
+            raise PlanError(
+                "the plan has ways out of several moves, which replanning does not search for; plan again with --begin "
+                "for the present state"
+            )
+
     @property
     def state(self) -> States:
         """State that is reached, shape (parts,)."""

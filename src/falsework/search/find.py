@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,7 @@ from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.props import keep_props, without_props
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
+from falsework.geometry.paths.exit_paths import ExitPaths
 from falsework.search.backend import Backend, beams_on
 from falsework.search.margins.demands import MarginOracle
 from falsework.search.margins.plan_margins import PlanMargins
@@ -42,9 +43,10 @@ from falsework.search.problem.result import (
     Stop,
 )
 from falsework.search.problem.state_graph import StateGraph
-from falsework.search.problem.task import Task
+from falsework.search.problem.task import Clearance, Task
 from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
+from falsework.search.task_rules import TaskRules
 from falsework.search.together.rule import InterlockedSets
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
@@ -61,28 +63,6 @@ PLANS = StabilitySettings(reserve=1.1)
 """Stability of plans by default: parts come to rest with friction divided by 1.1, and with the true one."""
 _CHOICE_SECONDS = 1.0
 """Seconds in which to choose among plans where the deadline leaves less."""
-
-
-class TaskRules(TypedDict, total=False):
-    """Rules of a task in addition to the number of robots, all of them optional."""
-
-    start: ArrayLike | None
-    """State to disassemble, where assembly ends, shape (parts,); the complete structure if not given."""
-    target: ArrayLike | None
-    """State in which disassembly ends, where assembly starts, shape (parts,); the empty structure if not given."""
-    fixed: Sequence[int | str]
-    """Numbers or names of parts that are neither held nor removed."""
-    missing: Sequence[int | str]
-    """Numbers or names of parts not delivered yet; assembly defers them as long as possible."""
-    removable_only_if_clear: bool
-    """Remove a part only if it has a free straight exit."""
-    allow_regrasp: bool
-    """Release held parts without removing them, and hold parts again."""
-    props: int
-    """Props that may be in place at a time, of those that the structure has places for; needs `allow_regrasp`."""
-    parts_at_once: int
-    """Parts that a step may insert or remove at most, where they lock each other and leave together only. More than 1
-    implies `removable_only_if_clear`."""
 
 
 def find_plans(
@@ -215,6 +195,8 @@ def make_task(
     allow_regrasp: bool = False,
     props: int = 0,
     parts_at_once: int = 1,
+    moves: int = 1,
+    turns: bool = False,
 ) -> Task:
     """Return the task of disassembling a structure; see `TaskRules` for the rules.
 
@@ -230,15 +212,21 @@ def make_task(
             "with places for props, as with_props(assembly, prop_places(assembly)) makes it"
         )
     start, target = (without_props(state, assembly) for state in (start, target))
+    if (moves != 1 or turns) and parts_at_once != 1:
+        raise InputError(
+            f"parts_at_once is {parts_at_once}, but sets of parts leave in one straight line; leave moves and turns out"
+        )
     together = None if parts_at_once == 1 else InterlockedSets(assembly, parts_at_once)
+    clear = removable_only_if_clear or together is not None or moves != 1 or turns
+    untouched = part_ids(fixed, assembly.names, "fixed")
     return Task.from_rules(
         assembly.boundary,
         robots,
         start=start,
         target=target,
-        fixed=part_ids(fixed, assembly.names, "fixed"),
+        fixed=untouched,
         missing=part_ids(missing, assembly.names, "missing"),
-        clearance=assembly.clearance if removable_only_if_clear or together is not None else None,
+        clearance=_clearance(assembly, moves, untouched, turns=turns) if clear else None,
         contacts=assembly.contacts.parts,
         identity=assembly.identity,
         allow_regrasp=allow_regrasp,
@@ -246,6 +234,16 @@ def make_task(
         prop_limit=props,
         together=together,
     )
+
+
+def _clearance(assembly: Assembly, moves: int, fixed: Sequence[int], *, turns: bool) -> Clearance:
+    """Return the clearance of parts that leave in up to some number of moves."""
+    if moves == 1 and not turns:
+        return assembly.clearance
+    still = assembly.immovable.copy()
+    still[list(fixed)] = True
+    meshes, contacts = assembly.meshes, assembly.contacts
+    return ExitPaths(meshes, contacts, assembly.clearance, assembly.part_motions, still, moves, turns)
 
 
 def prove_route(

@@ -13,7 +13,7 @@ from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, held_count
 from falsework.errors import InputError
-from falsework.search.find import FIRST_SHARE, PLANS, TaskRules, make_task, prove_route
+from falsework.search.find import FIRST_SHARE, PLANS, make_task, prove_route
 from falsework.search.planner import Planner
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
@@ -23,6 +23,7 @@ from falsework.search.problem.result import Outcome, Progress, Result, SearchRes
 from falsework.search.problem.task import Direction, Task
 from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
+from falsework.search.task_rules import TaskRules
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import or_notebook
@@ -314,7 +315,9 @@ def unremovable_parts(task: Task) -> NDArray[np.intp]:
     A part that has an exit keeps it when others are removed, so removing every part that can leave is complete.
     """
     leaving = (task.start != REMOVED) & (task.target == REMOVED)
-    if task.clearance is None or task.caveat:
+    if (
+        task.clearance is None or task.caveat or task.moves_out > 1
+    ):  # where others move aside, the number of robots matters
         return np.flatnonzero(leaving & False)
     state = task.start.copy()
     while True:

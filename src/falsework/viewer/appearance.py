@@ -37,14 +37,20 @@ class Appearance:
     opacity: Array
     """0 for invisible parts, shape (parts,)."""
     shift: Array
-    """Displacement of each part from its place, metres, shape (parts, 3)."""
+    """Displacement of each part from its place, metres, shape (parts, 3); of a part that turns, that of the origin."""
+    turn: Array
+    """Rotation of each part from its place, about the origin, shape (parts, 3, 3)."""
     holder: NDArray[np.int64]
     """Robot that holds each part, `NO_ROBOT` where none does, shape (parts,)."""
 
     @property
     def solid(self) -> NDArray[np.bool_]:
         """Parts fully visible and in place, shape (parts,)."""
-        return (self.opacity >= 1) & ~self.shift.any(axis=1)
+        return (self.opacity >= 1) & ~self.shift.any(axis=1) & (self.turn == np.eye(3)).all(axis=(1, 2))
+
+    def moved(self, part: int, points: Array) -> Array:
+        """Return points of a part, shape (..., 3), where it is seen, metres."""
+        return points @ self.turn[part].T + self.shift[part]
 
     @property
     def ghosts(self) -> NDArray[np.int64]:
@@ -81,7 +87,7 @@ def appearance_at(
         color[part] = rgb(robot_color(int(holder[part])))
     color[assembly.immovable] = rgb(BOUNDARY)
     opacity = (shown != REMOVED).astype(float)
-    shift = np.zeros((assembly.part_count, 3))
+    shift, turn = np.zeros((assembly.part_count, 3)), np.tile(np.eye(3), (assembly.part_count, 1, 1))
     if travelling:
         # A part comes during the two steps before its place is reached.
         gone = timeline.insertion - position
@@ -92,7 +98,8 @@ def appearance_at(
         for part in np.flatnonzero(leaving):
             share = float(gone[part]) / FADE
             opacity[part] = 1 - share
-            shift[part] = far * share * timeline.exit_directions[part]
+            pose = timeline.displacement(int(part), share, far)
+            turn[part], shift[part] = pose[:3, :3], pose[:3, 3]
             last = int(timeline.holders[timeline.insertion[part], part])
             if last != NO_ROBOT:
                 color[part] = rgb(robot_color(last))
@@ -101,7 +108,7 @@ def appearance_at(
         color[asked] = ramp_in_steps(action_probabilities[asked])
     for part, mark in (marks or {}).items():
         color[part] = rgb(mark)
-    return Appearance(shown, color, opacity, shift, holder)
+    return Appearance(shown, color, opacity, shift, turn, holder)
 
 
 @dataclass(frozen=True)
@@ -168,7 +175,7 @@ def pick(
     if len(seen) == 0:
         return None
     origin, direction = np.asarray(origin, dtype=float), np.asarray(direction, dtype=float)
-    triangles = np.concatenate([assembly.meshes[part].triangles + appearance.shift[part] for part in seen])
+    triangles = np.concatenate([appearance.moved(part, assembly.meshes[part].triangles) for part in seen.tolist()])
     owner = np.repeat(seen, [len(assembly.meshes[part].faces) for part in seen])
     edge, other = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     across = np.cross(direction, other)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.state import REMOVED, States, as_states
+from falsework.geometry.paths.moves import ExitPath, on_the_way
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.plans.steps import NO_ROBOT, PlanStep, holders, moved_parts, steps_of, undone
 from falsework.search.problem.task import Direction
@@ -56,6 +57,8 @@ class Timeline:
     """On the states, one each; empty where none are known."""
     loads: Loads = ()
     """What robots bear in each state; empty where it is not known."""
+    exit_paths: tuple[ExitPath, ...] = ()
+    """As `Plan.exit_paths`."""
 
     @classmethod
     def from_plan(
@@ -79,7 +82,8 @@ class Timeline:
         check_identity(plan, assembly)
         who = plan.holders if who is None else who
         presses, loads = plan.presses, plan.loads
-        return cls(assembly, plan.states, plan.actions, who, direction, plan.robots, presses, plan.verdicts, loads)
+        more = presses, plan.verdicts, loads, plan.exit_paths
+        return cls(assembly, plan.states, plan.actions, who, direction, plan.robots, *more)
 
     @classmethod
     def from_state(cls, assembly: Assembly, state: ArrayLike, robots: int = 2) -> Timeline:
@@ -109,6 +113,7 @@ class Timeline:
             presses=presses if any(presses) else (),
             verdicts=(*known[:place], *plan.verdicts),
             loads=loads if any(loads) else (),
+            exit_paths=(),  # plans with such ways are not planned again
         )
 
     def with_places(self, assembly: Assembly) -> Timeline:
@@ -187,13 +192,33 @@ class Timeline:
 
     @cached_property
     def exit_directions(self) -> Array:
-        """Unit vector along which each part leaves, zero for those that stay. Shape (parts, 3)."""
+        """Unit vector along which each part leaves at last, zero for those that stay. Shape (parts, 3)."""
         ways = np.zeros((self.assembly.part_count, 3))
-        for part in np.flatnonzero(self.insertion > 0):
+        for part in np.flatnonzero(self.insertion > 0).tolist():
             step = int(self.insertion[part])
+            if self.path_of(part):
+                ways[part] = self.path_of(part)[-1].direction
+                continue
             moved, _ = moved_parts(self.states[step - 1], self.states[step])
             ways[part] = exit_directions(self.assembly, self.states[step], moved)[moved.index(part)]
         return ways
+
+    def path_of(self, part: int) -> ExitPath:
+        """Return the moves in which a part leaves; none where it leaves in a straight line, or stays."""
+        step = int(self.insertion[part])
+        return self.exit_paths[step - 1] if self.exit_paths and step > 0 else ()
+
+    def displacement(self, part: int, share: float, far: float) -> Array:
+        """Return where a part is after a share of its way out, which ends so many metres along its last move.
+
+        Returns:
+            Displacement from its place, shape (4, 4).
+        """
+        if self.path_of(part):
+            return on_the_way(self.path_of(part), self.assembly.meshes[part].vertices, share, far)
+        matrix = np.eye(4)
+        matrix[:3, 3] = far * share * self.exit_directions[part]
+        return matrix
 
     def held_when(self, part: int) -> list[tuple[int, int, int]]:
         """Return robot, first and last state of every time that the part is held."""

@@ -203,6 +203,9 @@ LISTED: dict[str, Callable[[Plan, Plan, PlanReport], bool]] = {
     "rules.parts_at_once": lambda old, new, report: (
         report.about is not None and report.about.parts_at_once <= new.parts_at_once
     ),
+    "rules.moves": lambda old, new, report: report.about is not None and report.about.moves <= new.moves,
+    "rules.turns": lambda old, new, report: new.turns,
+    "steps.exit_path": lambda old, new, report: True,
     "stability.stiffness_ratio": lambda old, new, report: report.claim.criterion == "equilibrium",
     "stability.tolerance": lambda old, new, report: f"its tolerance {new.claim.tolerance:g}" in report.unverified,
     "stability.force_bound": lambda old, new, report: f"its force bound {new.claim.force_bound:g}" in report.unverified,

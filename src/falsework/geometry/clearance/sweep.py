@@ -156,7 +156,7 @@ class Sweeper:
     def _cones_between(self, part: int, other: int) -> Cones:
         """Return the cones between two parts; those of the last pairs are kept, since sets share them."""
         if (part, other) not in self._pairs:
-            level = self._level(part, other)
+            level = self.level(part, other)
             self._pairs[part, other] = cones_between(self._pieces(part, level), self._pieces(other, level), other)
             while len(self._pairs) > _PAIRS:
                 self._pairs.popitem(last=False)
@@ -205,13 +205,17 @@ class Sweeper:
         """
         move = direction * self._reach
         for part in moving:
-            level = self._level(part, other)
+            level = self.level(part, other)
             shape, obstacle = self._shape(part, level), self._shape(other, level)
             if (part, level) not in walls:
                 walls[part, level] = shape.wall(move)
             if walls[part, level].hits(obstacle.body) or obstacle.edge_wall(-move).hits(shape.body):
                 return True
         return False
+
+    def shrunk(self, part: int, level: int) -> Array:
+        """Return the vertices of a part shrunk as beside others of a `level`, shape (vertices, 3), metres."""
+        return self._shape(part, level).vertices
 
     def _shape(self, part: int, level: int) -> _Shape:
         """Return a part shrunk by its share of the tolerance, doubled `level` times."""
@@ -232,7 +236,7 @@ class Sweeper:
             apart[contact] = (points[first[a] : ends[a]] @ normal).max() <= (points[first[b] : ends[b]] @ normal).min()
         return apart
 
-    def _level(self, a: int, b: int) -> int:
+    def level(self, a: int, b: int) -> int:
         """Count the doublings of the shrinking after which the corners of two parts no longer cut into each other.
 
         It stops at a quarter of the thickness of the thinner part; pairs that still collide are never free.

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.robots.kernels.gjk import INNER, OUTER, gap
+from falsework.geometry.paths.gjk import INNER, OUTER, gap
 from falsework.utils.kernels import njit
 
 Array = NDArray[np.float64]

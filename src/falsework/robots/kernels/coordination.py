@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.paths.gjk import INNER, OUTER, gap
 from falsework.robots.kernels.collision import Bodies, Chain, place_frames
-from falsework.robots.kernels.gjk import INNER, OUTER, gap
 from falsework.utils.kernels import njit
 
 Array = NDArray[np.float64]

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from falsework.geometry.paths.gjk import INNER, OUTER
 from falsework.robots.kernels.collision import place_frames
-from falsework.robots.kernels.gjk import INNER, OUTER
 from falsework.utils.kernels import njit
 
 TOLERANCE = 1e-9

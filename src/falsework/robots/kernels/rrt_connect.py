@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
+from falsework.geometry.paths.gjk import INNER, OUTER
 from falsework.robots.kernels.collision import CLEAR, first_hit
-from falsework.robots.kernels.gjk import INNER, OUTER
 from falsework.utils.kernels import njit
 
 INTERVALS = 4096

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from falsework.robots.kernels.gjk import INNER, OUTER
+from falsework.geometry.paths.gjk import INNER, OUTER
 from falsework.utils.kernels import njit
 
 _FLAT = 1e-12

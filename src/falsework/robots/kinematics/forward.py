@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from falsework.geometry.paths.gjk import OUTER
 from falsework.robots.kernels.collision import place_frames
-from falsework.robots.kernels.gjk import OUTER
 from falsework.robots.kernels.kernel_arrays import make_chain, turns
 from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel

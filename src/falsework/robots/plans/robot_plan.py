@@ -222,8 +222,8 @@ class RobotPlan(Displayed):
     """The same of its last steps: they were undone before, in disassembly."""
 
     def __post_init__(self) -> None:
-        if self.plan.parts_at_once > 1:
-            raise PlanError("robot plans move one part at a time, but the plan moves several in one step; plan again")
+        if self.plan.parts_at_once > 1 or self.plan.exit_paths:
+            raise PlanError("robot plans move one part at a time, and straight, but the plan does not; plan again")
         actions = sum(acts(step) for step in self.steps)
         if len(self.keyframes) != len(self.steps) + 1 or actions != len(self.plan) - len(self.before) - len(self.after):
             raise PlanError(

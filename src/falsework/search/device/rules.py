@@ -140,7 +140,8 @@ class TensorRules:
     def dead_ends(self, states: torch.Tensor) -> torch.Tensor:
         """Return the states from which the goal is certainly out of reach, as `Task.dead_ends`. Shape (batch,)."""
         torch = import_torch()
-        if self.task.clearance is None or self.direction is Direction.DISASSEMBLY:
+        task = self.task
+        if task.clearance is None or self.direction is Direction.DISASSEMBLY or task.moves_aside:
             return torch.zeros(len(states), dtype=torch.bool, device=self.device)
         return ((states == REMOVED) & self._to_come & ~self._ways.can_leave(states)).any(dim=1)
 

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from falsework.assembly.assembly_model import Count, Prop
 from falsework.assembly.state import HELD, INSTALLED, Mask, States
 from falsework.errors import PlanError
+from falsework.geometry.paths.exit_paths import ExitPaths
+from falsework.geometry.paths.moves import ExitPath
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.steps import PlanStep, holders, inserts_several, steps_of, undone
@@ -56,6 +58,16 @@ def needs_of(actions: NDArray[np.int64], parts: int, missing: tuple[int, ...]) -
         if len(step):
             needs.append(PartDeadline(part, int(step[0]), int(placed[step[0]]) - 1))
     return tuple(sorted(needs, key=lambda need: need.after_steps))
+
+
+def _exit_paths(route: Route, task: Task) -> tuple[ExitPath, ...]:
+    """Return the moves of each step of a route, in the order of assembly; none for steps without or straight ones."""
+    clearance, found = task.clearance, []
+    for state, action in zip(route.states[-2::-1], route.actions[::-1].tolist(), strict=True):
+        part = action - route.states.shape[1]
+        way = clearance.exit_path(state, part) if part >= 0 and isinstance(clearance, ExitPaths) else ()
+        found.append(way or ())
+    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +116,13 @@ class Plan(Displayed):
     """Props that may be in place at a time."""
     parts_at_once: int = 1
     """Parts that a step may insert at most; 1 if none inserts more."""
+    moves: int = 1
+    """Moves of a way out at most; 1 if every part leaves in one."""
+    turns: bool = False
+    """Whether parts turn on their ways out."""
+    exit_paths: tuple[ExitPath, ...] = ()
+    """Moves in which the part of each step leaves, one entry a step; an entry is empty where it leaves in a straight
+    line, and all is where every part does. Insertion undoes them, the last one first."""
     source: Mapping[str, Any] | None = None
     """Where the structure came from: `built_in` or `path` (relative to the file of the plan), and the options of
     `load_structure` that were given; None if unknown."""
@@ -157,6 +176,7 @@ class Plan(Displayed):
         cls, route: Route, assembly: Assembly, task: Task, verdicts: Verdicts, claim: StabilityCriterion
     ) -> Plan:
         """Plan as `of`, whatever the verdicts are."""
+        exit_paths = _exit_paths(route, task)
         return cls(
             states=route.states[::-1].copy(),
             actions=route.actions[::-1].copy(),
@@ -178,6 +198,9 @@ class Plan(Displayed):
             props=assembly.props,
             prop_limit=task.prop_limit if assembly.props else 0,
             parts_at_once=1 if task.together is None or not inserts_several(route.states) else task.together.largest,
+            moves=task.moves_out if any(exit_paths) else 1,
+            turns=any(move.turns for way in exit_paths for move in way),
+            exit_paths=exit_paths if any(exit_paths) else (),
             forces=verdicts.forces,
         )
 

@@ -80,6 +80,8 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             "support": plan.allow_regrasp,
             "props": plan.prop_limit if plan.props else 0,
             "parts_at_once": plan.parts_at_once,
+            "moves": plan.moves,
+            "turns": plan.turns,
         },
         "stability": {**vars(plan.claim), "holds": plan.claim.holds.to_dict() if contact else None},
         "start": {"state": plan.states[0].tolist(), **records[0]},
@@ -90,6 +92,16 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
                 "parts": step.parts if len(step.parts) > 1 else None,
                 "held": len(step.robots) if len(step.parts) > 1 else None,
                 **records[step.number],
+                "exit_path": [
+                    {
+                        "direction": move.direction,
+                        "distance": move.distance,
+                        "angle": move.angle or None,
+                        "point": move.point if move.turns else None,
+                        "parts": None if move.parts == (step.part,) else move.parts,
+                    }
+                    for move in (plan.exit_paths[step.number - 1] if plan.exit_paths else ())
+                ],
                 "presses": step.presses,
             }
             for step in plan.steps

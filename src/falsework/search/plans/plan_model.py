@@ -8,6 +8,7 @@ import numpy as np
 from msgspec import Meta
 
 from falsework.assembly.assembly_model import MOST, Count, Earthquake, LoadEntry, Prop
+from falsework.geometry.paths.exit_paths import MOST as MOST_MOVES
 from falsework.search.margins.demands import Demands
 from falsework.search.plans.plan import PartDeadline
 from falsework.search.plans.steps import Action
@@ -113,6 +114,10 @@ class RulesEntry(FileModel, frozen=True):
     """Props that may stand at a time."""
     parts_at_once: Annotated[int, Meta(ge=1)] = 1
     """Parts that a step may insert at most."""
+    moves: Annotated[int, Meta(ge=1, le=MOST_MOVES)] = 1
+    """Moves of a way out at most."""
+    turns: bool = False
+    """Whether parts may turn on their ways out."""
 
 
 class HoldsEntry(FileModel, frozen=True):
@@ -170,6 +175,22 @@ class StartEntry(FileModel, frozen=True):
     bears: Bears = ()
 
 
+class MoveEntry(FileModel, frozen=True):
+    """Move on the way out of a part: a straight line, a turn about an axis, or both at once, which is a screw."""
+
+    direction: tuple[float, float, float]
+    """Unit vector along the line or the axis."""
+    distance: NotNegative
+    """Along it, m."""
+    angle: float | None = None
+    """About it by the right-hand rule, rad; with point."""
+    point: tuple[float, float, float] | None = None
+    """On the axis, m."""
+    parts: Parts | None = None
+    """What moves, as one body, if not the inserted part alone: it, or others that robots hold and that go back when it
+    is out."""
+
+
 class StepEntry(FileModel, frozen=True):
     """Step of a plan, with the verdict on the state that it leads to."""
 
@@ -184,6 +205,9 @@ class StepEntry(FileModel, frozen=True):
     """All parts that the step inserts, part first, where they are several."""
     held: Annotated[int, Meta(ge=1)] | None = None
     """With parts: how many of them, from the first on, robots hold: all, or one, which carries the others."""
+    exit_path: Annotated[tuple[MoveEntry, ...], Meta(max_length=MOST_MOVES)] = ()
+    """Moves in which the inserted part would leave, where it has no straight way out: the step undoes them, the last
+    one first."""
     presses: tuple[Press, ...] = ()
     """Robots that press on parts that they hold while this step releases a part."""
     bears: Bears = ()

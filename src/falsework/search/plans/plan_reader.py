@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
 from falsework.errors import PlanError, StateError
+from falsework.geometry.paths.moves import ExitPath, Move
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.older_plans import upgraded
 from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
@@ -41,6 +42,8 @@ MOVES = {
 }
 """Value of the part before a step, and after."""
 PROOF_WORDS = {"contact": "history", "equilibrium": "forces"}
+MOST_ANGLE = 1e4
+"""Angle of a turn that is read, rad."""
 MOST_ENTRIES = 1 << 30
 """States of a plan times parts that are read, a byte each: a complete plan of 23,000 parts."""
 
@@ -79,6 +82,8 @@ class PlanReader:
         if structure.source is not None:
             check_source(structure.source, self._about)
         claim = self._claim()
+        if (rules.moves > 1 or rules.turns) and not rules.removable_only_if_clear:
+            self._fail("rules.moves is above 1, or rules.turns is true", "they need rules.removable_only_if_clear")
         if rules.parts_at_once > 1 and not rules.removable_only_if_clear:
             self._fail("rules.parts_at_once is above 1", "parts move at once only with rules.removable_only_if_clear")
         states, actions, residuals = self._sequence(boundary)
@@ -95,6 +100,7 @@ class PlanReader:
         loads = [self._loads(record, number) for number, record in enumerate((file.start, *file.steps))]
         if any(loads) and claim.criterion != "contact":
             self._fail("it says what robots bear, which is not known under the criterion equilibrium")
+        exit_paths = [self._exit_path(step, number) for number, step in enumerate(file.steps, 1)]
         presses = [self._presses(step, number) for number, step in enumerate(file.steps, 1)]
         return {
             "states": states,
@@ -116,6 +122,9 @@ class PlanReader:
             "props": structure.props,
             "prop_limit": rules.props,
             "parts_at_once": rules.parts_at_once,
+            "moves": rules.moves,
+            "turns": rules.turns,
+            "exit_paths": tuple(exit_paths) if any(exit_paths) else (),
             "source": None if structure.source is None else to_json_values(structure.source),
             "presses": tuple(presses) if any(presses) else (),
             "loads": tuple(loads) if any(loads) else (),
@@ -196,6 +205,34 @@ class PlanReader:
         if there:
             self._fail(f"{place} cannot insert part {there[0]}, which is there already")
         return members[1:held], members[held:]
+
+    def _exit_path(self, step: StepEntry, number: int) -> ExitPath:
+        """Return the moves of a step; whether they lead out is for the check."""
+        if not step.exit_path:
+            return ()
+        place, most = f"step {number}", self._file.rules.moves
+        if step.do != Action.INSERT or step.parts is not None:
+            self._fail(f"{place} has an exit_path", "only a step that inserts one part has one")
+        if len(step.exit_path) > most:
+            self._fail(f"{place} has {len(step.exit_path)} moves", f"at most {most} with rules.moves")
+        for count, move in enumerate(step.exit_path):
+            place = f"steps[{number - 1}].exit_path[{count}]"
+            if abs(np.linalg.norm(move.direction) - 1.0) > 1e-6:
+                self._fail(f"{place}.direction is no unit vector")
+            if move.distance == 0.0 and not move.angle:
+                self._fail(f"{place} moves nothing")
+            if (move.angle is None) != (move.point is None):
+                self._fail(f"{place} has only one of angle and point", "a turn has both")
+            if move.angle and not self._file.rules.turns:
+                self._fail(f"{place} turns", "it may not without rules.turns")
+            if abs(move.angle or 0.0) > MOST_ANGLE:
+                self._fail(f"{place}.angle is {move.angle:g}", f"at most {MOST_ANGLE:g} rad")
+            if move.parts is not None and not self._distinct(move.parts, f"{place}.parts"):
+                self._fail(f"{place}.parts is empty")
+        return tuple(
+            Move(move.parts or (step.part,), move.direction, move.distance, move.angle or 0.0, move.point or (0.0,) * 3)
+            for move in step.exit_path
+        )
 
     def _judged(self, record: StartEntry | StepEntry, place: str) -> float:
         """Return the residual of a state; nan where a plan whose replay fails has not proven it."""

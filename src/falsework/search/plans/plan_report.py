@@ -41,6 +41,8 @@ class CheckedPlan:
     """Props that it may use at a time."""
     parts_at_once: int
     """Parts that a step of it moves at most."""
+    moves: int
+    """Moves of a way out at most."""
     start: tuple[int, ...]
     """First state."""
     end: tuple[int, ...]
@@ -58,6 +60,7 @@ class CheckedPlan:
             props=len(plan.props),
             prop_limit=plan.prop_limit,
             parts_at_once=int((plan.states[1:] != plan.states[:-1]).sum(axis=1).max(initial=1)),
+            moves=max((len(way) for way in plan.exit_paths), default=1),
             start=tuple(plan.states[0].tolist()),
             end=tuple(plan.states[-1].tolist()),
         )

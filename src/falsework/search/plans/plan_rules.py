@@ -13,6 +13,7 @@ from falsework.search.plans.steps import moved_parts
 from falsework.search.problem.regrasp_moves import RegraspMoves
 from falsework.search.problem.task import Direction, Task
 from falsework.search.together.carried_group import holds_together
+from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 
 
@@ -57,11 +58,39 @@ def broken_rule(
         alone = (states[1:] != states[:-1]).sum(axis=1) == 1
         inserts = np.flatnonzero((plan.actions >= parts) & alone)
         clear = assembly.clearance.can_leave(states[inserts + 1])
-        blocked = inserts[~clear[np.arange(len(inserts)), plan.actions[inserts] - parts]]
-        if len(blocked):
-            step = int(blocked[0])
-            return step + 1, f"step {step + 1} ({plan.words(step + 1)}) finds no straight way past the other parts"
+        for step in inserts[~clear[np.arange(len(inserts)), plan.actions[inserts] - parts]].tolist():
+            wrong = _broken_way(plan, step, assembly, settings)
+            if wrong:
+                return step + 1, f"step {step + 1} ({plan.words(step + 1)}) {wrong}"
     return None
+
+
+def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySettings | None) -> str:
+    """Return what is wrong with how a step inserts a part that has no straight way, as the end of a sentence."""
+    moves = plan.exit_paths[step] if plan.exit_paths else ()
+    part, state = int(plan.actions[step]) - len(plan.boundary), plan.states[step + 1]
+    if not moves:
+        return "finds no straight way past the other parts"
+    if len(moves) > plan.moves:
+        return f"is against the rules: its way has {len(moves)} moves, and {plan.moves} are allowed"
+    if any(move.turns for move in moves) and not plan.turns:
+        return "is against the rules: its way has a turn, and none is allowed"
+    if moves[-1].parts != (part,):
+        return "is against the rules: the last move of its way is not that of the part alone"
+    moved = sorted({one for move in moves for one in move.parts})
+    loose = [one for one in moved if state[one] != HELD or plan.immovable[one] or one in plan.fixed]
+    if loose:
+        return f"is against the rules: its way moves {plan.part_names[loose[0]]}, which no robot holds"
+    wrong = assembly.part_motions.leaves(moves, state != REMOVED)
+    if wrong:
+        return f"is against the rules: on its way out, {wrong}"
+    if len(moved) > 1 and settings is not None:
+        rest = state.copy()
+        rest[moved] = REMOVED
+        if not StabilityOracle(assembly, settings).verdicts(rest[None]).stable[0]:
+            names = ", ".join(plan.part_names[one] for one in moved)
+            return f"is against the rules: while {names} move, the other parts do not stand"
+    return ""
 
 
 def broken_together(plan: Plan, step: int, assembly: Assembly | None, settings: StabilitySettings | None) -> str:

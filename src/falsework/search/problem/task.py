@@ -26,8 +26,9 @@ from falsework.assembly.state import (
     undo_actions,
 )
 from falsework.errors import InputError, StateError
+from falsework.geometry.paths.exit_paths import ExitPaths
 from falsework.search.problem.legal_moves import LegalMoves
-from falsework.search.problem.oracle import Criterion
+from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.together import Together
 from falsework.utils.quantity import counted
 
@@ -49,11 +50,9 @@ class Clearance(Protocol):
 
     def can_leave(self, states: States) -> Mask:
         """Shape (batch, parts): part `i` has an exit that no other present part blocks."""
-        ...
 
     def caveat(self, parts: Mask) -> str:
         """Explain why the absence of a plan would not be proven; empty if it would be."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +83,7 @@ class Task:
     neighbours: Mask | None = None
     """Which movable parts are in contact, shape (parts, parts); a search that has it learns from failures."""
     holds_keep_stable: bool = False
-    """Whether a stable state stays stable when a part of it is held: a theorem under the criterion `equilibrium`,
-    wrong under `contact`. Where it does, holds need no verdict; see `judged_by`."""
+    """Whether a stable state stays stable when a part of it is held, so that holds need no verdict; see `judged_by`."""
     allow_regrasp: bool = False
     """Whether a held part may be released without being removed, and held again."""
     props: tuple[int, ...] = ()
@@ -202,18 +200,35 @@ class Task:
         props = int((self.target[parts:] != self.start[parts:]).sum())
         return int(STAGE[self.target[:parts]].sum() - STAGE[self.start[:parts]].sum()) + props
 
-    def judged_by(self, oracle: Criterion) -> Task:
-        """Return the same task with the moves that need no verdict under the criterion of an oracle."""
-        return replace(self, holds_keep_stable=oracle.holds_keep_stable)
+    def judged_by(self, oracle: Oracle) -> Task:
+        """Return the same task with the moves, and the parts that move aside, that an oracle allows."""
+        paths = self.clearance
+        paths = paths.judged_by(oracle) if isinstance(paths, ExitPaths) else paths
+        return replace(self, holds_keep_stable=oracle.holds_keep_stable, clearance=paths)
 
-    @cached_property
+    @property
     def caveat(self) -> str:
-        """Reason why an exhaustive search would not prove that there is no plan; empty if it would."""
+        """Reason why an exhaustive search so far would not prove that there is no plan; empty if it would."""
         if self.prop_limit:
             return f"props were tried at {len(self.props)} places, one under a part; they may help at others"
         if self.clearance is None:
             return ""
         return self.clearance.caveat((self.start != REMOVED) & (self.target == REMOVED))
+
+    @property
+    def moves_out(self) -> int:
+        """Moves of a way out at most; 1 for straight ways."""
+        return self.clearance.moves if isinstance(self.clearance, ExitPaths) else 1
+
+    @property
+    def turns(self) -> bool:
+        """Whether a part that leaves may turn."""
+        return isinstance(self.clearance, ExitPaths) and self.clearance.turns
+
+    @property
+    def moves_aside(self) -> bool:
+        """Whether parts that robots hold may move aside while another leaves."""
+        return self.moves_out > 1 and self.robots > 1
 
     def postpone(self, postponed: Sequence[int]) -> Task:
         """Return the same task with other lower bounds on when missing parts are inserted."""
@@ -256,15 +271,15 @@ class Task:
     def dead_ends(self, states: States, direction: Direction) -> Mask:
         """Return states from which the goal is certainly out of reach, stability aside. Shape (batch,).
 
-        In assembly parts only ever block more: a part still to be inserted that has no free direction now never will.
+        In assembly parts only block more: one that has no free direction now never will, unless held parts move aside.
         """
-        if self.clearance is None or direction is Direction.DISASSEMBLY:
+        if self.clearance is None or direction is Direction.DISASSEMBLY or self.moves_aside:
             return np.zeros(len(states), dtype=bool)
         to_come = (states == REMOVED) & (self.start != REMOVED)
         return (to_come & ~self.clearance.can_leave(states)).any(axis=1)
 
     def fixes(self, actions: NDArray[np.integer], direction: Direction) -> Mask:
-        """Return whether moves fix a part: a hold, and in assembly an insertion with hold. Shape (batch,)."""
+        """Return whether moves fix a part: a hold, and in assembly an insertion. Shape (batch,)."""
         holds = np.asarray(actions) < self.part_count
         return holds if direction is Direction.DISASSEMBLY else ~holds
 
@@ -301,6 +316,8 @@ class Task:
             "missing": list(self.missing),
             "postponed": list(self.postponed),
             "removable_only_if_clear": self.clearance is not None,
+            "moves": self.moves_out,
+            "turns": self.turns,
             "holds_keep_stable": self.holds_keep_stable,
         }
 

@@ -76,7 +76,7 @@ class RecordedScene(ViserScene):
         parts = self.assembly.part_count
         self._opacities = np.zeros(parts)
         self._colors = np.zeros((parts, 3), dtype=np.uint8)
-        self._shifts = np.zeros((parts, 3))
+        self._poses = np.zeros((parts, 12))
         self._parts: dict[int, Any] = {}
 
     def show(
@@ -91,35 +91,43 @@ class RecordedScene(ViserScene):
         """Update the parts; see `ViserScene.show`, but nothing is missing, pale or cut in a recording."""
         before, now = self._opacities, appearance.opacity
         dyed = (appearance.color != self._colors).any(axis=1)
-        shifted = (appearance.shift != self._shifts).any(axis=1)
+        poses = np.concatenate([appearance.shift, appearance.turn.reshape(-1, 9)], axis=1)
+        shifted = (poses != self._poses).any(axis=1)
         changed = np.flatnonzero((now != before) | ((now > 0) & (dyed | shifted)))
         for part in changed.tolist():
             if now[part] == 0:
                 self._parts.pop(part).remove()
                 continue
             color = tuple(appearance.color[part].tolist())
-            position = appearance.shift[part] * self.scale
+            position, turn = self.pose(appearance, part)
             opacity = None if now[part] >= 1 else round(float(now[part]), 3)
             node = self._parts.get(part)
             if node is None:
-                self._parts[part] = self._part(part, color, opacity, position)
+                self._parts[part] = self._part(part, color, opacity, position, turn)
                 continue
             if dyed[part]:
                 node.color = color
             if shifted[part]:
-                node.position = position
+                node.position, node.wxyz = position, turn
             node.opacity = opacity
         seen = changed[now[changed] > 0]
-        self._colors[seen], self._shifts[seen] = appearance.color[seen], appearance.shift[seen]
+        self._colors[seen], self._poses[seen] = appearance.color[seen], poses[seen]
         self._opacities = now.copy()
         self._show_labels(appearance, labels or {})
         return len(changed)
 
-    def _part(self, part: int, color: tuple[int, ...], opacity: float | None, position: NDArray[np.float64]) -> Any:
+    def _part(
+        self,
+        part: int,
+        color: tuple[int, ...],
+        opacity: float | None,
+        position: NDArray[np.float64],
+        turn: NDArray[np.float64],
+    ) -> Any:
         name = f"/parts/{part}"
         node = self._scene.add_mesh_simple(
             name, self._vertices[part], self._faces[part], color=color, opacity=opacity, position=position,
-            flat_shading=True,
+            wxyz=turn, flat_shading=True,
         )  # fmt: skip
         if self._lined:
             edges = self._edges[part]

@@ -88,6 +88,14 @@ class ViserScene:
         """Convert metres to the coordinates of the scene."""
         return (points - self.origin) * self.scale
 
+    def pose(self, appearance: Appearance, part: int) -> tuple[Array, Array]:
+        """Return position and rotation, a quaternion wxyz, of the node of a part."""
+        from scipy.spatial.transform import Rotation
+
+        turn = appearance.turn[part]
+        position = (appearance.shift[part] + turn @ self.origin - self.origin) * self.scale
+        return position, Rotation.from_matrix(turn).as_quat(scalar_first=True)
+
     def ray(self, origin: Sequence[float], direction: Sequence[float]) -> tuple[Array, Array]:
         """Convert a ray of the scene to metres."""
         return np.asarray(origin, dtype=float) / self.scale + self.origin, np.asarray(direction, dtype=float)
@@ -311,7 +319,7 @@ class ViserScene:
             self._ghosts.pop(part)[1].remove()
         for part in wanted:
             color = appearance.color[part].tobytes() + self._cut_of([part])
-            position = appearance.shift[part] * self.scale
+            position, turn = self.pose(appearance, part)
             opacity = float(appearance.opacity[part])
             opacity = None if opacity >= 1 else opacity
             known = self._ghosts.get(part)
@@ -320,7 +328,7 @@ class ViserScene:
                 node = self._scene.add_mesh_simple(
                     f"/ghosts/{part}", vertices, faces,
                     color=tuple(int(channel) for channel in appearance.color[part]), flat_shading=True,
-                    opacity=opacity, position=position, cast_shadow=False,
+                    opacity=opacity, position=position, wxyz=turn, cast_shadow=False,
                 )  # fmt: skip
                 self._ghosts[part] = (color, node)
                 sent += 1
@@ -329,7 +337,7 @@ class ViserScene:
                         f"/ghosts/{part}/edges", edges, rgb(INK), thickness=1.4, thickness_units="screen"
                     )
             else:
-                known[1].position = position
+                known[1].position, known[1].wxyz = position, turn
                 known[1].opacity = opacity
         return sent
 
@@ -337,7 +345,7 @@ class ViserScene:
         for part in [part for part in self._labels if labels.get(part) != self._labels[part][0]]:
             self._labels.pop(part)[1].remove()
         for part, words in labels.items():
-            at = self.place(self.assembly.mass.center[part] + appearance.shift[part])
+            at = self.place(appearance.moved(part, self.assembly.mass.center[part]))
             if part not in self._labels:
                 self._labels[part] = (words, self._scene.add_label(f"/labels/{part}", printable(words), position=at))
             elif not np.allclose(self._labels[part][1].position, at):

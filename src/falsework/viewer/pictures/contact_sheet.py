@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
+from falsework.geometry.paths.moves import apply
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.viewer.appearance import TRAVEL, Appearance, appearance_at, bounds_of, diagonal
 from falsework.viewer.arms import Arms, appearance_with_arms, bounds_with_arms, solids_of_arms
@@ -38,12 +39,11 @@ _ARROW = 0.006
 def solids_of(assembly: Assembly, appearance: Appearance) -> list[ColoredSolid]:
     """Return all parts that are seen, as meshes with their colours."""
     solids = []
-    for part in np.flatnonzero(appearance.opacity > 0):
+    for part in np.flatnonzero(appearance.opacity > 0).tolist():
         mesh = assembly.meshes[part]
         color = tuple(float(channel) / 255 for channel in appearance.color[part])
-        solids.append(
-            ColoredSolid(mesh.vertices + appearance.shift[part], mesh.faces, color, float(appearance.opacity[part]))
-        )
+        points = appearance.moved(part, mesh.vertices)
+        solids.append(ColoredSolid(points, mesh.faces, color, float(appearance.opacity[part])))
     return solids
 
 
@@ -251,8 +251,11 @@ def bounds_with_motions(timeline: Timeline) -> NDArray[np.float64]:
         return box
     floor = box[0, 2]
     # Half of the path suffices: farther out a part is nearly invisible.
-    shift = 0.5 * TRAVEL * diagonal(timeline.assembly) * timeline.exit_directions
-    boxes = np.array([mesh.bounds + shift[part] for part, mesh in enumerate(timeline.assembly.meshes)])
+    far, boxes = TRAVEL * diagonal(timeline.assembly), []
+    for part, mesh in enumerate(timeline.assembly.meshes):
+        points = apply(timeline.displacement(part, 0.5, far), mesh.vertices)
+        boxes.append([points.min(axis=0), points.max(axis=0)])
+    boxes = np.array(boxes)
     wide = np.stack([np.minimum(box[0], boxes[:, 0].min(axis=0)), np.maximum(box[1], boxes[:, 1].max(axis=0))])
     wide[0, 2] = floor
     return wide

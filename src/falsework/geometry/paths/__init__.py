@@ -1,0 +1,1 @@
+"""Ways out of parts in several moves: straight lines, turns and screws."""

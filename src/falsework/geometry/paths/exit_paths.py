@@ -1,0 +1,223 @@
+"""Clearance of parts that leave in several moves, where they have no straight way out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.errors import InputError
+from falsework.geometry.clearance.first_motions import can_begin_to_move
+from falsework.geometry.clearance.table import ClearanceTable
+from falsework.geometry.contact.interfaces import Contacts
+from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.paths.motions import PartMotions
+from falsework.geometry.paths.moves import ExitPath, after
+from falsework.geometry.paths.path_search import PathSearch
+from falsework.utils.bits import Words, pack
+
+Mask = NDArray[np.bool_]
+States = NDArray[np.uint8]
+
+HELD = 2
+"""Value of a part in a state that a robot holds."""
+MOST = 100
+"""Moves of a way out at most."""
+
+
+class Oracle(Protocol):
+    """Stability oracle, as searches have it."""
+
+    def verdicts(self, states: States) -> Any:
+        """Return verdicts on states, shape (batch, parts), whose `stable` and `unstable` have the shape (batch,)."""
+        ...
+
+
+class ExitPaths:
+    """Ways out of parts in up to some number of moves; each is searched for when first asked for, and kept.
+
+    A part that has a straight way out takes that (`ClearanceTable`). Otherwise it may leave in several moves, and other
+    parts that robots hold in the same state may move aside meanwhile, and back when it is out. Robots carry parts all
+    along: on its way a part touches others, but nothing bears on it. So the state must stand without all parts of the
+    way, too.
+
+    Ways are kept with what blocks them, and searches without a result with parts that suffice for that: past these and
+    more there is no way either.
+    """
+
+    def __init__(
+        self,
+        meshes: Sequence[TriangleMesh],
+        contacts: Contacts,
+        straight: ClearanceTable,
+        motions: PartMotions,
+        fixed: Mask,
+        moves: int,
+        turns: bool,
+        oracle: Oracle | None = None,
+    ) -> None:
+        """Take a structure.
+
+        Args:
+            meshes: closed meshes that face outwards.
+            contacts: their contacts.
+            straight: clearance of parts that leave in straight lines.
+            motions: swept tests of the parts.
+            fixed: parts that never move, shape (parts,).
+            moves: moves of a way out at most.
+            turns: whether parts that leave may also turn, and screw.
+            oracle: says which states stand; without one all do.
+
+        Raises:
+            InputError: no number of moves from 1 to 100.
+        """
+        if not (isinstance(moves, int | np.integer) and 1 <= moves <= MOST):
+            raise InputError(f"{moves} is not a number of moves of a way out; give 1 (one move) to {MOST}")
+        self._meshes, self._contacts, self._straight, self._motions = meshes, contacts, straight, motions
+        self._fixed, self.moves, self.turns, self._oracle = fixed, int(moves), turns, oracle
+        self._ways: dict[int, list[_KeptWay]] = {}
+        self._closed: dict[int, list[_Closed]] = {}
+        self._stands: dict[bytes, bool] = {}
+        self._undecided = 0
+
+    def __reduce__(self) -> tuple[type[ExitPaths], tuple[Any, ...]]:
+        """Pickle what it is made of; what was found is found again."""
+        given = self._meshes, self._contacts, self._straight, self._motions, self._fixed, self.moves, self.turns
+        return ExitPaths, (*given, self._oracle)
+
+    def judged_by(self, oracle: Oracle) -> ExitPaths:
+        """Return the same ways out, where parts may move aside only if an oracle says that the rest stands."""
+        if self._oracle is oracle:
+            return self
+        new = copy(self)
+        new._oracle, new._ways, new._closed = oracle, self._ways, self._closed
+        return new
+
+    def can_leave(self, states: States) -> Mask:
+        """Return whether each part has a way out past the parts that are present; as `ClearanceTable.can_leave`."""
+        found = self._straight.can_leave(states)
+        for row, part in np.argwhere(~found & ~self._fixed).tolist():
+            found[row, part] = self._search(states[row], part) is not None
+        return found
+
+    def exit_path(self, state: States, part: int) -> ExitPath | None:
+        """Return the moves in which a part leaves a state, shape (parts,); none of them where it leaves straight.
+
+        Returns:
+            None if no way was found.
+        """
+        if self._straight.can_leave(np.asarray(state)[None])[0, part]:
+            return ()
+        if self._fixed[part]:
+            return None
+        return self._search(np.asarray(state), part)
+
+    def caveat(self, parts: Mask) -> str:
+        """Explain why some of the parts, shape (parts,), may have ways that were not found; empty if none can."""
+        every = np.flatnonzero(parts).tolist()
+        unsure = [part for part in every if not all(known.exact for known in self._closed.get(part, ()))]
+        if self._undecided:
+            return (
+                f"of {self._undecided} states in which parts would move aside it is not proven that they fall; a way "
+                "may be free"
+            )
+        if not unsure:
+            return ""
+        kinds = ("straight moves", "straight moves and turns")[self.turns]
+        return (
+            f"for {len(unsure)} parts, {self._meshes[unsure[0]].name} the first, ways out of up to {self.moves} "
+            f"{kinds} were sought along the faces and edges of parts, and none was found; others may be free"
+        )
+
+    def _search(self, state: States, part: int) -> ExitPath | None:
+        present, held = state > 0, (state == HELD) & ~self._fixed
+        present[part] = held[part] = False
+        words, hands = (pack(mask[None])[0] for mask in (present, held))
+        for kept in self._ways.get(part, ()):
+            free = not (kept.blockers & words).any() and not (kept.aside & ~hands).any()
+            if free and self._rest_stands(state, kept.way):
+                return kept.way
+        for closed in self._closed.get(part, ()):
+            if not (closed.walls & ~words).any() and not (hands & ~closed.aside).any():
+                return None
+        if not self._begins_to_move(state, part, held):
+            touching = pack((present & self._touched(part))[None])[0]
+            self._closed.setdefault(part, []).append(_Closed(touching, hands & touching, True))
+            return None
+        aside = tuple(np.flatnonzero(held).tolist())
+        found = PathSearch(self._motions, part, present & ~held, aside).run(self.moves)
+        if found.way is None and self.turns:
+            straight, found = found, PathSearch(self._motions, part, present & ~held, aside).run(self.moves, turns=True)
+            found.walls[straight.walls] = True
+        if found.way is None:
+            walls = pack((found.walls | held)[None])[0]
+            self._closed.setdefault(part, []).append(_Closed(walls, hands, found.exact))
+            return None
+        moved = np.zeros(len(state), dtype=bool)
+        moved[[other for move in found.way for other in move.parts]] = True
+        moved[part] = False
+        blockers = pack(self._blockers(found.way, part, moved)[None])[0]
+        self._ways.setdefault(part, []).append(_KeptWay(found.way, blockers, pack(moved[None])[0]))
+        return found.way if self._rest_stands(state, found.way) else None
+
+    def _begins_to_move(self, state: States, part: int, held: Mask) -> bool:
+        """Return whether a part can begin to move at all, alone or where others that are held move with it."""
+        if held.any():
+            return True
+        there = state > 0
+        there[part] = True
+        return can_begin_to_move(self._contacts, (part,), there)
+
+    def _rest_stands(self, state: States, way: ExitPath) -> bool:
+        """Return whether a state stands without the parts of a way, where others than the one that leaves move."""
+        moved = sorted({part for move in way for part in move.parts})
+        if self._oracle is None or len(moved) == 1:
+            return True
+        rest = state.copy()
+        rest[moved] = 0
+        if rest.tobytes() not in self._stands:
+            verdicts = self._oracle.verdicts(rest[None])
+            self._stands[rest.tobytes()] = bool(verdicts.stable[0])
+            self._undecided += int((~verdicts.stable & ~verdicts.unstable).sum())
+        return self._stands[rest.tobytes()]
+
+    def _touched(self, part: int) -> Mask:
+        """Return the parts that touch a part, shape (parts,)."""
+        pairs, found = self._contacts.parts, np.zeros(len(self._meshes), dtype=bool)
+        found[pairs[(pairs == part).any(axis=1)]] = True
+        return found
+
+    def _blockers(self, way: ExitPath, part: int, aside: Mask) -> Mask:
+        """Return the parts at rest that would block a way, shape (parts,)."""
+        found, others = np.zeros(len(self._meshes), dtype=bool), ~aside
+        others[part] = False
+        for number, move in enumerate(way):
+            found |= self._motions.blockers(move, others, after(way[:number]))
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _KeptWay:
+    """ExitPath that was found."""
+
+    way: ExitPath
+    blockers: Words
+    """Parts at rest that block it, shape (words,)."""
+    aside: Words
+    """Parts that move aside, shape (words,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Closed:
+    """Search without a result."""
+
+    walls: Words
+    """Parts that suffice for that, shape (words,)."""
+    aside: Words
+    """Parts among them that could move aside, shape (words,)."""
+    exact: bool
+    """Whether no way exists, however many straight moves it has."""

@@ -1,0 +1,113 @@
+"""Moves of rigid parts: straight lines, turns about an axis, and both at once, which is a screw."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+Poses = Mapping[int, Array]
+"""Displacement of parts from their places as matrices of shape (4, 4); parts that are not there are in place."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """Motion of some parts as one body, at a constant velocity along an axis and about it."""
+
+    parts: tuple[int, ...]
+    direction: Vector
+    """Unit vector: of the line, or the axis."""
+    distance: float
+    """Along it, metres."""
+    angle: float = 0.0
+    """About it by the right-hand rule, rad."""
+    point: Vector = (0.0, 0.0, 0.0)
+    """On the axis, metres; no matter for a straight line."""
+
+    @property
+    def turns(self) -> bool:
+        """Whether the parts turn."""
+        return self.angle != 0.0
+
+    def until(self, share: float) -> Move:
+        """Return the first share of the move."""
+        return replace(self, distance=float(share * self.distance), angle=float(share * self.angle))
+
+    def displacement(self, share: float = 1.0) -> Array:
+        """Return the matrix of the displacement after a share of the move, shape (4, 4)."""
+        axis, point = np.array(self.direction), np.array(self.point)
+        matrix = np.eye(4)
+        if self.turns:
+            x, y, z = axis
+            cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+            angle = share * self.angle
+            matrix[:3, :3] += np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
+        matrix[:3, 3] = point - matrix[:3, :3] @ point + share * self.distance * axis
+        return matrix
+
+    def steps(self, points: Array, sagitta: float) -> int:
+        """Count equal steps between which points stay within a distance of the lines that join where they are.
+
+        On an arc of angle `h` and radius `r` a point is never farther than `r h^2 / 8` from where it would be on
+        the chord at the same time, since linear interpolation errs by at most an eighth of the second derivative; along
+        the axis it does not err. So too for all points between these.
+
+        Args:
+            points: of a part where the move begins, shape (points, 3), metres.
+            sagitta: that distance, metres.
+        """
+        if not self.turns:
+            return 1
+        arm = points - np.array(self.point)
+        radius = np.linalg.norm(arm - np.outer(arm @ np.array(self.direction), self.direction), axis=1).max()
+        return max(1, int(np.ceil(abs(self.angle) * np.sqrt(radius / (8.0 * sagitta)))))
+
+
+def apply(matrix: Array, points: Array) -> Array:
+    """Return points, shape (..., 3), displaced by a matrix of shape (4, 4)."""
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+ExitPath = tuple[Move, ...]
+"""Moves in which a part leaves, from where all parts are in place."""
+
+
+def on_the_way(moves: ExitPath, points: Array, share: float, most: float) -> Array:
+    """Return the displacement of a part after a share of its way out, shape (4, 4).
+
+    Args:
+        moves: in which it leaves.
+        points: of the part in place, shape (points, 3), metres.
+        share: of the length of the way, along which its farthest point turns as fast as others shift.
+        most: length of the last move that counts at most, metres.
+    """
+    pose, lengths, kept = np.eye(4), [], []
+    for number, move in enumerate(moves):
+        arm = apply(pose, points) - np.array(move.point)
+        radius = np.linalg.norm(np.cross(arm, move.direction), axis=1).max()
+        length = float(np.hypot(move.distance, radius * move.angle))
+        part_of_it = min(1.0, most / length) if number + 1 == len(moves) else 1.0
+        lengths.append(part_of_it * length)
+        kept.append(move.until(part_of_it))
+        pose = move.displacement() @ pose
+    pose, left = np.eye(4), share * sum(lengths)
+    for move, length in zip(kept, lengths, strict=True):
+        pose = move.displacement(min(1.0, left / length)) @ pose
+        left -= length
+        if left <= 0:
+            break
+    return pose
+
+
+def after(moves: Sequence[Move]) -> dict[int, Array]:
+    """Return where moves, one after the other, bring the parts that they move."""
+    poses: dict[int, Array] = {}
+    for move in moves:
+        matrix = move.displacement()
+        for part in move.parts:
+            poses[part] = matrix @ poses.get(part, np.eye(4))
+    return poses

@@ -1,0 +1,36 @@
+"""Rules of a task, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypedDict
+
+from numpy.typing import ArrayLike
+
+
+class TaskRules(TypedDict, total=False):
+    """Rules of a task in addition to the number of robots, all of them optional."""
+
+    start: ArrayLike | None
+    """State to disassemble, where assembly ends, shape (parts,); the complete structure if not given."""
+    target: ArrayLike | None
+    """State in which disassembly ends, where assembly starts, shape (parts,); the empty structure if not given."""
+    fixed: Sequence[int | str]
+    """Numbers or names of parts that are neither held nor removed."""
+    missing: Sequence[int | str]
+    """Numbers or names of parts not delivered yet; assembly defers them as long as possible."""
+    removable_only_if_clear: bool
+    """Remove a part only if it has a free straight exit."""
+    allow_regrasp: bool
+    """Release held parts without removing them, and hold parts again."""
+    props: int
+    """Props that may be in place at a time, of those that the structure has places for; needs `allow_regrasp`."""
+    parts_at_once: int
+    """Parts that a step may insert or remove at most, where they lock each other and leave together only. More than 1
+    implies `removable_only_if_clear`."""
+    moves: int
+    """Moves in which a part leaves at most, where it has no straight way out; other parts that robots hold may move
+    aside meanwhile. More than 1 implies `removable_only_if_clear`."""
+    turns: bool
+    """Whether the part that leaves may also turn about an axis, and screw; a turn counts as a move. Implies
+    `removable_only_if_clear`."""

@@ -1,0 +1,418 @@
+"""Plans in which parts leave in several moves: found, checked, written, read, shown and refused."""
+
+from __future__ import annotations
+
+import copy
+import json
+import pickle
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from falsework import (
+    Assembly,
+    Direction,
+    Outcome,
+    Plan,
+    PlannerSettings,
+    StabilityOracle,
+    StabilitySettings,
+    find_plans,
+    make_task,
+    min_robots,
+)
+from falsework import sheet as make_sheet
+from falsework.assembly.library.blocks import box, gather
+from falsework.assembly.library.voxels import _grow, surface
+from falsework.errors import InputError, PlanError
+from falsework.geometry import TriangleMesh
+from falsework.geometry.paths.moves import Move, apply
+from falsework.interop.instruction_table import instructions_csv
+from falsework.interop.tracks import tracks_of
+from falsework.replanning.executed_steps import ExecutedSteps
+from falsework.robots import RobotPlan
+from falsework.search.plans.plan_check import validate_plan
+from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
+from falsework.viewer import Timeline
+from falsework.viewer.appearance import TRAVEL, appearance_at, diagonal
+
+EDGE = 0.1
+SETTINGS = StabilitySettings(criterion="equilibrium")
+Cells = set[tuple[int, int, int]]
+
+
+def cells(x: range, y: range, z: range) -> Cells:
+    return set(product(x, y, z))
+
+
+def of_cubes(*pieces: Cells, frame: Cells) -> Assembly:
+    """Pieces of cubes, and a fixed frame."""
+    solids = [surface("piece", frozenset(piece), (EDGE,) * 3, (0.0, 0.0, 0.0)) for piece in pieces]
+    solids.append(replace(surface("frame", frozenset(frame), (EDGE,) * 3, (0.0, 0.0, 0.0)), fixed=True))
+    blocks = gather(solids)
+    return Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary)
+
+
+def drawer() -> Assembly:
+    """A drawer in a case with a lip in front of it: it must be lifted, and then pulled out."""
+    blocks = gather(
+        [
+            box("drawer", (0.0, 0.0, 0.0), (0.3, 0.2, 0.1)),
+            box("floor", (-0.05, -0.05, -0.05), (0.35, 0.25, 0.0), fixed=True),
+            box("back", (-0.05, -0.05, 0.0), (0.0, 0.25, 0.25), fixed=True),
+            box("side", (0.0, -0.05, 0.0), (0.3, 0.0, 0.25), fixed=True),
+            box("side", (0.0, 0.2, 0.0), (0.3, 0.25, 0.25), fixed=True),
+            box("top", (-0.05, -0.05, 0.25), (0.35, 0.25, 0.3), fixed=True),
+            box("lip", (0.3, -0.05, 0.0), (0.35, 0.25, 0.06), fixed=True),
+        ]
+    )
+    return Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary, name="drawer")
+
+
+def shaft() -> Assembly:
+    """A block at the blind end of a tunnel, which leads out, and then up."""
+    hollow = {(x, 0, 0) for x in range(4)} | {(3, 0, z) for z in range(3)}
+    return of_cubes({(0, 0, 0)}, frame=cells(range(-1, 5), range(-1, 2), range(-1, 3)) - hollow)
+
+
+def latch() -> Assembly:
+    """A pin under a bar that never leaves the frame before the pin, but can slide aside."""
+    hollow = {(1, 1, z) for z in range(5)} | {(x, 1, 2) for x in range(1, 6)} | {(x, 0, 2) for x in (1, 2)}
+    pin, bar = {(1, 1, 0), (1, 1, 1)}, {(1, 1, 2), (2, 1, 2), (1, 0, 2)}
+    hollow |= {(x, 0, 2) for x in range(1, 6)}
+    frame = cells(range(-1, 7), range(-1, 3), range(-1, 5)) - hollow - pin - bar
+    return of_cubes(pin, bar, frame=frame)
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return find_plans(drawer(), robots=1, moves=2).plans[0]
+
+
+def test_a_drawer_behind_a_lip_is_lifted_and_then_pulled_out(plan: Plan) -> None:
+    assembly = drawer()
+    assert plan.moves == 2
+    (up, out), _ = plan.exit_paths
+    assert up.direction == (0.0, 0.0, 1.0)
+    assert 0.06 - 1e-3 <= up.distance <= 0.15 + 1e-3
+    assert out.direction == (1.0, 0.0, 0.0)
+    report = validate_plan(plan, assembly)
+    assert report.good, report.reason
+    assert report.about is not None
+    assert report.about.moves == 2
+
+
+def test_without_several_moves_it_is_proven_that_there_is_no_plan() -> None:
+    found = find_plans(drawer(), robots=1, removable_only_if_clear=True, stability=SETTINGS)
+    assert found.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    assert find_plans(shaft(), robots=1, moves=2, stability=SETTINGS).plans[0].exit_paths[0][0].direction == (
+        1,
+        0,
+        0,
+    )
+
+
+@pytest.mark.parametrize("direction", Direction)
+def test_a_bar_that_a_robot_holds_moves_aside_for_a_pin(direction: Direction) -> None:
+    """It stays inside; with one robot it cannot be held meanwhile, and that there is no plan is proven."""
+    assembly, settings = latch(), PlannerSettings(directions=(direction,))
+    one = find_plans(assembly, robots=1, moves=6, stability=SETTINGS, settings=settings, target=[0, 1, 2])
+    assert one.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    two = find_plans(assembly, robots=2, moves=2, stability=SETTINGS, settings=settings, target=[0, 2, 2])
+    (step,) = [row for row, way in enumerate(two.plans[0].exit_paths) if way]
+    aside, out = two.plans[0].exit_paths[step]
+    assert (aside.parts, out.parts) == ((1,), (0,))
+    assert validate_plan(two.plans[0], assembly, SETTINGS).good
+
+
+def test_a_part_that_rests_on_one_that_moves_aside_falls_meanwhile() -> None:
+    """So the bar may not move aside while something lies on it, although there is room."""
+    hollow = {(1, 1, z) for z in range(4)} | {(x, 1, z) for x in range(1, 5) for z in (2, 3)}
+    pin, bar, rider = {(1, 1, 0), (1, 1, 1)}, {(1, 1, 2), (2, 1, 2)}, {(2, 1, 3)}
+    frame = cells(range(-1, 6), range(3), range(-1, 4)) - hollow - pin - bar - rider
+    frame |= {(x, y, 4) for x in range(2, 6) for y in range(3)} | {(5, y, z) for y in range(3) for z in range(5)}
+    assembly = of_cubes(pin, bar, rider, frame=frame)
+    state = np.array([[2, 2, 1, 2]], dtype=np.uint8)
+    free = make_task(assembly, 2, moves=3).clearance
+    assert free is not None
+    assert free.can_leave(state)[0, 0]
+    judged = make_task(assembly, 2, moves=3).judged_by(StabilityOracle(assembly))
+    assert judged.clearance is not None
+    assert not judged.clearance.can_leave(state)[0, 0]
+
+
+def test_ways_are_written_and_read(plan: Plan) -> None:
+    data = json.loads(json.dumps(plan_to_dict(plan)))
+    assert data["rules"]["moves"] == 2
+    assert [move.keys() for move in data["steps"][0]["exit_path"]] == [{"direction", "distance"}] * 2
+    again = plan_from_dict(data)
+    assert again.exit_paths == plan.exit_paths
+    straight = find_plans("arch:blocks=3", moves=4).plans[0]
+    assert straight.moves == 1
+    assert "moves" not in plan_to_dict(straight)["rules"]
+    assert not any("exit_path" in step for step in plan_to_dict(straight)["steps"])
+
+
+def change(data: Any, value: Any, *path: Any) -> Any:
+    data = copy.deepcopy(data)
+    inner = data
+    for key in path[:-1]:
+        inner = inner[key]
+    inner[path[-1]] = value
+    return data
+
+
+@pytest.mark.parametrize(
+    ("value", "path", "message"),
+    [
+        (1, ("rules", "moves"), "step 1 has 2 moves; at most 1 with rules.moves"),
+        (0, ("rules", "moves"), "rules.moves is 0; give a whole number >= 1"),
+        (101, ("rules", "moves"), "rules.moves is 101; give a whole number <= 100"),
+        (False, ("rules", "removable_only_if_clear"), "they need rules.removable_only_if_clear"),
+        (
+            [1.0, 1.0, 0.0],
+            ("steps", 0, "exit_path", 0, "direction"),
+            r"exit_path\[0\].direction is no unit vector",
+        ),
+        (0.0, ("steps", 0, "exit_path", 1, "distance"), r"exit_path\[1\] moves nothing"),
+        (-1.0, ("steps", 0, "exit_path", 1, "distance"), r"exit_path\[1\].distance is -1.0"),
+        (
+            [9],
+            ("steps", 0, "exit_path", 1, "parts"),
+            r"exit_path\[1\].parts\[0\] is 9; it must be a part from 0 to 6",
+        ),
+        ([], ("steps", 0, "exit_path", 1, "parts"), r"exit_path\[1\].parts is empty"),
+        (
+            1e9,
+            ("steps", 0, "exit_path", 1, "angle"),
+            r"exit_path\[1\] has only one of angle and point; a turn has both",
+        ),
+        (
+            [{"direction": [1.0, 0.0, 0.0], "distance": 1.0}],
+            ("steps", 1, "exit_path"),
+            "step 2 has an exit_path",
+        ),
+    ],
+)
+def test_damaged_ways_are_refused(plan: Plan, value: Any, path: tuple, message: str) -> None:
+    data = json.loads(json.dumps(plan_to_dict(plan)))
+    with pytest.raises(PlanError, match=message):
+        plan_from_dict(change(data, value, *path))
+
+
+def test_a_check_takes_no_way_from_a_plan_without_sweeping_it(plan: Plan) -> None:
+    assembly, (up, out) = drawer(), plan.exit_paths[0]
+
+    def reason(*moves: Move, **changes: Any) -> str:
+        bare = replace(plan, displacement=None, loads=(), replay=None, exit_paths=(moves, ()), **changes)
+        return validate_plan(bare, assembly).reason
+
+    assert reason(up, out) == ""
+    assert "finds no straight way past the other parts" in reason()
+    assert "its way has 3 moves, and 2 are allowed" in reason(up, out, out)
+    assert "on its way out, move 1 takes drawer-0 into lip-6" in reason(out)
+    assert "move 1 takes drawer-0 into top-5" in reason(replace(up, distance=0.2), out)
+    assert "move 2 takes drawer-0 into lip-6" in reason(replace(up, distance=0.05), out)
+    assert "its moves end while drawer-0 is still among the other parts" in reason(up, replace(out, distance=0.2))
+    assert "its way moves top-5, which no robot holds" in reason(replace(up, parts=(5,)), out)
+    assert "the last move of its way is not that of the part alone" in reason(up, replace(out, parts=(0, 5)))
+
+
+def test_pictures_and_files_of_other_programs_show_the_way(plan: Plan) -> None:
+    assembly = drawer()
+    timeline = Timeline.from_plan(plan, assembly)
+    far = TRAVEL * diagonal(assembly)
+    up, out = plan.exit_paths[0]
+    length = up.distance + min(out.distance, far)
+    at_corner = appearance_at(timeline, 1.0 - 2.0 * up.distance / length).shift[0] if length > 2 * up.distance else None
+    assert at_corner is not None
+    np.testing.assert_allclose(at_corner, [0.0, 0.0, up.distance], atol=1e-9)
+    np.testing.assert_allclose(timeline.displacement(0, 1.0, far)[:3, 3], [min(out.distance, far), 0.0, up.distance])
+    path = tracks_of(plan, assembly).tracks[0].path
+    np.testing.assert_allclose(
+        [place for _, place in path], [[out.distance, 0, up.distance], [0, 0, up.distance], [0] * 3]
+    )
+    assert "from +x, then from above" in instructions_csv(make_sheet(assembly, plan))
+
+
+def test_robots_and_replanning_refuse_such_plans_by_name(plan: Plan) -> None:
+    with pytest.raises(PlanError, match="robot plans move one part at a time, and straight"):
+        RobotPlan(plan, (), (), (), "cell", "identity")
+    with pytest.raises(PlanError, match="the plan has ways out of several moves, which replanning does not"):
+        ExecutedSteps(plan, 0)
+
+
+@pytest.mark.parametrize(
+    ("rules", "message"),
+    [
+        ({"moves": 0}, "0 is not a number of moves of a way out; give 1 .* to 100"),
+        ({"moves": 101}, "101 is not a number of moves"),
+        ({"moves": 1.5}, "1.5 is not a number of moves"),
+        ({"moves": 2, "parts_at_once": 2}, "sets of parts leave in one straight line; leave moves and turns out"),
+    ],
+)
+def test_wrong_numbers_are_refused(rules: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make_task("arch:blocks=3", 2, **rules)
+
+
+def test_ways_out_can_be_sent_to_another_process() -> None:
+    assembly, state = shaft(), np.array([[2, 2]], dtype=np.uint8)
+    sent = pickle.loads(pickle.dumps(make_task(assembly, 2, moves=2).clearance))
+    np.testing.assert_array_equal(sent.can_leave(state), [[True, False]])
+
+
+def test_no_number_of_robots_is_refuted_where_holds_open_ways() -> None:
+    """With two robots, the fewest, the bar is held aside."""
+    found = min_robots(latch(), stability=SETTINGS, moves=2, target=[0, 2, 2])
+    assert found.value == 2
+
+
+def rings(name: str, sections: list[np.ndarray], *, close: bool) -> TriangleMesh:
+    """Surface through polygons, counter-clockwise seen from the last one, that two caps or a ring close."""
+    count, number = len(sections[0]), len(sections)
+    faces = []
+    for a in range(number if close else number - 1):
+        for i in range(count):
+            j, b = (i + 1) % count, (a + 1) % number
+            p, q, r, s = a * count + i, a * count + j, b * count + j, b * count + i
+            faces += [(p, q, r), (p, r, s)]
+    if not close:
+        last = (number - 1) * count
+        faces += [(0, i + 1, i) for i in range(1, count - 1)]
+        faces += [(last, last + i, last + i + 1) for i in range(1, count - 1)]
+    return TriangleMesh.from_arrays(name, np.concatenate(sections), faces)
+
+
+def polygon(radius: float, count: int) -> np.ndarray:
+    turn = 2 * np.pi * (np.arange(count) + 0.5) / count
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), 0 * turn], axis=1)
+
+
+def twisted(shape: np.ndarray, low: float, high: float, rate: float, steps: int) -> list[np.ndarray]:
+    return [
+        shape @ Rotation.from_rotvec([0.0, 0.0, rate * z]).as_matrix().T + (0.0, 0.0, z)
+        for z in np.linspace(low, high, steps + 1)
+    ]
+
+
+def bolt(turns: float = 0.5, clearance: float = 2e-3, depth: float = 0.1) -> Assembly:
+    """A square bolt that winds through a plate, with a head on top of it."""
+    rate, steps = 2 * np.pi * turns / depth, int(120 * turns)
+    shape, plate = polygon(0.02, 4), polygon(0.08, 4)
+    head = [2 * shape, 2 * shape + (0.0, 0.0, 0.02)]
+    inside = twisted(polygon(0.02 + clearance, 4), -depth, 0.0, rate, steps)
+    meshes = [
+        rings("bolt", [*twisted(shape, -depth, 0.0, rate, steps), *head], close=False),
+        rings("plate", [plate + (0.0, 0.0, -depth), plate, *inside[::-1]], close=True),
+    ]
+    return Assembly.from_meshes(meshes, boundary=[1], name="bolt")
+
+
+@pytest.fixture(scope="module")
+def screwed() -> tuple[Assembly, Plan]:
+    assembly = bolt()
+    return assembly, find_plans(assembly, robots=1, turns=True, stability=SETTINGS).plans[0]
+
+
+def test_a_bolt_screws_out_of_its_thread(screwed: tuple[Assembly, Plan]) -> None:
+    assembly, plan = screwed
+    (move,) = plan.exit_paths[0]
+    pitch = 0.1 / np.pi
+    np.testing.assert_allclose(move.direction, (0.0, 0.0, 1.0), atol=1e-3)
+    assert move.distance / move.angle == pytest.approx(pitch, rel=5e-3)
+    assert validate_plan(plan, assembly, SETTINGS).good
+    again = plan_from_dict(json.loads(json.dumps(plan_to_dict(plan))))
+    assert again.exit_paths == plan.exit_paths
+    assert again.turns
+
+
+def test_another_pitch_does_not_pass(screwed: tuple[Assembly, Plan]) -> None:
+    assembly, plan = screwed
+    (move,) = plan.exit_paths[0]
+    for wrong in (replace(move, angle=0.0), replace(move, angle=-move.angle), replace(move, angle=1.3 * move.angle)):
+        bare = replace(plan, forces=None, exit_paths=((wrong,), ()))
+        assert "move 1 takes bolt into plate" in validate_plan(bare, assembly, SETTINGS).reason
+    bare = replace(plan, forces=None, turns=False)
+    assert "its way has a turn, and none is allowed" in validate_plan(bare, assembly, SETTINGS).reason
+
+
+def test_turns_are_shown_in_pictures_and_refused_by_name_elsewhere(screwed: tuple[Assembly, Plan]) -> None:
+    assembly, plan = screwed
+    (move,) = plan.exit_paths[0]
+    look = appearance_at(Timeline.from_plan(plan, assembly), 0.5)
+    turn = Rotation.from_matrix(look.turn[0]).as_rotvec()
+    share = look.shift[0, 2] / move.distance
+    assert 0.0 < share < 1.0
+    np.testing.assert_allclose(turn, share * move.angle * np.array(move.direction), atol=1e-9)
+    np.testing.assert_allclose(
+        look.moved(0, assembly.meshes[0].vertices), apply(move.displacement(share), assembly.meshes[0].vertices)
+    )
+    assert "from above, turning by 180°" in instructions_csv(make_sheet(assembly, plan))
+    with pytest.raises(PlanError, match="a part turns on its way in, which these files cannot show"):
+        tracks_of(plan, assembly)
+
+
+def lid() -> Assembly:
+    """A lid behind a low wall, with its back end under a ledge: it tips up, and slides out along its own plane."""
+    blocks = gather(
+        [
+            box("lid", (0.0, 0.0, 0.0), (0.3, 0.2, 0.02)),
+            box("floor", (-0.05, -0.05, -0.05), (0.35, 0.25, 0.0), fixed=True),
+            box("back", (-0.05, -0.05, 0.0), (-0.01, 0.25, 0.1), fixed=True),
+            box("ledge", (-0.01, -0.05, 0.03), (0.03, 0.25, 0.1), fixed=True),
+            box("side", (-0.01, -0.05, 0.0), (0.3, 0.0, 0.03), fixed=True),
+            box("side", (-0.01, 0.2, 0.0), (0.3, 0.25, 0.03), fixed=True),
+            box("front", (0.3, -0.05, 0.0), (0.35, 0.25, 0.02), fixed=True),
+        ]
+    )
+    return Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary, name="lid")
+
+
+def test_a_lid_tips_up_and_slides_out_and_no_straight_moves_do() -> None:
+    assembly = lid()
+    straight = find_plans(assembly, robots=1, moves=8, stability=SETTINGS)
+    assert straight.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    plan = find_plans(assembly, robots=1, moves=2, turns=True, stability=SETTINGS).plans[0]
+    tip, slide = plan.exit_paths[0]
+    np.testing.assert_allclose(np.abs(tip.direction), (0.0, 1.0, 0.0), atol=1e-6)
+    assert 0.1 < abs(tip.angle) < 0.4
+    assert slide.direction[0] == pytest.approx(np.cos(tip.angle), abs=1e-6)
+    assert validate_plan(plan, assembly, SETTINGS).good
+
+
+def test_what_turns_could_do_is_not_proven() -> None:
+    """A block shut in has nothing to turn about; another that has room inside might have a way that was not sought."""
+    closed = of_cubes({(0, 0, 0)}, frame=cells(*[range(-1, 2)] * 3) - {(0, 0, 0)})
+    found = find_plans(closed, robots=1, moves=3, turns=True, stability=SETTINGS)
+    assert found.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    roomy = of_cubes({(0, 0, 0)}, frame=cells(*[range(-1, 3)] * 3) - cells(*[range(2)] * 3))
+    found = find_plans(roomy, robots=1, moves=2, turns=True, stability=SETTINGS)
+    assert found.result.outcome is Outcome.NOT_FOUND
+    assert "straight moves and turns were sought along the faces and edges of parts" in found.result.limit
+    found = find_plans(roomy, robots=1, moves=9, stability=SETTINGS)
+    assert found.result.outcome is Outcome.PROVED_IMPOSSIBLE
+
+
+@pytest.mark.parametrize(("seed", "first"), [(174, 1), (231, 0), (357, 1), (395, 1)])
+def test_interlocked_pieces_open_once_others_are_shifted(seed: int, first: int) -> None:
+    """Four pieces of a box, one of them fixed, of which none leaves in one move, and one once another is shifted."""
+    drawn = _grow([*product(range(4), range(3), range(3))], 4, np.random.default_rng(seed))
+    assert drawn is not None
+    *pieces, frame = map(set, drawn)
+    assembly, held = of_cubes(*pieces, frame=frame), np.array([[2, 2, 2, 2]], dtype=np.uint8)
+    clearance = make_task(assembly, 3, moves=2).clearance
+    assert clearance is not None
+    np.testing.assert_array_equal(np.flatnonzero(clearance.can_leave(held)[0, :3]), [first])
+    target = np.where(np.arange(4) == first, 0, 2)
+    one = find_plans(assembly, robots=3, removable_only_if_clear=True, stability=SETTINGS, target=target)
+    assert one.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    plan = find_plans(assembly, robots=3, moves=2, stability=SETTINGS, target=target).plans[0]
+    (path,) = filter(None, plan.exit_paths)
+    assert len(path) == 2
+    assert path[0].parts != path[1].parts == (first,)
+    assert validate_plan(plan, assembly, SETTINGS).good
