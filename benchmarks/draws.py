@@ -9,7 +9,7 @@ with the seed of the training draw, as the published code pairs them. Three more
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -91,8 +91,7 @@ class Searches:
             path = self.folder / f"{self.assembly.name}-{self.robots}-{rules}-{width}-{seed}.npz"
             if path.exists():
                 return np.load(path)["states"]
-        task = training_task(self.assembly, self.robots, self.clearance)
-        task = replace(task, holds_keep_stable=self.oracle.holds_keep_stable)
+        task = training_task(self.assembly, self.robots, self.clearance).judged_by(self.oracle)
         states, _ = search_states(task, self.oracle, width, seed, device=self.device)
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -103,8 +102,7 @@ class Searches:
 
     def oracle_criterion(self) -> str:
         """Return the criterion of the verdicts."""
-        task = training_task(self.assembly, self.robots, self.clearance)
-        task = replace(task, holds_keep_stable=self.oracle.holds_keep_stable)
+        task = training_task(self.assembly, self.robots, self.clearance).judged_by(self.oracle)
         return "equilibrium" if task.holds_keep_stable else "contact"
 
     def all_seeds(self, seeds: tuple[int, ...]) -> Iterator[tuple[int, int]]:
@@ -121,8 +119,7 @@ class Searches:
             tests: seeds of the test draws.
             widths: of further searches to learn from, without the held-out states.
         """
-        task = training_task(self.assembly, self.robots, self.clearance)
-        task = replace(task, holds_keep_stable=self.oracle.holds_keep_stable)
+        task = training_task(self.assembly, self.robots, self.clearance).judged_by(self.oracle)
         train = self.states(self.train_width, train_seed(seed))
         found = {one: _without(self.states(self.test_width, one), train) for one in tests}
         test = np.unique(np.concatenate(list(found.values())), axis=0)

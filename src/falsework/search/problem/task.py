@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from operator import index
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,7 +28,7 @@ from falsework.assembly.state import (
 from falsework.errors import InputError, StateError
 from falsework.geometry.paths.exit_paths import ExitPaths
 from falsework.search.problem.legal_moves import LegalMoves
-from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.oracle import Criterion, Oracle
 from falsework.search.problem.together import Together
 from falsework.utils.quantity import counted
 
@@ -200,10 +200,10 @@ class Task:
         props = int((self.target[parts:] != self.start[parts:]).sum())
         return int(STAGE[self.target[:parts]].sum() - STAGE[self.start[:parts]].sum()) + props
 
-    def judged_by(self, oracle: Oracle) -> Task:
+    def judged_by(self, oracle: Criterion) -> Task:
         """Return the same task with the moves, and the parts that move aside, that an oracle allows."""
         paths = self.clearance
-        paths = paths.judged_by(oracle) if isinstance(paths, ExitPaths) else paths
+        paths = paths.judged_by(cast("Oracle", oracle)) if isinstance(paths, ExitPaths) else paths
         return replace(self, holds_keep_stable=oracle.holds_keep_stable, clearance=paths)
 
     @property
