@@ -10,7 +10,7 @@ import pytest
 
 from falsework import Assembly
 from falsework.assembly.library.blocks import Solid, gather
-from falsework.assembly.library.voxels import _grow, _pinches, surface
+from falsework.assembly.library.voxels import grow_pieces, pinches, surface
 from falsework.geometry import find_contacts
 from falsework.geometry.paths.motions import PartMotions
 from falsework.geometry.paths.path_search import PathSearch
@@ -97,7 +97,7 @@ def tunnels(seed: int, size: int = 8) -> tuple[Cells, Cells]:
                 here = here + way
                 dug |= {tuple((np.array(cell) + here).tolist()) for cell in piece}
         frame = block - dug
-        if piece <= block and len(frame) > size**2 and not any(_pinches(cell, frame) for cell in frame):
+        if piece <= block and len(frame) > size**2 and not any(pinches(cell, frame) for cell in frame):
             return piece, frame
 
 
@@ -129,7 +129,7 @@ def locked_pieces(seed: int) -> tuple[Cells, Cells, Cells, Cells]:
     """A box of cubes cut at random into four pieces, of which the first does not leave alone in one move."""
     rng = np.random.default_rng(seed)
     while True:
-        drawn = _grow([*product(range(4), range(3), range(3))], 4, rng)
+        drawn = grow_pieces([*product(range(4), range(3), range(3))], 4, rng)
         pieces = [frozenset(piece) for piece in drawn or ()]
         if pieces and fewest_moves(pieces[0], pieces[1] | pieces[2] | pieces[3], 1) != 1:
             return pieces[0], pieces[1], pieces[2], pieces[3]

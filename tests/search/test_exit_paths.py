@@ -27,7 +27,7 @@ from falsework import (
 )
 from falsework import sheet as make_sheet
 from falsework.assembly.library.blocks import box, gather
-from falsework.assembly.library.voxels import _grow, surface
+from falsework.assembly.library.voxels import grow_pieces, surface
 from falsework.errors import InputError, PlanError
 from falsework.geometry import TriangleMesh
 from falsework.geometry.paths.moves import Move, apply
@@ -401,7 +401,7 @@ def test_what_turns_could_do_is_not_proven() -> None:
 @pytest.mark.parametrize(("seed", "first"), [(174, 1), (231, 0), (357, 1), (395, 1)])
 def test_interlocked_pieces_open_once_others_are_shifted(seed: int, first: int) -> None:
     """Four pieces of a box, one of them fixed, of which none leaves in one move, and one once another is shifted."""
-    drawn = _grow([*product(range(4), range(3), range(3))], 4, np.random.default_rng(seed))
+    drawn = grow_pieces([*product(range(4), range(3), range(3))], 4, np.random.default_rng(seed))
     assert drawn is not None
     *pieces, frame = map(set, drawn)
     assembly, held = of_cubes(*pieces, frame=frame), np.array([[2, 2, 2, 2]], dtype=np.uint8)

@@ -35,7 +35,7 @@ from falsework import (
 from falsework import sheet as make_sheet
 from falsework.assembly.library import shelf as built_in_shelf
 from falsework.assembly.library.blocks import box, gather, prism
-from falsework.assembly.library.voxels import _grow, surface
+from falsework.assembly.library.voxels import grow_pieces, surface
 from falsework.errors import AssemblyError, InputError, PlanError
 from falsework.interop.instruction_table import instructions_csv
 from falsework.interop.tracks import tracks_of
@@ -75,7 +75,7 @@ def drawn(seed: int, count: int, region: tuple[int, int, int]) -> list[Cells]:
     """Cut a box of cubes at random into connected pieces."""
     rng = np.random.default_rng(seed)
     while True:
-        pieces = _grow([(x, y, z) for x, y, z in product(*map(range, region))], count, rng)
+        pieces = grow_pieces([(x, y, z) for x, y, z in product(*map(range, region))], count, rng)
         if pieces is not None:
             return [frozenset(piece) for piece in pieces]
 

@@ -129,14 +129,13 @@ def doctor(
     Args:
         path: folder or file, as for `load_structure`.
         unit: unit of the coordinates; that of `assembly.json` or the file if not given.
-        stands: tells whether a complete structure stands, to doubt which way is up; without it that is not asked.
+        stands: tells whether a complete structure stands, to doubt which way is up; not asked without it.
         options: others of `load_structure`, such as boundary, ground, density and friction.
 
     Raises:
         InputError: no such path, or an unknown unit.
     """
-    path = Path(path)
-    if not path.exists():
+    if not (path := Path(path)).exists():
         raise InputError(f"there is no {path}; give a folder of meshes or a file with the parts")
     if unit is not None:
         unit_length(unit)

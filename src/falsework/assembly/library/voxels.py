@@ -41,7 +41,7 @@ def random_pieces(region: Iterable[Cell], pieces: int, *, smallest: int, seed: i
     if pieces * smallest <= len(cells):
         random = np.random.default_rng(seed)
         for _ in range(_ATTEMPTS):
-            drawn = _grow(cells, pieces, random)
+            drawn = grow_pieces(cells, pieces, random)
             if drawn is not None and min(map(len, drawn)) >= smallest and _comes_apart(drawn):
                 return tuple(sorted(drawn, key=_height))
     raise InputError(
@@ -50,7 +50,7 @@ def random_pieces(region: Iterable[Cell], pieces: int, *, smallest: int, seed: i
     )
 
 
-def _grow(cells: Sequence[Cell], pieces: int, random: np.random.Generator) -> list[Piece] | None:
+def grow_pieces(cells: Sequence[Cell], pieces: int, random: np.random.Generator) -> list[Piece] | None:
     """Grow pieces from random cells until the region is full; None if no piece can take what is left.
 
     The smallest piece goes first, of equal ones that with the least room left. It takes a random cell beside
@@ -62,7 +62,7 @@ def _grow(cells: Sequence[Cell], pieces: int, random: np.random.Generator) -> li
     room = [left.intersection(neighbours(cell)) for cell in seeds]
     while left:
         for turn in sorted(range(pieces), key=lambda k: (len(grown[k]), len(room[k]))):
-            near = [cell for cell in sorted(room[turn]) if not _pinches(cell, grown[turn])]
+            near = [cell for cell in sorted(room[turn]) if not pinches(cell, grown[turn])]
             if near:
                 cell = near[random.integers(len(near))]
                 grown[turn].add(cell)
@@ -86,7 +86,7 @@ def _height(piece: Piece) -> tuple[float, list[Cell]]:
     return sum(cell[2] for cell in piece) / len(piece), sorted(piece)
 
 
-def _pinches(cell: Cell, piece: Set[Cell]) -> bool:
+def pinches(cell: Cell, piece: Set[Cell]) -> bool:
     """Return whether a cube meets another of a piece along an edge with no cube of the piece beside both."""
     x, y, z = cell
     for across in _ACROSS:
