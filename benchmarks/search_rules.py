@@ -91,8 +91,8 @@ def _kind(module: str, name: str) -> Any:
     return getattr(import_module(f"falsework.{module}"), name)
 
 
-_JUMPS, _CONFLICTS = "search.beam.backjumping", "search.beam.conflicts"
-_GUIDE, _MEMORY, _SOLVER = "search.problem.guide", "search.beam.failures", "stability.cpu.solver"
+_JUMPS, _CONFLICTS = "search.beam.backjumping", "search.beam.nogoods"
+_GUIDE, _MEMORY, _SOLVER = "search.problem.guide", "search.beam.failed_moves", "stability.cpu.solver"
 
 
 def _patch_failures() -> None:
@@ -103,7 +103,7 @@ def _patch_failures() -> None:
 
 def _patch_refuted() -> None:
     nothing = np.empty(0, dtype=np.int64)
-    _answer(_kind(_CONFLICTS, "Conflicts"), "barred", (nothing, nothing))
+    _answer(_kind(_CONFLICTS, "Nogoods"), "barred", (nothing, nothing))
 
 
 def _patch_jumps() -> None:
@@ -155,7 +155,7 @@ RULES: dict[str, Rule] = {
     "refuted": Rule(
         "A choice that led to a dead end is not made again; without it, only random numbers differ.",
         _patch_refuted,
-        _shown_by(_CONFLICTS, "Conflicts", "barred", lambda found, *_: len(found[0])),
+        _shown_by(_CONFLICTS, "Nogoods", "barred", lambda found, *_: len(found[0])),
     ),
     "jumps": Rule(
         "Jumps back are of Luby's lengths; without it, each is as short as possible.",
