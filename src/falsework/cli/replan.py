@@ -56,7 +56,7 @@ class MakeReplan(Command):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework replan plan.json --step 4 --missing 3 --out replan.json",
-        "falsework replan plan.json --step 4 --hold voussoir-0 --out replan.json",
+        "falsework replan plan.json --step 5 --hold voussoir-0 --out replan.json",
         "falsework replan arch:blocks=5 --state voussoir-0,voussoir-4 --missing 2 --order assembly --out replan.json",
     )
 
