@@ -69,6 +69,8 @@ class RuleOptions:
 class RegraspOptions(RuleOptions):
     """Rules that a plan must obey, with repeated holds and props."""
 
+    rare: ClassVar[tuple[str, ...]] = (*RuleOptions.rare, "moves", "turns")
+
     allow_regrasp: bool = False
     """Let robots release a part without removing it when it no longer needs them, and hold parts again."""
     props: int = 0

@@ -52,6 +52,7 @@ class MakeReplan(Command):
         "confidences",
         "device",
         "solver",
+        "prop",
     )
 
     examples: ClassVar[tuple[str, ...]] = (
