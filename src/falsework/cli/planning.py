@@ -82,8 +82,7 @@ class RegraspOptions(RuleOptions):
     """Largest number of straight moves in which a part may leave, such as out and then up, where it has no straight
     way. Other parts that robots hold may move aside meanwhile. More than 1 implies --removable-only-if-clear."""
     turns: bool = False
-    """Let a part that leaves also turn about an axis, such as a lid about its hinge, or screw. A turn is one of the
-    --moves. Implies --removable-only-if-clear."""
+    """Let a part that leaves also turn, or screw, as one of its --moves. Implies --removable-only-if-clear."""
 
     def rules(self, assembly: Assembly) -> TaskRules:
         """Return the rules, as `find_plans` takes them.
@@ -97,9 +96,8 @@ class RegraspOptions(RuleOptions):
 
         # States are given without places for props, which are absent at both ends.
         plain = keep_props(assembly, ()) if assembly.props else assembly
-        rules = super().rules(plain)
         ways: TaskRules = {"parts_at_once": self.parts_at_once, "moves": self.moves, "turns": self.turns}
-        return {**rules, "allow_regrasp": self.wider, "props": self.props, **ways}
+        return {**super().rules(plain), "allow_regrasp": self.wider, "props": self.props, **ways}
 
     @property
     def wider(self) -> bool:
