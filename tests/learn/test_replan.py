@@ -541,7 +541,7 @@ def test_works_without_torch() -> None:
         "import sys; sys.modules['torch'] = None\n"
         "import importlib.util as u; find = u.find_spec\n"
         "u.find_spec = lambda name, *rest: None if name == 'torch' else find(name, *rest)\n"
-        "from falsework.assembly import load_structure\n"
+        "from falsework import load_structure\n"
         "from falsework.assembly.state import complete_state\n"
         "from falsework.replanning.replanner import replan\n"
         "import falsework.replanning.plan_diff, falsework.replanning.policy_guide\n"
