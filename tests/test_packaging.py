@@ -29,7 +29,7 @@ from pathlib import Path
 assert Path(falsework.__file__).is_relative_to(Path.cwd()), falsework.__file__
 from falsework.robots.cells.cell_file import builtin_cells
 from falsework.robots.plans.robot_plan_model import robot_plan_schema
-from falsework.search import plan_schema
+from falsework.search.plans.plan_model import plan_schema
 from falsework.stability.gpu.driver import kernel_source
 assert builtin_cells() and robot_plan_schema() and plan_schema() and kernel_source()
 """

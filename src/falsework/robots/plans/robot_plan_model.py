@@ -147,7 +147,7 @@ class RobotPlanFile(FileModel, frozen=True):
 
 
 def robot_plan_schema() -> dict[str, Any]:
-    """Return the JSON Schema (2020-12) of robot plan files; `plan` in it follows `falsework.search.plan_schema`."""
+    """Return the JSON Schema (2020-12) of robot plan files; `plan` in it follows that of plan files."""
     about = (
         "A plan with the motions that carry it out, in the order in which they are executed, and with a schedule where "
         "robots move at the same time. Units are SI: metres, radians, seconds."
