@@ -154,7 +154,7 @@ def find_plans(
             planner = Planner.load(checkpoint, task, timed(oracle, clock), settings, guide=guide)
     result = _run(
         planner,
-        lambda: HoldBound(assembly, task, oracle.settings, Deadline(min(_BOUND_AFTER / 2, max(clock.left, 1e-3)))),
+        lambda: HoldBound(assembly, task, oracle.settings, Deadline(max(min(_BOUND_AFTER / 2, clock.left), 1e-3))),
         progress=_saving(planner, checkpoint, progress),
         stop=lambda: clock.passed or (stop is not None and stop()),
     )
