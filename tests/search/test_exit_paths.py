@@ -30,7 +30,7 @@ from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.library.voxels import grow_pieces, surface
 from falsework.errors import InputError, PlanError
 from falsework.geometry import TriangleMesh
-from falsework.geometry.paths.moves import Move, apply
+from falsework.geometry.paths.moves import PathMove, apply
 from falsework.interop.instruction_table import instructions_csv
 from falsework.interop.tracks import tracks_of
 from falsework.replanning.executed_steps import ExecutedSteps
@@ -207,7 +207,7 @@ def test_damaged_ways_are_refused(plan: Plan, value: Any, path: tuple, message: 
 def test_a_check_takes_no_way_from_a_plan_without_sweeping_it(plan: Plan) -> None:
     assembly, (up, out) = drawer(), plan.exit_paths[0]
 
-    def reason(*moves: Move, **changes: Any) -> str:
+    def reason(*moves: PathMove, **changes: Any) -> str:
         bare = replace(plan, displacement=None, loads=(), replay=None, exit_paths=(moves, ()), **changes)
         return validate_plan(bare, assembly).reason
 

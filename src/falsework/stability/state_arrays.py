@@ -15,7 +15,7 @@ GROWTH = 1.0625
 """Factor by which the memory for blocks grows: small, since room that is not used is resident too."""
 
 
-class Blocks:
+class RowBlocks:
     """Blocks of rows, each stored once for all arrays that have it; the first is zero."""
 
     def __init__(self, width: int) -> None:
@@ -63,7 +63,7 @@ class StateArrays:
     def __init__(self, states: int, rows: int, width: int) -> None:
         """Begin with zeros."""
         self._rows = rows
-        self._blocks = Blocks(width)
+        self._blocks = RowBlocks(width)
         self._number = np.zeros((states, -(-rows // BLOCK)), dtype=np.int32)
         self._known = np.zeros(states, dtype=bool)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
-from falsework.stability.state_arrays import BLOCK, Array, Blocks
+from falsework.stability.state_arrays import BLOCK, Array, RowBlocks
 
 _SMALL, _LARGE = 256 << 20, 3 << 30
 """Memory, bytes: for arrays stored whole, displacements and forces of which those of a plan have room in it; and for
@@ -37,7 +37,7 @@ class StateMemory:
             limit: bytes; one array is kept whatever it takes.
         """
         rows, width = shape
-        self._rows, self._limit, self.blocks = rows, limit, Blocks(width)
+        self._rows, self._limit, self.blocks = rows, limit, RowBlocks(width)
         self._users = np.ones(1, dtype=np.int64)
         """Arrays that have each block; the block of zeros is never given up."""
         self._numbers: OrderedDict[bytes, NDArray[np.int32]] = OrderedDict()

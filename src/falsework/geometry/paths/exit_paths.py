@@ -29,7 +29,7 @@ MOST = 100
 """Moves of a way out at most."""
 
 
-class Oracle(Protocol):
+class StandsOracle(Protocol):
     """Stability oracle, as searches have it."""
 
     def verdicts(self, states: States) -> Any:
@@ -58,7 +58,7 @@ class ExitPaths:
         fixed: Mask,
         moves: int,
         turns: bool,
-        oracle: Oracle | None = None,
+        oracle: StandsOracle | None = None,
     ) -> None:
         """Take a structure.
 
@@ -89,7 +89,7 @@ class ExitPaths:
         given = self._meshes, self._contacts, self._straight, self._motions, self._fixed, self.moves, self.turns
         return ExitPaths, (*given, self._oracle)
 
-    def judged_by(self, oracle: Oracle) -> ExitPaths:
+    def judged_by(self, oracle: StandsOracle) -> ExitPaths:
         """Return the same ways out, where parts may move aside only if an oracle says that the rest stands."""
         if self._oracle is oracle:
             return self

@@ -14,7 +14,7 @@ from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.paths.hulls import first_hits, near_order, swept
-from falsework.geometry.paths.moves import Move, Poses, after, apply
+from falsework.geometry.paths.moves import PathMove, Poses, after, apply
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -64,7 +64,7 @@ class PartMotions:
             self._shrunken[part, level] = triangles[near_order(triangles)]
         return self._shrunken[part, level]
 
-    def blockers(self, move: Move, others: Mask, poses: Poses = IN_PLACE, *, stop: bool = False) -> Mask:
+    def blockers(self, move: PathMove, others: Mask, poses: Poses = IN_PLACE, *, stop: bool = False) -> Mask:
         """Return which parts a move hits, shape (parts,).
 
         Args:
@@ -80,7 +80,7 @@ class PartMotions:
                 break
         return found
 
-    def free_share(self, move: Move, others: Mask, poses: Poses = IN_PLACE) -> tuple[float, Mask]:
+    def free_share(self, move: PathMove, others: Mask, poses: Poses = IN_PLACE) -> tuple[float, Mask]:
         """Return the share of a move up to the step in which it first hits others, and these, shape (parts,).
 
         Arguments as of `blockers`.
@@ -91,7 +91,7 @@ class PartMotions:
                 return float(shares.min()), shares == shares.min()
         return 1.0, np.zeros(len(self.meshes), dtype=bool)
 
-    def _stretches(self, move: Move, poses: Poses, short: bool) -> Iterator[tuple[float, float]]:
+    def _stretches(self, move: PathMove, poses: Poses, short: bool) -> Iterator[tuple[float, float]]:
         """Yield stretches of a move to be tested one after the other, each twice as long as the one before if short."""
         points = np.concatenate([apply(poses.get(part, _HOME), self.meshes[part].vertices) for part in move.parts])
         steps, begin, count = move.steps(points, SAGITTA * self.tolerance), 0, _FIRST_STEPS
@@ -100,7 +100,7 @@ class PartMotions:
             yield begin / steps, end / steps
             begin, count = end, 2 * count
 
-    def _first_shares(self, move: Move, begin: float, end: float, others: Mask, poses: Poses, stop: bool) -> Array:
+    def _first_shares(self, move: PathMove, begin: float, end: float, others: Mask, poses: Poses, stop: bool) -> Array:
         """Return the share of a move free of each part, if it is hit between two shares, else infinity, (parts,)."""
         shares = np.full(len(self.meshes), np.inf)
         rest = others.copy()
@@ -142,7 +142,7 @@ class PartMotions:
         boxes = [self.box(part, poses[part]) if part in poses else self._bounds[part] for part in np.flatnonzero(parts)]
         return np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])
 
-    def leaves(self, moves: Sequence[Move], others: Mask) -> str:
+    def leaves(self, moves: Sequence[PathMove], others: Mask) -> str:
         """Return why moves, one after the other, do not take the parts of the last one out; empty if they do.
 
         Out is where a plane along a face of the box around the others has the parts on its outer side. Other parts that

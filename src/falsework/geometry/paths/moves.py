@@ -15,7 +15,7 @@ Poses = Mapping[int, Array]
 
 
 @dataclass(frozen=True)
-class Move:
+class PathMove:
     """Motion of some parts as one body, at a constant velocity along an axis and about it."""
 
     parts: tuple[int, ...]
@@ -33,7 +33,7 @@ class Move:
         """Whether the parts turn."""
         return self.angle != 0.0
 
-    def until(self, share: float) -> Move:
+    def until(self, share: float) -> PathMove:
         """Return the first share of the move."""
         return replace(self, distance=float(share * self.distance), angle=float(share * self.angle))
 
@@ -72,7 +72,7 @@ def apply(matrix: Array, points: Array) -> Array:
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-ExitPath = tuple[Move, ...]
+ExitPath = tuple[PathMove, ...]
 """Moves in which a part leaves, from where all parts are in place."""
 
 
@@ -103,7 +103,7 @@ def on_the_way(moves: ExitPath, points: Array, share: float, most: float) -> Arr
     return pose
 
 
-def after(moves: Sequence[Move]) -> dict[int, Array]:
+def after(moves: Sequence[PathMove]) -> dict[int, Array]:
     """Return where moves, one after the other, bring the parts that they move."""
     poses: dict[int, Array] = {}
     for move in moves:

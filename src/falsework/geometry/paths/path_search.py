@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.paths.motions import PartMotions
-from falsework.geometry.paths.moves import ExitPath, Move, apply
+from falsework.geometry.paths.moves import ExitPath, PathMove, apply
 from falsework.geometry.paths.straight_moves import Parts, StraightMoves
 from falsework.geometry.paths.turning_moves import TurningMoves
 
@@ -42,7 +42,7 @@ class _Node:
     touches: bool = True
     """Whether the last move was as long as it can be, so that the part that moved touches another."""
 
-    def then(self, move: Move, *, touches: bool = True) -> _Node:
+    def then(self, move: PathMove, *, touches: bool = True) -> _Node:
         """Return the poses after one move more."""
         matrix, poses = move.displacement(), dict(self.poses)
         for part in move.parts:
@@ -121,7 +121,7 @@ class PathSearch:
         corners = [apply(node.poses.get(part, _HOME), self._corners[part]) for part in self._movable]
         return np.round(np.array(corners) / (2 * self._motions.tolerance)).astype(np.int64).tobytes()
 
-    def _turns(self, node: _Node) -> Iterator[Move]:
+    def _turns(self, node: _Node) -> Iterator[PathMove]:
         """Yield the free turns of the part; not about the axis of the last move once more."""
         last = node.way[-1] if node.way else None
         for move in self._turning.moves(node.poses, self._box_around(node, (self._part,))):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.paths.motions import PartMotions
-from falsework.geometry.paths.moves import Move, Poses, apply
+from falsework.geometry.paths.moves import PathMove, Poses, apply
 from falsework.geometry.paths.stops import face_normals, levels, slides
 
 Array = NDArray[np.float64]
@@ -69,16 +69,16 @@ class StraightMoves:
         found = {frozenset().union(*some) for count in range(1, len(free) + 1) for some in combinations(free, count)}
         return sorted((tuple(sorted(some)) for some in found), key=lambda some: (len(some), some))
 
-    def free(self, move: Move, poses: Poses) -> bool:
+    def free(self, move: PathMove, poses: Poses) -> bool:
         """Return whether a move hits nothing."""
         hit = self._motions.blockers(move, self._there, poses, stop=True)
         self.walls |= hit & self._rest
         return not hit.any()
 
-    def move(self, parts: Parts, direction: Array, distance: float) -> Move:
+    def move(self, parts: Parts, direction: Array, distance: float) -> PathMove:
         """Return a straight move."""
         x, y, z = (direction + 0.0).tolist()
-        return Move(parts, (x, y, z), float(distance))
+        return PathMove(parts, (x, y, z), float(distance))
 
     def distances(self, parts: Parts, poses: Poses, direction: Array, most: float) -> Array:
         """Return the distances, up to `most`, at which a move may end, ascending."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from falsework.geometry.paths.axes import Axis, axes_of
 from falsework.geometry.paths.motions import PartMotions
-from falsework.geometry.paths.moves import Move, Poses, apply
+from falsework.geometry.paths.moves import PathMove, Poses, apply
 from falsework.geometry.paths.stops import face_normals
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ class TurningMoves:
         self.walls = np.zeros_like(there)
         """Parts that a turn has hit so far, shape (parts,)."""
 
-    def moves(self, poses: Poses, box: Array) -> Iterator[Move]:
+    def moves(self, poses: Poses, box: Array) -> Iterator[PathMove]:
         """Yield the free turns from poses, longest first for each axis.
 
         Args:
@@ -48,7 +48,7 @@ class TurningMoves:
         for axis in axes_of(own, others, self._motions.tolerance, thickness):
             yield from self._along(axis, own, others, poses, box)
 
-    def _along(self, axis: Axis, own: Array, others: list[Array], poses: Poses, box: Array) -> Iterator[Move]:
+    def _along(self, axis: Axis, own: Array, others: list[Array], poses: Poses, box: Array) -> Iterator[PathMove]:
         whole = self._whole(axis, own, box)
         first = whole.until(min(1.0, 4 * self._motions.tolerance / _length(whole, own)))
         hit = self._motions.blockers(first, self._there, poses, stop=True)
@@ -69,7 +69,7 @@ class TurningMoves:
             ):
                 yield move
 
-    def _whole(self, axis: Axis, own: Array, box: Array) -> Move:
+    def _whole(self, axis: Axis, own: Array, box: Array) -> PathMove:
         """Return the longest move: a whole turn, or a screw until the part is beside the box around the others."""
         direction, angle, distance = axis.direction, 2 * np.pi, 0.0
         if axis.pitch != 0.0:
@@ -79,10 +79,10 @@ class TurningMoves:
             distance = float((corners @ direction).max() - (own.reshape(-1, 3) @ direction).min())
             angle = sense * distance / abs(axis.pitch)
         (x, y, z), (a, b, c) = (direction + 0.0).tolist(), axis.point.tolist()
-        return Move((self._part,), (x, y, z), distance, float(angle), (a, b, c))
+        return PathMove((self._part,), (x, y, z), distance, float(angle), (a, b, c))
 
 
-def _length(move: Move, own: Array) -> float:
+def _length(move: PathMove, own: Array) -> float:
     """Return how far the farthest point of a part goes in a move, along its arc, metres."""
     radius = np.linalg.norm(np.cross(own.reshape(-1, 3) - np.array(move.point), move.direction), axis=1).max()
     return float(np.hypot(move.distance, radius * move.angle))

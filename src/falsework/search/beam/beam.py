@@ -12,7 +12,7 @@ from falsework.assembly.state import States
 from falsework.search.beam.failed_moves import FailedMoves
 from falsework.search.beam.frontier import Level, expand, pack
 from falsework.search.beam.level_search import LevelSearch
-from falsework.search.beam.paths import Exits
+from falsework.search.beam.paths import BeamPaths
 from falsework.search.beam.scores import Scores
 from falsework.search.beam.selection import Selector
 from falsework.search.beam.settings import BeamSettings
@@ -48,7 +48,7 @@ class BeamSearch(LevelSearch):
         self.levels = self._levels
         self.judge = CountingOracle(oracle)
         self.judge.replayed = replayer is not None  # see `PathVerifier`
-        self._paths = Exits(self.levels, self.judge, replayer)
+        self._paths = BeamPaths(self.levels, self.judge, replayer)
         self._failures = None if task.neighbours is None else FailedMoves(task.neighbours)
         self._hash = StateHash.for_parts(task.part_count)
         self._candidates = 0

@@ -26,7 +26,7 @@ def histories_in_memory(history: History) -> int:
     return _HISTORY_BYTES // max(history.nbytes, 1)
 
 
-class Exits:
+class BeamPaths:
     """Ways to the states of a beam."""
 
     def __init__(self, levels: list[Level | PackedLevel], judge: CountingOracle, replayer: AnyReplayer | None) -> None:

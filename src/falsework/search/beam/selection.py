@@ -12,7 +12,7 @@ from falsework.assembly.state import States
 from falsework.search.beam.failed_moves import FailedMoves
 from falsework.search.beam.frontier import Frontier, Rows
 from falsework.search.beam.k_means import k_means
-from falsework.search.beam.paths import Exits
+from falsework.search.beam.paths import BeamPaths
 from falsework.search.beam.scores import Priorities, Scores
 from falsework.search.beam.settings import AHEAD
 from falsework.search.problem.oracle import CountingOracle
@@ -83,7 +83,7 @@ class Selector:
         kept = self.order(rows[stable], self.scores.of, width)[:width]
         return self._selection(kept, rows[~stable])
 
-    def select_lazily(self, width: int, lookahead: int, ways: Exits, *, commit: bool) -> Selection:
+    def select_lazily(self, width: int, lookahead: int, ways: BeamPaths, *, commit: bool) -> Selection:
         """Ask only until `width` states are found stable; keep `lookahead` more that a fixed part leads to.
 
         States that leave more robots free come first, then the better scored.
@@ -108,7 +108,7 @@ class Selector:
             fixed = promise.best_fixing(lookahead, most_held)
         return self._selection(np.concatenate([proven, fixed]), rejected)
 
-    def _verify_untried_first(self, waiting: Rows, wanted: int, ways: Exits) -> tuple[Rows, Rows]:
+    def _verify_untried_first(self, waiting: Rows, wanted: int, ways: BeamPaths) -> tuple[Rows, Rows]:
         """As `_verify_in_order`; moves that failed before are tried last."""
         if self.failures is None or not len(waiting):
             return self._verify_in_order(waiting, wanted, ways)
@@ -124,7 +124,7 @@ class Selector:
             self.failures.learn(keys[place], np.full(int(place.sum()), stable))
         return kept, rejected
 
-    def _verify_in_order(self, waiting: Rows, wanted: int, ways: Exits) -> tuple[Rows, Rows]:
+    def _verify_in_order(self, waiting: Rows, wanted: int, ways: BeamPaths) -> tuple[Rows, Rows]:
         """The first stable candidates of a list, about `wanted` of them, and those found not stable on the way."""
         frontier = self.frontier
         kept: list[Rows] = [waiting[:0]]

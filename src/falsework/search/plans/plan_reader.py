@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
 from falsework.errors import PlanError, StateError
-from falsework.geometry.paths.moves import ExitPath, Move
+from falsework.geometry.paths.moves import ExitPath, PathMove
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.older_plans import upgraded
 from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
@@ -230,7 +230,9 @@ class PlanReader:
             if move.parts is not None and not self._distinct(move.parts, f"{place}.parts"):
                 self._fail(f"{place}.parts is empty")
         return tuple(
-            Move(move.parts or (step.part,), move.direction, move.distance, move.angle or 0.0, move.point or (0.0,) * 3)
+            PathMove(
+                move.parts or (step.part,), move.direction, move.distance, move.angle or 0.0, move.point or (0.0,) * 3
+            )
             for move in step.exit_path
         )
 
