@@ -339,8 +339,8 @@ def load_text(plan: Plan, loads: Loads) -> str:
     if not every:
         return ""
     load, row = max(every, key=lambda pair: pair[0].force)
-    where = f"for {plan.part_names[load.part]}, after step {row}"
-    return f"robots bear at most {describe_force(load.force)} ({where}) and {largest_load(loads)[1]:.3g} N m"
+    force, moment = describe_force(load.force), format_quantity(largest_load(loads)[1], "moment")
+    return f"robots bear at most {force} (for {plan.part_names[load.part]}, after step {row}) and {moment}"
 
 
 def writable(path: Path, suffix: str = "") -> None:
