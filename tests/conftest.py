@@ -23,6 +23,7 @@ import pytest
 
 from falsework import Assembly, Plan
 from falsework.assembly import HELD, INSTALLED, ContactWarning
+from falsework.assembly.library.blocks import box, gather
 from falsework.geometry import TriangleMesh
 from falsework.stability.holds import Press
 from falsework.utils.kernel_code import ARCHIVE
@@ -122,16 +123,33 @@ def public_structure_path() -> Callable[[str], Path]:
 @pytest.fixture(scope="session")
 def beam_on_ridge() -> Assembly:
     """A beam (part 2) across a flat block (0) and the ridge of a roof (1), both boundary: an area and a line."""
-    box = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)]
-    box += [(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
+    faces = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)]
+    faces += [(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
     roof = [(0, 1, 2), (3, 5, 4), (0, 3, 4), (0, 4, 1), (1, 4, 5), (1, 5, 2), (2, 5, 3), (2, 3, 0)]
     meshes = [
-        TriangleMesh.from_arrays("block", [(x, y, z) for x in (0, 0.2) for y in (0, 1) for z in (0, 1)], box),
+        TriangleMesh.from_arrays("block", [(x, y, z) for x in (0, 0.2) for y in (0, 1) for z in (0, 1)], faces),
         TriangleMesh.from_arrays("roof", [(x, y, z) for y in (0, 1) for x, z in ((2.5, 0), (3.5, 0), (3, 1))], roof),
-        TriangleMesh.from_arrays("beam", [(x, y, z) for x in (0, 3.2) for y in (0.4, 0.6) for z in (1, 1.1)], box),
+        TriangleMesh.from_arrays("beam", [(x, y, z) for x in (0, 3.2) for y in (0.4, 0.6) for z in (1, 1.1)], faces),
     ]
     with pytest.warns(ContactWarning):
         return Assembly.from_meshes(meshes, boundary=[0, 1], name="beam-on-ridge")
+
+
+@pytest.fixture(scope="session")
+def drawer() -> Assembly:
+    """A drawer in a case with a lip in front of it: it must be lifted, and then pulled out."""
+    blocks = gather(
+        [
+            box("drawer", (0.0, 0.0, 0.0), (0.3, 0.2, 0.1)),
+            box("floor", (-0.05, -0.05, -0.05), (0.35, 0.25, 0.0), fixed=True),
+            box("back", (-0.05, -0.05, 0.0), (0.0, 0.25, 0.25), fixed=True),
+            box("side", (0.0, -0.05, 0.0), (0.3, 0.0, 0.25), fixed=True),
+            box("side", (0.0, 0.2, 0.0), (0.3, 0.25, 0.25), fixed=True),
+            box("top", (-0.05, -0.05, 0.25), (0.35, 0.25, 0.3), fixed=True),
+            box("lip", (0.3, -0.05, 0.0), (0.35, 0.25, 0.06), fixed=True),
+        ]
+    )
+    return Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary, name="drawer")
 
 
 @pytest.fixture

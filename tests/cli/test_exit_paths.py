@@ -9,33 +9,21 @@ from typing import Any
 import pytest
 
 from falsework import Assembly
-from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.store import save_assembly
 
 Run = Callable[..., Any]
 
 
 @pytest.fixture
-def drawer(tmp_path: Path) -> Path:
-    """A drawer behind a lip, in a case."""
-    blocks = gather(
-        [
-            box("drawer", (0.0, 0.0, 0.0), (0.3, 0.2, 0.1)),
-            box("floor", (-0.05, -0.05, -0.05), (0.35, 0.25, 0.0), fixed=True),
-            box("back", (-0.05, -0.05, 0.0), (0.0, 0.25, 0.25), fixed=True),
-            box("side", (0.0, -0.05, 0.0), (0.3, 0.0, 0.25), fixed=True),
-            box("side", (0.0, 0.2, 0.0), (0.3, 0.25, 0.25), fixed=True),
-            box("top", (-0.05, -0.05, 0.25), (0.35, 0.25, 0.3), fixed=True),
-            box("lip", (0.3, -0.05, 0.0), (0.35, 0.25, 0.06), fixed=True),
-        ]
-    )
-    save_assembly(Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary, name="drawer"), tmp_path / "drawer")
+def folder(drawer: Assembly, tmp_path: Path) -> Path:
+    """Files of a drawer behind a lip."""
+    save_assembly(drawer, tmp_path / "drawer")
     return tmp_path / "drawer"
 
 
-def test_a_drawer_is_planned_checked_and_drawn(falsework: Run, drawer: Path, tmp_path: Path) -> None:
+def test_a_drawer_is_planned_checked_and_drawn(falsework: Run, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
-    done = falsework("plan", drawer, "--robots", 1, "--moves", 2, "--out", out)
+    done = falsework("plan", folder, "--robots", 1, "--moves", 2, "--out", out)
     assert done.code == 0, done.error
     assert "step 1 inserts drawer-0 in 2 moves: from +x, then from above" in done.out
     checked = falsework("check", out)
@@ -51,7 +39,7 @@ def test_a_drawer_is_planned_checked_and_drawn(falsework: Run, drawer: Path, tmp
         (("--moves", 2, "--parts-at-once", 2), "parts_at_once is 2, but sets of parts leave in one straight line"),
     ],
 )
-def test_moves_that_cannot_be_had(falsework: Run, drawer: Path, options: tuple, message: str) -> None:
-    done = falsework("plan", drawer, *options, "--out", drawer / "plan.json")
+def test_moves_that_cannot_be_had(falsework: Run, folder: Path, options: tuple, message: str) -> None:
+    done = falsework("plan", folder, *options, "--out", folder / "plan.json")
     assert done.code == 2
     assert message in done.error

@@ -57,22 +57,6 @@ def of_cubes(*pieces: Cells, frame: Cells) -> Assembly:
     return Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary)
 
 
-def drawer() -> Assembly:
-    """A drawer in a case with a lip in front of it: it must be lifted, and then pulled out."""
-    blocks = gather(
-        [
-            box("drawer", (0.0, 0.0, 0.0), (0.3, 0.2, 0.1)),
-            box("floor", (-0.05, -0.05, -0.05), (0.35, 0.25, 0.0), fixed=True),
-            box("back", (-0.05, -0.05, 0.0), (0.0, 0.25, 0.25), fixed=True),
-            box("side", (0.0, -0.05, 0.0), (0.3, 0.0, 0.25), fixed=True),
-            box("side", (0.0, 0.2, 0.0), (0.3, 0.25, 0.25), fixed=True),
-            box("top", (-0.05, -0.05, 0.25), (0.35, 0.25, 0.3), fixed=True),
-            box("lip", (0.3, -0.05, 0.0), (0.35, 0.25, 0.06), fixed=True),
-        ]
-    )
-    return Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary, name="drawer")
-
-
 def shaft() -> Assembly:
     """A block at the blind end of a tunnel, which leads out, and then up."""
     hollow = {(x, 0, 0) for x in range(4)} | {(3, 0, z) for z in range(3)}
@@ -89,25 +73,24 @@ def latch() -> Assembly:
 
 
 @pytest.fixture(scope="module")
-def plan() -> Plan:
-    return find_plans(drawer(), robots=1, moves=2).plans[0]
+def plan(drawer: Assembly) -> Plan:
+    return find_plans(drawer, robots=1, moves=2).plans[0]
 
 
-def test_a_drawer_behind_a_lip_is_lifted_and_then_pulled_out(plan: Plan) -> None:
-    assembly = drawer()
+def test_a_drawer_behind_a_lip_is_lifted_and_then_pulled_out(plan: Plan, drawer: Assembly) -> None:
     assert plan.moves == 2
     (up, out), _ = plan.exit_paths
     assert up.direction == (0.0, 0.0, 1.0)
     assert 0.06 - 1e-3 <= up.distance <= 0.15 + 1e-3
     assert out.direction == (1.0, 0.0, 0.0)
-    report = validate_plan(plan, assembly)
+    report = validate_plan(plan, drawer)
     assert report.good, report.reason
     assert report.about is not None
     assert report.about.moves == 2
 
 
-def test_without_several_moves_it_is_proven_that_there_is_no_plan() -> None:
-    found = find_plans(drawer(), robots=1, removable_only_if_clear=True, stability=SETTINGS)
+def test_without_several_moves_it_is_proven_that_there_is_no_plan(drawer: Assembly) -> None:
+    found = find_plans(drawer, robots=1, removable_only_if_clear=True, stability=SETTINGS)
     assert found.result.outcome is Outcome.PROVED_IMPOSSIBLE
     assert find_plans(shaft(), robots=1, moves=2, stability=SETTINGS).plans[0].exit_paths[0][0].direction == (
         1,
@@ -204,12 +187,12 @@ def test_damaged_ways_are_refused(plan: Plan, value: Any, path: tuple, message: 
         plan_from_dict(change(data, value, *path))
 
 
-def test_a_check_takes_no_way_from_a_plan_without_sweeping_it(plan: Plan) -> None:
-    assembly, (up, out) = drawer(), plan.exit_paths[0]
+def test_a_check_takes_no_way_from_a_plan_without_sweeping_it(plan: Plan, drawer: Assembly) -> None:
+    up, out = plan.exit_paths[0]
 
     def reason(*moves: PathMove, **changes: Any) -> str:
         bare = replace(plan, displacement=None, loads=(), replay=None, exit_paths=(moves, ()), **changes)
-        return validate_plan(bare, assembly).reason
+        return validate_plan(bare, drawer).reason
 
     assert reason(up, out) == ""
     assert "finds no straight way past the other parts" in reason()
@@ -222,8 +205,8 @@ def test_a_check_takes_no_way_from_a_plan_without_sweeping_it(plan: Plan) -> Non
     assert "the last move of its way is not that of the part alone" in reason(up, replace(out, parts=(0, 5)))
 
 
-def test_pictures_and_files_of_other_programs_show_the_way(plan: Plan) -> None:
-    assembly = drawer()
+def test_pictures_and_files_of_other_programs_show_the_way(plan: Plan, drawer: Assembly) -> None:
+    assembly = drawer
     timeline = Timeline.from_plan(plan, assembly)
     far = TRAVEL * diagonal(assembly)
     up, out = plan.exit_paths[0]

@@ -1,4 +1,4 @@
-"""What was done on site after the last step of a plan that is done: props placed, parts held and released."""
+"""Actions on site after the last executed step of a plan: props placed, parts held and released."""
 
 from __future__ import annotations
 

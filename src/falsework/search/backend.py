@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 Backend = Literal["cpu", "torch", "cuda"]
-"""Where the beams of a planner search: arrays on the processor, tensors on the processor, or tensors on a GPU."""
+"""Device and data type of the beams of a planner: arrays on the processor, tensors on it, or tensors on a GPU."""
 
 
 def beams_on(backend: Backend, task: Task, oracle: StabilityOracle) -> Beams:

@@ -65,7 +65,7 @@ Wait = tuple[float, float]
 where the plan is executed as a disassembly; and after its end where it is executed backwards, as an assembly. There the
 earlier of two motions comes second, and the later must be over by then."""
 NO_WAIT: Wait = (-np.inf, -np.inf)
-"""That of motions without a conflict."""
+"""Wait of motions without a conflict."""
 
 
 @dataclass(frozen=True, eq=False)

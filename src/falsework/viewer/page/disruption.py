@@ -99,7 +99,7 @@ class Disruption:
         return bool(self.missing or self.there or self.turned or self.props)
 
     def found(self, state: States) -> States:
-        """Return the state with the parts that are there according to the marks, whoever holds them; shape (parts,)."""
+        """Return the state with the presence of parts that the marks give, holds aside; shape (parts,)."""
         site = state.copy()
         site[list(self.missing)] = REMOVED
         for part in self.there:

@@ -164,7 +164,7 @@ def record(shown: Viewable | ViewerState) -> str:
     viser = import_viser()
     arms = None if shown.arms is None else shown.arms.turned(Direction.ASSEMBLY)
     model = ViewerState(shown.timeline.turned(Direction.ASSEMBLY), plan=shown.plan, arms=arms)
-    # viser has no scene without a server: this one answers nobody, and ends with the recording.
+    # viser has no scene without a server: this one accepts no clients and ends with the recording.
     server = start_server(viser, "127.0.0.1", 0, _NoVisitors("127.0.0.1"))
     try:
         scene = RecordedScene(server.scene, model.timeline)
