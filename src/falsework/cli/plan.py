@@ -112,8 +112,8 @@ class MakePlan(Command):
     proofs: bool = False
     """Write the proof of each state into the plan: displacements, or contact forces under `equilibrium`."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
-    """Seconds after which the search ends with the best it has, and is saved like an interrupted one; with --robots
-    auto without it 60."""
+    """Seconds after which the search ends with the best it has, and is saved like an interrupted one. Without it, that
+    for --robots auto ends after as many verdicts as take about a minute."""
     resume: bool = False
     """Resume the interrupted search."""
 
@@ -245,14 +245,24 @@ class MakePlan(Command):
 
     def _with_fewest_robots(self, output: Output) -> Exit:
         """Search for the fewest robots, and save the plan found with them."""
-        from falsework.cli.min_robots import ask, report
+        from falsework.cli.min_robots import report
+        from falsework.search.min_robots import min_robots
 
         if self.alternatives > 1 or self.resume:
             raise InputError("--robots auto takes neither --alternatives nor --resume; give the number of robots")
         assembly = self.task.with_places(self.structure.load())
         output.record(settlement_record(assembly))
         stability = self.holds.settings(self.criterion, self.cone, self.solver)
-        answer = ask(assembly, stability, self.task, self._settings(), self.deadline, self.proofs, output)
+        with output.search_progress() as show:
+            answer = min_robots(
+                assembly,
+                stability=stability,
+                settings=self._settings(),
+                deadline=self.deadline,
+                progress=show,
+                forces=self.proofs,
+                **self.task.rules(assembly),
+            )
         path = None if answer.plan is None else self._save([answer.plan])[0][0]
         return report(answer, stability.reserve, path, output)
 

@@ -29,7 +29,7 @@ class Train(JudgingCommand):
     The policy imitates the actions that searches found, then improves by its own rollouts. The weights with the highest
     success on a validation set are kept, and training ends when it no longer rises. The result is a folder, the run,
     with weights, configuration and logs. An interrupted training is continued by the same command with --resume.
-    Under torchrun several processes share the work.
+    Under torchrun several processes share the work. Exit code 1 if the time was up before the first step.
     """
 
     rare: ClassVar[tuple[str, ...]] = (
@@ -147,4 +147,4 @@ class Train(JudgingCommand):
         if result.interrupted:
             output.note(f"interrupted; falsework train ... --out {self.out} --resume continues")
             return Exit.INTERRUPTED
-        return Exit.DONE
+        return Exit.DONE if result.steps else output.outcome("untrained")

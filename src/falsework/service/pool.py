@@ -369,6 +369,7 @@ def not_yet(seconds: float, criterion: Criterion) -> bytes:
         "outcome": NOT_YET,
         "decided_by": "none",
         "direction": None,
+        "built": 0,
         "steps": None,
         "reached": 0,
         "seconds": round(seconds, 6),
