@@ -82,11 +82,7 @@ class LoadOptions:
     """Pseudo-static horizontal acceleration as a share of gravity, such as 0.1 along x, or 0.1,0.05 along x and y."""
 
     def given(self) -> dict[str, Any]:
-        """Return the options that were given, as `load_structure` takes them.
-
-        Raises:
-            InputError: boundary is no list of parts, or a load or earthquake that cannot be read.
-        """
+        """Return the options that were given, as `load_structure` takes them."""
         options: dict[str, Any] = {"unit": self.unit, "density": self.density, "friction": self.friction}
         options["boundary"] = None if self.boundary is None else split_parts(self.boundary, "--boundary")
         options["ground"] = self.ground or None
@@ -111,11 +107,7 @@ class StructureOptions(LoadOptions):
     """Built-in such as `vault` or `arch:blocks=15,thickness=0.2`, or a folder or file of meshes or COMPAS data."""
 
     def load(self) -> Assembly:
-        """Build or read the structure, and warn of materials that none has and of parts that settled.
-
-        Raises:
-            InputError: no such structure, or it cannot be used; the message says what to do.
-        """
+        """Build or read the structure, and warn of materials that none has and of parts that settled."""
         from falsework.assembly.doubts import doubts_of_materials
         from falsework.assembly.load import load_structure
 

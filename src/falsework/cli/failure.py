@@ -90,9 +90,7 @@ def explain(assembly: Assembly, oracle: StabilityOracle, result: SearchResult) -
     """Report why a search found nothing.
 
     Args:
-        assembly: the structure.
         oracle: decides which parts move in the states where the search broke off.
-        result: end of the search.
     """
     from falsework.search.problem.result import Outcome
     from falsework.search.problem.task import Direction

@@ -35,11 +35,7 @@ class InterruptedPlan:
         """Read the plan, and find out where it stands.
 
         Args:
-            file: of the plan.
             at: time of the interruption, such as `7.2s`.
-            order: of the motions that are wanted.
-            structure: structure in place of the one that the plan names.
-            cell: cell in place of the one that the plan names.
             options: as for `load_structure`.
 
         Raises:

@@ -21,8 +21,6 @@ def report(answer: MinRobots, reserve: float, path: Path | None, output: Output)
     """Print the answer, and return the exit code.
 
     Args:
-        answer: the answer.
-        reserve: that was asked for.
         path: of the plan, where it was saved.
         output: where to print.
     """

@@ -24,7 +24,6 @@ def say_overrides(overrides: Mapping[str, Any], output: Output) -> None:
 
     Args:
         overrides: as `structure_to_check` returns them.
-        output: streams of the command.
     """
     if overrides:
         output.say(f"options of the structure that the plan sets: {spell_options(overrides)}")
@@ -34,9 +33,7 @@ def exit_of_good(plan: Path, overrides: Mapping[str, Any], output: Output, *, ac
     """Return the exit code of a check that found nothing wrong, and say what it depends on.
 
     Args:
-        plan: file of the plan.
         overrides: options of the structure that the plan sets and the command line does not give.
-        output: streams of the command.
         accepted: whether the command line accepts them all.
     """
     if not overrides or accepted:

@@ -50,11 +50,7 @@ class RuleOptions:
     """Remove a part only if it has a collision-free straight exit in some direction."""
 
     def rules(self, assembly: Assembly) -> TaskRules:
-        """Return the rules, as `find_plans` takes them.
-
-        Raises:
-            InputError: parts or states that the structure does not have; the message says what to do.
-        """
+        """Return the rules, as `find_plans` takes them."""
         return {
             # A task starts with the state that has more parts.
             "start": None if self.end is None else parse_state(self.end, "--end", assembly),
@@ -106,9 +102,6 @@ class RegraspOptions(RuleOptions):
 
     def check_several(self, other: dict[str, bool]) -> None:
         """Refuse options that plans with several parts at once do not have.
-
-        Args:
-            other: names of the options of the command that are given.
 
         Raises:
             InputError: an option that they do not have; the message names it.
@@ -184,7 +177,6 @@ def reserve_lines(plan: Plan, *, robust: bool = False) -> list[str]:
     """Return what a plan promises of its replay, and what it asks of robots, in words.
 
     Args:
-        plan: as it was found.
         robust: whether its replay succeeds under varied settings too.
     """
     also = ", under varied settings too" if robust else ""
@@ -232,13 +224,7 @@ def first_steps(plan: Plan, direction: Direction, built: int = 0) -> str:
 
 
 def need_text(plan: Plan, need: PartDeadline, built: int = 0) -> str:
-    """Return when a missing part is needed, in one sentence.
-
-    Args:
-        plan: the plan.
-        need: of its part.
-        built: steps of the plan that are done.
-    """
+    """Return when a missing part is needed, in one sentence."""
     placed = int((plan.actions[:built] >= len(plan.boundary)).sum())
     after, when = need.after_parts - placed, f"{plan.part_names[need.part]} is needed at step {need.after_steps + 1}"
     if not after:
@@ -254,11 +240,7 @@ class TaskOptions(RuleOptions):
     """Number of robots: parts that can be held at a time."""
 
     def task(self, assembly: Assembly) -> Task:
-        """Check the rules against a structure.
-
-        Raises:
-            InputError: parts or states that the structure does not have; the message says what to do.
-        """
+        """Check the rules against a structure."""
         from falsework.search.find import make_task
 
         return make_task(assembly, self.robots, **self.rules(assembly))
@@ -278,11 +260,7 @@ class SearchOptions:
     """Random seed; results are reproducible on one machine."""
 
     def settings(self) -> BeamSettings:
-        """Return the settings of the search.
-
-        Raises:
-            InputError: a width below one.
-        """
+        """Return the settings of the search."""
         from falsework.search.beam.settings import BeamSettings
 
         return BeamSettings(self.width, search_directions(self.search_from)[0], seed=self.seed)
@@ -306,12 +284,7 @@ def replay_text(plan: Plan, also: str = "") -> str:
 
 
 def press_text(plan: Plan, scale: float = 1.0) -> str:
-    """Return in how many steps robots press, and how hard at most; empty if they do not.
-
-    Args:
-        plan: the plan.
-        scale: factor of its forces.
-    """
+    """Return in how many steps robots press, and how hard at most; empty if they do not."""
     forces = [scale * press.force for presses in plan.presses for press in presses]
     steps = counted(sum(map(bool, plan.presses)), "step")
     return f"robots press in {steps}, with at most {format_quantity(max(forces), 'force')}" if forces else ""
@@ -326,12 +299,7 @@ def load_record(loads: Loads) -> dict[str, float | None]:
 
 
 def load_text(plan: Plan, loads: Loads) -> str:
-    """Return the largest force and moment that robots bear in a plan, and where; empty if it is not known.
-
-    Args:
-        plan: the plan.
-        loads: of its states.
-    """
+    """Return the largest force and moment that robots bear in a plan, and where; empty if it is not known."""
     from falsework.stability.contact.hold_loads import largest_load
     from falsework.stability.holds import describe_force
 
@@ -347,7 +315,6 @@ def writable(path: Path, suffix: str = "") -> None:
     """Check before a long search that its result can be written.
 
     Args:
-        path: file to write.
         suffix: ending by which commands know the file again, if they do.
 
     Raises:
@@ -365,9 +332,6 @@ def refuse_unstable(
     """Report a start or target state that is not stable, since then there is no plan.
 
     Args:
-        assembly: the structure.
-        oracle: decides stability.
-        task: the task, as disassembly.
         output: where to report.
         building: whether the user's start is the target of the task.
     """

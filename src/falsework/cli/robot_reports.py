@@ -62,13 +62,7 @@ def times_record(plan: RobotPlan) -> dict[str, Any]:
 
 
 def found_texts(plan: RobotPlan, name: str, statistics: dict[str, Any]) -> list[str]:
-    """Return what is known of a plan that was found, in sentences.
-
-    Args:
-        plan: the robot plan.
-        name: file that it was written to.
-        statistics: of the search.
-    """
+    """Return what is known of a plan that was found, in sentences."""
     found = [
         f"{name}: {counted(len(plan), 'step')} for {counted(len(plan.robots), 'robot')}, {plan.seconds:.0f} s of "
         f"motion, every state proven stable (criterion {plan.plan.claim.criterion}, {statistics['seconds']:.1f} s)"
@@ -143,8 +137,6 @@ def check_texts(name: str, report: CheckReport, states: int | None) -> list[str]
     """Return what the check of a good plan has established, in sentences.
 
     Args:
-        name: name of the plan.
-        report: the check of its motions.
         states: number of its states that were found stable; None if that was not checked.
     """
     stable = "" if states is None else f", all {states} states are stable"
@@ -224,8 +216,6 @@ def unverified(plan: RobotPlan, report: CheckReport, *, states: bool) -> list[st
     """Return the claims of a robot plan that its check does not establish.
 
     Args:
-        plan: the robot plan.
-        report: the check of its motions.
         states: whether the stability of its states was checked.
     """
     found = []

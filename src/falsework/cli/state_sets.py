@@ -30,19 +30,8 @@ def save_sets(
     """Search for solvable states, and save them in disjoint sets.
 
     Args:
-        assembly: the structure.
-        task: rules of the searches, from the complete to the empty structure.
-        oracle: decides stability.
         widths: of the searches for the training set, for the test set, and for further training states.
-        seed: random seed.
-        device: of the searches.
-        clock: ends them.
-        out: file to write.
         output: where to report.
-
-    Raises:
-        InputError: widths that are not possible, or no such device.
-        DependencyError: torch is not installed.
     """
     from falsework.utils.optional_packages import check_torch
 

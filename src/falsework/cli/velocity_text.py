@@ -55,7 +55,6 @@ def motions(assembly: Assembly, velocity: NDArray[np.float64]) -> list[PartMotio
     """Return the parts that a velocity moves, the fastest first.
 
     Args:
-        assembly: the structure.
         velocity: linear velocity of the centre of mass and angular velocity of each part, shape (parts, 6).
     """
     center = assembly.mass.center

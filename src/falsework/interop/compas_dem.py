@@ -43,7 +43,6 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
 
     Args:
         problem: `compas_dem.problem.Problem` with its model.
-        criterion: stability criterion.
         gravity: m/s2 along -z; that of the problem if not given, 9.81 if it has none.
 
     Returns:
@@ -180,9 +179,6 @@ def _set_edges(results: Any, assembly: Assembly, nodes: list[Any], forces: Array
     """Write the contacts of every pair of parts as one edge, as compas_dem has them.
 
     Args:
-        results: to write to.
-        assembly: the structure.
-        nodes: graph node of each part.
         forces: `(n, t1, t2)` in N, shape (points, 3).
     """
     from compas.geometry import Frame, Polygon, Vector

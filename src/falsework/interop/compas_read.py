@@ -73,12 +73,6 @@ def load_compas(
         interfaces: `found` finds the contacts from the meshes, `stored` takes the interfaces of the file, `compare`
             finds them and warns where the stored ones differ.
         options: density, friction, boundary, ground and contact_settings, as for `load_assembly`.
-
-    Raises:
-        InputError: no such file, not COMPAS data, no block in it, no interfaces where they are asked for, or a
-            `Problem` with surface loads or moved blocks.
-        MeshError: a block that does not bound a solid.
-        AssemblyError: the blocks make no assembly, or the stored interfaces do not fit them.
     """
     return read_compas(path, unit=unit).assemble(interfaces=interfaces, **options)
 
@@ -89,9 +83,6 @@ def read_compas(path: Path | str, *, unit: str | None = None) -> Draft:
     Args:
         path: file that `compas.json_dump` wrote.
         unit: unit of the coordinates; metres if not given.
-
-    Raises:
-        InputError: no such file, not COMPAS data, or no block in it.
     """
     path, scale = Path(path), unit_length(unit or "m")
     reader = _Reader(path)
@@ -259,12 +250,7 @@ class _Reader:
     def _conditions(
         self, groups: list[Any], known: Mapping[str, Any]
     ) -> tuple[set[Any], dict[Any, list[dict[str, Any]]], list[float]]:
-        """Return the held blocks, the loads on blocks, and the acceleration of all, of boundary conditions.
-
-        Args:
-            groups: boundary conditions.
-            known: key of the block at each node.
-        """
+        """Return the held blocks, the loads on blocks, and the acceleration of all, of boundary conditions."""
         held: set[Any] = set()
         loads: dict[Any, list[dict[str, Any]]] = {}
         acceleration = [0.0, 0.0, 0.0]
@@ -290,13 +276,7 @@ class _Reader:
         return held - {None}, loads, acceleration
 
     def _read_edges(self, graph: dict[str, Any], name: str, keys: dict[str, Hashable]) -> None:
-        """Keep the interfaces at the edges of a graph.
-
-        Args:
-            graph: its content.
-            name: attribute of an edge that lists them.
-            keys: key of the block at each node.
-        """
+        """Keep the interfaces at the edges of a graph."""
         for one, others in (graph.get("edge") or {}).items():
             for two, attributes in (others or {}).items():
                 found = (attributes or {}).get(name) or []

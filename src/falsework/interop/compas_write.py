@@ -50,11 +50,7 @@ def write_compas(assembly: Assembly, path: Path | str, kind: CompasKind = "meshe
 
     Args:
         assembly: the structure; its joints and loads are left out.
-        path: file to write.
         kind: as for `to_compas`.
-
-    Raises:
-        InputError: an unknown kind, or the file cannot be written.
     """
     text = json.dumps(to_compas(assembly, kind), ensure_ascii=False, allow_nan=False)
     write_whole(path, lambda file: file.write(text.encode("utf-8", "backslashreplace") + b"\n"))

@@ -48,10 +48,7 @@ def to_gltf(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb",
     part, and wrench in N and N m about the part's node, in the axes of the file.
 
     Args:
-        assembly: the structure.
-        plan: plan to animate, in its own direction.
         kind: `glb`, one binary file, or `gltf`, the same as text with its data inside.
-        step_seconds: length of a step.
 
     Raises:
         PlanError: the plan is for another structure.
@@ -74,15 +71,8 @@ def write_gltf(
     """Write what `to_gltf` makes, whole or not at all.
 
     Args:
-        assembly: the structure.
-        path: file to write.
         plan: shown as an animation; None for the structure at rest.
         kind: `glb`, one binary file, or `gltf`, JSON with its data in it.
-        step_seconds: duration of a step of the plan.
-
-    Raises:
-        PlanError: the plan is for another structure.
-        InputError: an unknown kind, a step of no length, or the file cannot be written.
     """
     content = to_gltf(assembly, plan, kind=kind, step_seconds=step_seconds)
     write_whole(path, lambda file: file.write(content))

@@ -73,8 +73,6 @@ def instructions_pdf(
     """Return a PDF of A4 pages.
 
     Args:
-        sheet: assembly instructions.
-        camera: how the pictures look at the structure.
         progress: called with the number of pictures drawn and of all.
 
     Raises:

@@ -210,11 +210,7 @@ def instructions_csv(sheet: AssemblyInstructions) -> str:
 
 
 def write_sheet(content: bytes, path: Path | str) -> None:
-    """Write a sheet, whole or not at all.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write a sheet, whole or not at all."""
     write_whole(path, lambda file: file.write(content))
 
 

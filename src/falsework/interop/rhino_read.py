@@ -56,15 +56,8 @@ def load_rhino(path: Path | str, *, unit: str | None = None, **options: Any) -> 
     A warning names each.
 
     Args:
-        path: the file.
         unit: unit of the coordinates; that of the file if not given.
         options: density, friction, boundary, ground and contact_settings, as for `load_assembly`.
-
-    Raises:
-        DependencyError: rhino3dm is not installed.
-        InputError: no Rhino file, no part in it, an object without a mesh, or a unit without a length.
-        MeshError: a part that does not bound a solid.
-        AssemblyError: the parts make no assembly.
     """
     return read_rhino(path, unit=unit).assemble(**options)
 
@@ -73,7 +66,6 @@ def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
     """Read the parts of a Rhino file, unchecked.
 
     Args:
-        path: the file.
         unit: unit of the coordinates; that of the file if not given.
 
     Raises:

@@ -34,25 +34,13 @@ def load_step(path: Path | str, *, unit: str | None = None, **options: Any) -> A
     assembly or of its product.
 
     Args:
-        path: the file.
-        unit: may not be given, since the file says it.
         options: density, friction, boundary, ground and contact_settings, as for `load_assembly`.
-
-    Raises:
-        DependencyError: cadquery-ocp is not installed.
-        InputError: no STEP file, no solid in it, or a unit.
-        MeshError: a part that does not bound a solid.
-        AssemblyError: the parts make no assembly.
     """
     return read_step(path, unit=unit).assemble(**options)
 
 
 def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
     """Read the solids of a STEP file, unchecked.
-
-    Args:
-        path: the file.
-        unit: may not be given, since the file says it.
 
     Raises:
         DependencyError: cadquery-ocp is not installed.

@@ -41,15 +41,6 @@ def to_usd(assembly: Assembly, plan: Plan | None = None, *, step_seconds: float 
     colliders, the others rigid bodies. One physics material carries the friction. With a plan, parts follow it as
     kinematic bodies, appear and disappear, and take the colour of the robot that holds them. Custom attributes of a
     part give the presses on it: steps, forces in N and moments in N m about its centre of mass.
-
-    Args:
-        assembly: the structure.
-        plan: plan to animate, in its own direction.
-        step_seconds: length of a step.
-
-    Raises:
-        PlanError: the plan is for another structure.
-        InputError: a step of no length.
     """
     times = None if plan is None else tracks_of(plan, assembly, step_seconds)
     names = _identifiers((assembly.name, *assembly.names))
@@ -70,13 +61,7 @@ def write_usd(assembly: Assembly, path: Path | str, plan: Plan | None = None, *,
 
     Args:
         assembly: the structure; its joints and loads are left out.
-        path: file to write.
         plan: shown as time samples; None for the structure at rest.
-        step_seconds: duration of a step of the plan.
-
-    Raises:
-        PlanError: the plan is for another structure.
-        InputError: a step of no length, or the file cannot be written.
     """
     content = to_usd(assembly, plan, step_seconds=step_seconds).encode("utf-8", "backslashreplace")
     write_whole(path, lambda file: file.write(content))

@@ -50,14 +50,7 @@ _WORDS = {
 
 
 def application(assembly: Assembly, pool: Pool, settings: ServiceSettings, metrics: Metrics) -> App:
-    """Return the application of one service inside its middleware; it starts and stops the pool.
-
-    Args:
-        assembly: the structure.
-        pool: does the work.
-        settings: bounds.
-        metrics: counts.
-    """
+    """Return the application of one service inside its middleware; it starts and stops the pool."""
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:

@@ -172,9 +172,7 @@ class Pool:
         """Have a worker answer a request, by its deadline at the latest.
 
         Args:
-            kind: of the request.
             payload: as `Item` says.
-            seconds: time that it has from now on.
         """
         loop = asyncio.get_running_loop()
         if kind == "picture" and not self._draws:

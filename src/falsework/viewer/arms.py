@@ -81,7 +81,6 @@ class Arms:
         """Prepare the links.
 
         Args:
-            robot_plan: the motions.
             cell: where the robots stand.
             direction: order in which the steps are shown.
         """
@@ -241,9 +240,7 @@ def solids_of_arms(arms: Arms, arm_poses: ArmPoses, assembly: Assembly) -> list[
     """Return arms, and the parts that they carry, as meshes.
 
     Args:
-        arms: the robots.
         arm_poses: where they are.
-        assembly: the structure.
     """
     solids = [
         ColoredSolid(link.vertices @ pose[:3, :3].T + pose[:3, 3], link.faces, link.color)
@@ -283,13 +280,7 @@ def _similar(pose: Array, scale: float) -> Array:
 
 
 def links_of(number: int, robot: CellRobot, size: float = 1.0) -> list[Link]:
-    """Return what a robot looks like, base first, gripper last; a link of several colours is several pieces.
-
-    Args:
-        number: index of the robot, which gives its colour.
-        robot: the robot.
-        size: factor on lengths.
-    """
+    """Return what a robot looks like, base first, gripper last; a link of several colours is several pieces."""
     own = np.array(unit_rgb(robot_color(number)))
 
     def link(frame: int, shape: VisualShape, share: float) -> Link:

@@ -89,7 +89,6 @@ def arrows_of_forces(
     the points by the size of their normal forces.
 
     Args:
-        assembly: the structure.
         state: shape (parts,).
         forces: `(n, t1, t2)` in N, shape (points, 3).
         presses: of the step that leads to the state; drawn as `arrows_of_step` does.
@@ -135,7 +134,6 @@ def arrows_of_motion(assembly: Assembly, state: States, velocity: Array, kind: s
     """Return arrows of the motion of the free parts in an unstable state, up to scale.
 
     Args:
-        assembly: the structure.
         state: shape (parts,).
         velocity: `(linear, angular)` about the centres of mass, shape (parts, 6).
         kind: `motion` of an unstable state, `sliding` of one that slides.
@@ -148,12 +146,7 @@ def arrows_of_motion(assembly: Assembly, state: States, velocity: Array, kind: s
 
 
 def scale_arrow(assembly: Assembly, arrows: Iterable[Arrows]) -> tuple[Arrows, float] | None:
-    """Return an arrow of a round force beside the structure, and the force in N; None where no arrow is a force.
-
-    Args:
-        assembly: the structure.
-        arrows: those that are drawn, all on one scale.
-    """
+    """Return an arrow of a round force beside the structure, and the force in N; None where no arrow is a force."""
     forces = [some for some in arrows if some.longest > 0]
     if not forces:
         return None
@@ -170,7 +163,6 @@ def moved_parts(assembly: Assembly, state: States, velocity: Array) -> dict[int,
     """Return vertices of the free parts that move, a little further along their motion.
 
     Args:
-        assembly: the structure.
         state: shape (parts,).
         velocity: `(linear, angular)` about the centres of mass, shape (parts, 6).
 

@@ -22,11 +22,7 @@ def visited_states(
     """Return the stable states on rollouts of a policy from one state, the first greedy, the others sampled.
 
     Args:
-        guide: evaluates the policy.
-        oracle: ends a rollout at a state that is not stable.
         start: start of all rollouts, shape (parts,).
-        robots: parts that can be held.
-        rollouts: number of rollouts.
 
     Returns:
         Shape (count, parts), each state once.

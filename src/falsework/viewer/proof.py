@@ -75,11 +75,7 @@ def proof_of_state(oracle: StabilityOracle, state: States) -> StateProof:
     """Request the verdict on a state, under `contact` from rest, and convert its proof into arrows.
 
     Args:
-        oracle: decides stability.
         state: shape (parts,).
-
-    Raises:
-        StateError: not a state of the oracle's structure.
     """
     return proofs_of_states(oracle, state[None])[0]
 
@@ -88,11 +84,7 @@ def proofs_of_states(oracle: StabilityOracle, states: States) -> list[StateProof
     """Prove several states as `proof_of_state`.
 
     Args:
-        oracle: decides stability.
         states: shape (states, parts).
-
-    Raises:
-        StateError: not states of the oracle's structure.
     """
     how = _REST if oracle.settings.criterion == "contact" else ""
     proofs = []
@@ -114,7 +106,6 @@ class BuildProofs:
         """Begin before the first step.
 
         Args:
-            plan: the plan.
             oracle: of its structure, under `contact`; judges from rest what the build does not reach.
         """
         settings = replace(oracle.settings, reserve=plan.claim.reserve, holds=plan.claim.holds)

@@ -38,9 +38,7 @@ class ProofCache:
         """Return the proof of a state.
 
         Args:
-            oracle: of the structure.
             plan: whose state it is; None for a state that no plan has reached.
-            row: of the state in the plan.
             state: shape (parts,).
         """
         key = self._key(plan, row, state)

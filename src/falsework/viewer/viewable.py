@@ -48,12 +48,7 @@ class Viewable:
     """Robots of a robot plan."""
 
     def with_policy(self, policy: Policy | Path | str | None) -> Viewable:
-        """Add a policy, or that of a run in a folder; None leaves everything as it is.
-
-        Raises:
-            InputError: no such run, or one for another structure.
-            DependencyError: torch is not installed.
-        """
+        """Add a policy, or that of a run in a folder; None leaves everything as it is."""
         if policy is None:
             return self
         if isinstance(policy, (str, Path)):

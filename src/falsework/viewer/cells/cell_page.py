@@ -78,7 +78,6 @@ class CellPage:
 
         Args:
             look: reads the cell; called again when its files have changed.
-            host: address to listen at.
             port: port to listen at; if it is in use, the next free one.
             allowed_hosts: names other than `host` under which browsers may open the page.
 
@@ -154,7 +153,6 @@ class CellPage:
         """Move an arm, and its sliders.
 
         Args:
-            robot: index of the robot.
             values: joint values in rad or m, shape (joints,).
         """
         with self._lock:
@@ -280,11 +278,7 @@ class CellPage:
                 self.refresh()
 
     def read_again(self) -> None:
-        """Read the cell again, and keep the joint values; a robot whose home has changed goes there.
-
-        Raises:
-            InputError: it cannot be read; the page stays as it was.
-        """
+        """Read the cell again, and keep the joint values; a robot whose home has changed goes there."""
         sight = self._look()
         with self._lock, self.server.atomic():
             before = {robot.name: robot for robot in self._robots}

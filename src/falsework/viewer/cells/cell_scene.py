@@ -24,7 +24,6 @@ class CellScene:
 
         Args:
             scene: `viser.SceneApi`.
-            sight: the cell.
         """
         self._scene, self._sight = scene, sight
         self._links: list[Any] = []
@@ -70,12 +69,7 @@ class CellScene:
                 self._others.append(scene.add_icosphere(name, 0.02, color, position=place))
 
     def show(self, configurations: Sequence[Array], pairs: Sequence[NearPair]) -> None:
-        """Move the arms, and colour the bodies that are too near each other.
-
-        Args:
-            configurations: joint values of every arm.
-            pairs: such bodies.
-        """
+        """Move the arms, and colour the bodies that are too near each other."""
         sight = self._sight
         if sight.cell is None:
             return

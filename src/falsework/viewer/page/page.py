@@ -54,8 +54,6 @@ class Page:
         """Start the server.
 
         Args:
-            model: state of the viewer.
-            host: address to listen at.
             port: port to listen at; if it is in use, the next free one.
             allowed_hosts: names other than `host` under which browsers may open the page.
 
@@ -98,11 +96,7 @@ class Page:
         return self.look.asks
 
     def save(self, path: Path | str) -> None:
-        """Write what is shown as one HTML file that plays without a server.
-
-        Raises:
-            InputError: another ending than .html, or a place that cannot be written.
-        """
+        """Write what is shown as one HTML file that plays without a server."""
         save_page(self.model, path)
 
     def _repr_html_(self) -> str:

@@ -21,7 +21,6 @@ def where_text(model: ViewerState, *, ask: bool) -> str:
     """Return the step and its action, in Markdown.
 
     Args:
-        model: state of the viewer.
         ask: whether to include the verdict on the state; it is always included where no plan has proven the state.
     """
     steps = len(model.timeline)
@@ -115,12 +114,7 @@ def facts_of(model: ViewerState, part: int) -> list[tuple[str, str]]:
 
 
 def legend_text(model: ViewerState, shown: Mapping[str, Arrows]) -> str:
-    """Return the legend of the colours in use, in HTML.
-
-    Args:
-        model: state of the viewer.
-        shown: visible arrows, by kind.
-    """
+    """Return the legend of the colours in use, in HTML."""
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]
     holding = int(model.timeline.holders.max(initial=NO_ROBOT)) + 1
     entries += [(robot_color(robot), f"held by {model.robot_name(robot)}") for robot in range(holding)]

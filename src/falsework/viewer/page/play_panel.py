@@ -30,7 +30,6 @@ class PlayPanel:
 
         Args:
             gui: `viser.GuiApi`.
-            page: page of the controls.
         """
         self._page = page
         model = page.model

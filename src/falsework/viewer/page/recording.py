@@ -70,7 +70,6 @@ class RecordedScene(ViserScene):
 
         Args:
             scene: `viser.SceneApi`.
-            timeline: timeline to show.
         """
         super().__init__(scene, timeline)
         parts = self.assembly.part_count
@@ -157,9 +156,6 @@ def record(shown: Viewable | ViewerState) -> str:
 
     Returns:
         A self-contained HTML document.
-
-    Raises:
-        DependencyError: viser is not installed.
     """
     viser = import_viser()
     arms = None if shown.arms is None else shown.arms.turned(Direction.ASSEMBLY)

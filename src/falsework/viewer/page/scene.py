@@ -47,7 +47,6 @@ class ViserScene:
 
         Args:
             scene: `viser.SceneApi`.
-            timeline: timeline to show.
         """
         assembly = timeline.assembly
         self._scene = scene
@@ -112,10 +111,6 @@ class ViserScene:
         """Update the parts.
 
         Args:
-            appearance: how they are seen.
-            missing: parts drawn as wires.
-            pale: absent parts to hint at.
-            labels: short texts at parts.
             plane: section of the parts in their places, metres; None for whole parts.
 
         Returns:
@@ -169,7 +164,6 @@ class ViserScene:
         Args:
             arrows: arrows by kind; missing kinds are hidden.
             moved: vertices of parts slightly later in their motion, metres.
-            color: colour of these parts.
         """
         for kind, arrow_color in KINDS.items():
             name = f"/arrows/{kind.replace(' ', '-')}"

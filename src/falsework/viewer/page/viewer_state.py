@@ -54,12 +54,8 @@ class ViewerState:
         """Show a timeline.
 
         Args:
-            timeline: states and actions.
-            plan: the plan that it shows, to compare new ones with.
             policy: action policy, a `torch.nn.Module`; None if there is none.
-            graph: state graph to show beside the plan.
             arms: robots that execute the plan, in the same order as the timeline.
-            oracle: decides stability.
             criterion: stability criterion, where no oracle is given.
             deadline: time limit for a new plan, s; None for no limit.
         """
@@ -225,11 +221,7 @@ class ViewerState:
         return [part for part in np.flatnonzero(absent).tolist() if part not in self.disruption.missing]
 
     def click(self, origin: NDArray[np.float64], ray: NDArray[np.float64]) -> int | None:
-        """Select the part that a ray hits, None if none, and toggle its mark if a tool is chosen; return the part.
-
-        Raises:
-            InputError: the part cannot be marked.
-        """
+        """Select the part that a ray hits, None if none, and toggle its mark if a tool is chosen; return the part."""
         with self.lock:
             appearance = self.appearance()
             opacity = appearance.opacity.copy()
@@ -334,11 +326,7 @@ class ViewerState:
         return visited_states(self._guide, self.oracle, self.timeline.states[-1], self.timeline.robots, rollouts)
 
     def replan(self) -> NewPlan:
-        """Replan from the marked state, and show the new plan if there is one.
-
-        Raises:
-            InputError: the marks contradict each other or the state; the message says what to do.
-        """
+        """Replan from the marked state, and show the new plan if there is one."""
         from falsework.replanning.replanner import Replanner, replan
 
         begun = time.perf_counter()

@@ -60,9 +60,6 @@ def draw(
     """Return the picture of one state.
 
     Args:
-        assembly: the structure.
-        appearance: how its parts are seen.
-        camera: view of them.
         bounds: box that the picture shows, shape (2, 3); the structure if not given.
         arrows: drawn over the parts, which become pale if any of them lie inside.
         extra: other meshes, such as arms.
@@ -96,10 +93,6 @@ def contact_sheet(
     Args:
         timeline: timeline to show, in its order.
         places: states to show; chosen evenly if not given.
-        frames: how many to choose.
-        columns: pictures in a row.
-        camera: view of each.
-        title: a line above.
         proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
             above.
 
@@ -152,16 +145,11 @@ def one_state(
     """Return the picture of one place of a timeline, with its action and the legend.
 
     Args:
-        timeline: timeline to show.
         position: where; between whole numbers parts are on their way.
-        camera: view of it.
-        arrows: drawn as well.
         key: the legend, colour and words; of the timeline if not given.
-        arms: robots that carry the plan out.
         time: of their schedule, seconds; None shows them one after the other.
         action_probabilities: probability of the action that concerns each part, or another share that colours it, NaN
             where there is none, shape (parts,).
-        share_of: what they are shares of, for the legend.
         bounds: box that the picture shows, shape (2, 3); the structure and the ways of its parts if not given.
         words: the line above; the step if not given.
         marks: colours of parts that stand out, such as those that slide.
@@ -202,13 +190,7 @@ def one_state(
 
 
 def legend(timeline: Timeline, sliding: bool = False, pressing: bool = False) -> list[tuple[str, str]]:
-    """Return the colour and words of all that a timeline shows.
-
-    Args:
-        timeline: gives the robots.
-        sliding: parts are marked that slide.
-        pressing: arrows show presses.
-    """
+    """Return the colour and words of all that a timeline shows."""
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]
     for robot in range(min(int(timeline.holders.max(initial=NO_ROBOT)) + 1, len(ROBOTS))):
         entries.append((robot_color(robot), f"held by robot {robot + 1}"))

@@ -83,7 +83,6 @@ class GanttChart:
         """Draw the chart.
 
         Args:
-            plan: the robot plan.
             width: of the figure, inches.
             title: a line above, of the plan if empty; None for a low strip without one.
 
@@ -154,10 +153,7 @@ def draw_gantt(plan: RobotPlan, path: Path, *, width: int = 0, title: str = "") 
     """Draw the chart as PNG or SVG, and return the number of bars.
 
     Args:
-        plan: the robot plan.
-        path: file to write.
         width: pixels across; 0 chooses.
-        title: a line above.
 
     Raises:
         DependencyError: matplotlib is not installed.

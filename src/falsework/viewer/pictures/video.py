@@ -55,8 +55,6 @@ def frames_of(
         seconds: length of a step; a plan with a schedule plays by its own clock instead.
         rate: pictures a second.
         speed: seconds of a schedule that pass in a second.
-        camera: view of it.
-        arms: robots that carry the plan out.
         proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
             above.
         samples: as for `render`.
@@ -147,12 +145,9 @@ def write_film(
 
     Args:
         path: file that ends in .mp4 or .gif.
-        timeline: timeline to show.
         seconds: length of a step; a plan with a schedule plays by its own clock instead.
         rate: pictures a second.
         speed: seconds of a schedule that pass in a second.
-        camera: view of it.
-        arms: robots that carry the plan out.
         proofs: as for `frames_of`.
         progress: called with the number of pictures drawn and of all.
 
