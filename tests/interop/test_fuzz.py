@@ -16,7 +16,7 @@ from falsework import Assembly, Plan, load_structure
 from falsework.errors import InputError
 from falsework.geometry.mesh.obj import obj_text
 from falsework.interop import to_compas
-from falsework.interop.compas_read import load_compas
+from falsework.interop.compas_read import READER as COMPAS
 from falsework.interop.gltf import to_gltf
 from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict
 
@@ -151,7 +151,7 @@ def test_damaged_meshes(edits: Any, kind: Any, small: Assembly, tmp_path: Path) 
 def test_damaged_compas_data(edits: Any, kind: Any, small: Assembly, tmp_path: Path) -> None:
     path = tmp_path / "model.json"
     path.write_bytes(damage(json.dumps(to_compas(small, kind)).encode(), edits))
-    only_one_line(lambda: load_compas(path), path, Assembly, same_parts)
+    only_one_line(lambda: COMPAS.read(path), path, Assembly, same_parts)
 
 
 @MANY
@@ -174,9 +174,9 @@ def test_what_is_whole_is_read_and_what_is_cut_is_refused(plan: Plan, small: Ass
     assert message.startswith(f"{path} is not valid JSON")
     model = tmp_path / "model.json"
     model.write_text(json.dumps(to_compas(small)))
-    assert only_one_line(lambda: load_compas(model), model, Assembly, same_parts) is None
+    assert only_one_line(lambda: COMPAS.read(model), model, Assembly, same_parts) is None
     model.write_text(json.dumps(to_compas(small)).replace("vertex", "corner"))
-    message = only_one_line(lambda: load_compas(model), model, Assembly, same_parts)
+    message = only_one_line(lambda: COMPAS.read(model), model, Assembly, same_parts)
     assert message is not None
     assert message.startswith(f"{model} cannot be read as COMPAS data")
     mesh = tmp_path / "0.obj"

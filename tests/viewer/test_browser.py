@@ -539,7 +539,7 @@ def test_a_thousand_parts_are_few_draw_calls(opened: Callable[..., Open]) -> Non
 
 
 def test_only_this_machine_is_served_unless_told_otherwise(arch: Any) -> None:
-    from falsework.viewer.page.page import check_host
+    from falsework.viewer.web.served_page import check_host
 
     assert check_host("127.0.0.1") is None
     assert check_host("localhost") is None

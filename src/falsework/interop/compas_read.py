@@ -16,12 +16,11 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.draft import Block, Draft, InterfaceSource
-from falsework.assembly.model import Assembly
+from falsework.assembly.draft import Block, Draft
 from falsework.errors import InputError
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.surface import listed, warn_of, warn_of_curves
-from falsework.interop.compas_shapes import CURVED, box, inner, revolved
+from falsework.interop.compas_shapes import CURVED, inner, shape_mesh
 from falsework.utils.files.formats import Reader
 from falsework.utils.json_text import parse_json
 
@@ -56,29 +55,14 @@ def _is_compas(path: Path) -> bool:
         return b'"dtype"' in file.read(65536)
 
 
-def load_compas(
-    path: Path | str, *, unit: str | None = None, interfaces: InterfaceSource = "found", **options: Any
-) -> Assembly:
-    """Read an assembly from a file of COMPAS data.
+def read_compas(path: Path | str, *, unit: str | None = None) -> Draft:
+    """Read the parts and interfaces of a file of COMPAS data, unchecked.
 
     Blocks are meshes in a list or a dictionary, the blocks of a compas_assembly `Assembly`, or the elements of a
     compas_dem `BlockModel` with their transformations, of this version or an older one, alone or in a `Problem`.
     Supports (`is_support`) are boundary. Attributes `density` and `friction`, which `write_compas` adds, the densities
     of materials and the friction, cohesion and tension (Pa), point loads and body forces of a `Problem` are read too.
     COMPAS data have no unit.
-
-    Args:
-        path: file that `compas.json_dump` wrote.
-        unit: unit of the coordinates; metres if not given.
-        interfaces: `found` finds the contacts from the meshes, `stored` takes the interfaces of the file, `compare`
-            finds them and warns where the stored ones differ.
-        options: density, friction, boundary, ground and contact_settings, as for `load_assembly`.
-    """
-    return read_compas(path, unit=unit).assemble(interfaces=interfaces, **options)
-
-
-def read_compas(path: Path | str, *, unit: str | None = None) -> Draft:
-    """Read the parts and interfaces of a file of COMPAS data, unchecked.
 
     Args:
         path: file that `compas.json_dump` wrote.
@@ -303,11 +287,9 @@ class _Reader:
             faces = [[order[str(corner)] for corner in face] for face in content["face"].values()]
         elif "vertices" in content:
             points, faces = content["vertices"], content["faces"]
-        elif "xsize" in content:
-            points, faces = box(content)
-        elif (shape := str(data.get("dtype")).removeprefix("compas.geometry/")) in CURVED:
-            points, faces = revolved(shape, content)
-            self._curved.append(f"{shape} {name}".rstrip())
+        elif (shape := str(data.get("dtype")).removeprefix("compas.geometry/")) in ("Box", *CURVED):
+            points, faces = shape_mesh(shape, content)
+            self._curved += [f"{shape} {name}".rstrip()] * (shape in CURVED)
         else:
             self._fail(f"block {name or '?'} is a {data.get('dtype')}, not a mesh", "convert it to a mesh")
         vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
@@ -364,4 +346,4 @@ def _content(data: dict[str, Any]) -> Any:
     return data["data"] if "data" in data else data["value"]
 
 
-READER = Reader((".json",), load_compas, read_compas, _is_compas)
+READER = Reader((".json",), parts=read_compas, recognizes=_is_compas)

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.draft import Block, Draft
-from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.polygon import triangles_of
@@ -45,8 +44,8 @@ _DEEPEST = 32
 """Levels of blocks in blocks."""
 
 
-def load_rhino(path: Path | str, *, unit: str | None = None, **options: Any) -> Assembly:
-    """Read an assembly from a Rhino file.
+def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
+    """Read the parts of a Rhino file, unchecked.
 
     Parts are meshes, and Breps and extrusions with the meshes that Rhino stored for display; instances of blocks are
     resolved. Separate solids of one object are parts of their own. Those on a layer `Supports` or `Boundary` are
@@ -54,16 +53,6 @@ def load_rhino(path: Path | str, *, unit: str | None = None, **options: Any) -> 
     those on all layers. Sublayers count as their layers. Surfaces among supports are given a thickness. What is hidden,
     on a layer that is hidden, in a layout or on a layer `Interfaces`, other surfaces, curves and points are left out.
     A warning names each.
-
-    Args:
-        unit: unit of the coordinates; that of the file if not given.
-        options: density, friction, boundary, ground and contact_settings, as for `load_assembly`.
-    """
-    return read_rhino(path, unit=unit).assemble(**options)
-
-
-def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
-    """Read the parts of a Rhino file, unchecked.
 
     Args:
         unit: unit of the coordinates; that of the file if not given.
@@ -296,4 +285,4 @@ def _is_flat(points: NDArray[np.float64]) -> bool:
     return bool(spread[2] <= _FLAT * spread[0])
 
 
-READER = Reader((".3dm",), load_rhino, read_rhino)
+READER = Reader((".3dm",), parts=read_rhino)

@@ -84,7 +84,8 @@ def view(
         InputError: nothing that can be shown, or the address cannot be listened at.
         DependencyError: viser is not installed, or torch for a policy.
     """
-    from falsework.viewer.page.page import Page, serve
+    from falsework.viewer.page.page import Page
+    from falsework.viewer.web.served_page import serve
 
     check_view(robots, host, port, deadline)
     shown = viewable_of(subject, structure, robots=robots, **options).with_policy(policy)
@@ -105,8 +106,8 @@ def check_view(robots: int, host: str, port: int, deadline: float | None) -> Non
         InputError: a number out of range, or no host.
         DependencyError: viser is not installed.
     """
-    from falsework.viewer.page.page import check_host
     from falsework.viewer.web.origin_guard import import_viser
+    from falsework.viewer.web.served_page import check_host
 
     check_robots(robots)
     if not 0 <= port <= 65535:

@@ -27,13 +27,20 @@ class Reader:
 
     suffixes: tuple[str, ...]
     """Endings of the names of its files, in lower case, or `FOLDER`."""
-    load: Callable[..., Any]
-    """Takes the path and the options of `load_structure`, and returns an `Assembly`."""
+    load: Callable[..., Any] | None = None
+    """Takes the path and the options of `load_structure`, and returns an `Assembly`; None: that of the parts."""
     parts: Callable[..., Any] | None = None
     """Takes the path and `unit`, and returns a `Draft`, the parts as they are in the file; `falsework doctor` examines
     them one by one."""
     recognizes: Callable[[Path], bool] = Path.is_file
     """Whether a file with such an ending is of this format."""
+
+    def read(self, path: Path | str, **options: Any) -> Any:
+        """Return the `Assembly` in a file; options are those of `load_structure`."""
+        if self.load is not None:
+            return self.load(path, **options)
+        assert self.parts is not None
+        return self.parts(path, unit=options.pop("unit", None)).assemble(**options)
 
 
 @dataclass(frozen=True)
