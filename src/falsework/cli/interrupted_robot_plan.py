@@ -11,11 +11,9 @@ from falsework.utils.quantity import format_quantity, parse_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-    from falsework.assembly.state import States
     from falsework.robots.model.cell import Cell
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.robots.plans.timeline import Interruption
-    from falsework.stability.verdict import Criterion
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,18 +58,3 @@ class InterruptedPlan:
         place = load_cell(cell or plan.cell_place(file))
         plan.check_identity(assembly, place)
         return cls(plan, file, assembly, place, interruption(plan, seconds))
-
-    @property
-    def state(self) -> States:
-        """What stands and is held, shape (parts,)."""
-        return self.now.state
-
-    @property
-    def arms(self) -> tuple[list[int | None], list[Any], list[Any]]:
-        """What the arms hold or carry, their joint values, and those with which they would hold what they carry."""
-        return [*self.now.held], [*self.now.configurations], [*self.now.gripped]
-
-    @property
-    def criterion(self) -> Criterion:
-        """Stability criterion of the plan."""
-        return self.plan.plan.claim.criterion

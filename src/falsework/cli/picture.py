@@ -93,9 +93,9 @@ class MakePicture(JudgingCommand):
         writable(self.out)
         video = self.out.suffix.lower() in KINDS
         if video:
-            self._refuse(_STILLS, "a video")
+            self._refuse(_STILLS, f"a video such as {self.out}")
         else:
-            self._refuse(_MOVING, "a picture")
+            self._refuse(_MOVING, f"a picture such as {self.out}")
             check_suffix(self.out, ".png", ".svg", *KINDS)
             check_sizes(self.width, self.frames, self.columns)
         if self.gantt:
@@ -105,12 +105,10 @@ class MakePicture(JudgingCommand):
         return self._animate(output) if video else self._draw(output)
 
     def _refuse(self, options: tuple[str, ...], what: str) -> None:
-        """Refuse options that this kind of file does not have."""
+        """Refuse options that what is drawn does not have."""
         given = [f"--{name.replace('_', '-')}" for name in options if getattr(self, name) != getattr(type(self), name)]
         if given:
-            raise InputError(
-                f"{what} such as {self.out} has no {' and '.join(given)}; leave it out, or name another file"
-            )
+            raise InputError(f"{what} has no {' and '.join(given)}; leave it out, or draw something else")
 
     def _draw(self, output: Output) -> Exit:
         from falsework.viewer.show import picture
@@ -172,9 +170,7 @@ class MakePicture(JudgingCommand):
     def _cell(self, output: Output) -> Exit:
         from falsework.viewer.cells.cell_picture import picture_cell
 
-        others = ("step", *_STATE)
-        if wrong := [f"--{name}" for name in others if getattr(self, name) != getattr(type(self), name)]:
-            raise InputError(f"a cell has no states; leave out {' and '.join(wrong)}")
+        self._refuse(("step", *_STATE), "a picture of a cell")
         look: dict[str, Any] = {"width": self.width, "azimuth": self.azimuth, "elevation": self.elevation}
         spec, structure = self.subject.spec, self.subject.structure
         drawn = picture_cell(spec, self.out, structure, title=self.title, **look, **self.subject.given())
@@ -188,10 +184,7 @@ class MakePicture(JudgingCommand):
     def _gantt(self, output: Output) -> Exit:
         from falsework.viewer.pictures.gantt import draw_gantt
 
-        if wrong := [name for name in ("step", *_STATE) if getattr(self, name) != getattr(type(self), name)]:
-            raise InputError(
-                f"a Gantt chart shows no state; leave out {' and '.join(f'--{n}' for n in wrong)}, or --gantt"
-            )
+        self._refuse(("step", *_STATE), "a Gantt chart")
         subject = self.subject.open()
         if subject.arms is None:
             raise InputError(f"a {subject.kind} has no arms to draw a Gantt chart of; give a robot plan")

@@ -37,6 +37,21 @@ if TYPE_CHECKING:
     from falsework.search.settings import PlannerSettings
 
 
+_COMPARED = ("maximise_margin", "resume", "guide", "robust", "judge")
+_WIDER = ("--allow-regrasp", "--props")
+_EXCLUDED: dict[str, tuple[str, ...]] = {
+    "--robots auto": ("--alternatives", "--resume", "--margin", "--maximise-margin", "--judge", "--guide"),
+    "--parts-at-once": (*_WIDER, "--missing", "--robots auto", "--alternatives", "--resume"),
+    "--allow-regrasp": ("--missing", "--alternatives", "--resume", "--margin", "--maximise-margin"),
+    "--props": ("--missing", "--alternatives", "--resume", "--margin", "--maximise-margin"),
+    "--maximise-margin": ("--alternatives", "--resume"),
+    "--guide": (*_WIDER, "--maximise-margin"),
+    "--robust": ("--criterion equilibrium",),
+    "--judge": ("--criterion equilibrium", *_WIDER, "--alternatives", "--maximise-margin"),
+}
+"""Options that exclude others."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class MakePlan(Command):
     """Plan the assembly of a structure by robots; undone from the last step on, a plan takes it apart.
@@ -127,44 +142,12 @@ class MakePlan(Command):
         from falsework.search.problem.deadline import Deadline, check_deadline
         from falsework.stability.oracle import StabilityOracle
 
-        if self.maximise_margin and (self.alternatives > 1 or self.resume):
-            raise InputError(
-                "--maximise-margin looks for one plan, from the beginning; leave out --alternatives and --resume"
-            )
-        if self.guide is not None and (self.task.wider or self.maximise_margin or self.robots == "auto"):
-            raise InputError(
-                "--guide takes neither --allow-regrasp, --props, --maximise-margin nor --robots auto; leave it out"
-            )
-        if self.task.wider and (self.alternatives > 1 or self.resume or self.margin or self.maximise_margin):
-            raise InputError(
-                "--allow-regrasp and --props take neither --alternatives, --resume, --margin nor --maximise-margin"
-            )
-        if self.robust and self.criterion != "contact":
-            raise InputError("--robust asks for replays, which the criterion equilibrium does not have; leave it out")
-        if self.judge and (
-            self.criterion != "contact" or self.task.wider or self.alternatives > 1 or self.maximise_margin
-        ):
-            raise InputError(
-                "--judge takes neither --criterion equilibrium, --allow-regrasp, --props, --alternatives nor "
-                "--maximise-margin"
-            )
-        auto = self.robots == "auto"
-        self.task.check_several(
-            {
-                "--robots auto": auto,
-                "--alternatives": self.alternatives > 1,
-                "--resume": self.resume,
-            }
-        )
+        self._refuse_pairs()
         demands = Demands() if self.margin is None else Demands.from_text(self.margin)
 
         writable(self.out)
         check_deadline(self.deadline)
-        if auto:
-            if demands or self.maximise_margin or self.judge:
-                raise InputError(
-                    "--robots auto takes no --margin, --maximise-margin or --judge; give the number of robots"
-                )
+        if self.robots == "auto":
             return self._with_fewest_robots(output)
         saves = not self.task.wider and self.task.parts_at_once == 1
         settings, checkpoint = self._settings(), self._checkpoint() if saves else None
@@ -243,13 +226,29 @@ class MakePlan(Command):
             return Exit.INTERRUPTED
         return Exit.DONE if planning.found else Exit.NO
 
+    def _refuse_pairs(self) -> None:
+        """Refuse options that exclude each other."""
+        given = {
+            "--allow-regrasp": self.task.allow_regrasp,
+            "--props": self.task.props > 0,
+            "--missing": self.task.missing is not None,
+            "--parts-at-once": self.task.parts_at_once > 1,
+            "--robots auto": self.robots == "auto",
+            "--criterion equilibrium": self.criterion == "equilibrium",
+            "--margin": self.margin is not None,
+        }
+        given |= {f"--{name.replace('_', '-')}": bool(getattr(self, name)) for name in _COMPARED}
+        given["--alternatives"] = self.alternatives > 1
+        for option, others in _EXCLUDED.items():
+            wrong = [other for other in others if given[option] and given[other]]
+            if wrong:
+                raise InputError(f"{option} takes no {' and no '.join(wrong)} yet; leave one of the two out")
+
     def _with_fewest_robots(self, output: Output) -> Exit:
         """Search for the fewest robots, and save the plan found with them."""
         from falsework.cli.min_robots import report
         from falsework.search.min_robots import min_robots
 
-        if self.alternatives > 1 or self.resume:
-            raise InputError("--robots auto takes neither --alternatives nor --resume; give the number of robots")
         assembly = self.task.with_places(self.structure.load())
         output.record(settlement_record(assembly))
         stability = self.holds.settings(self.criterion, self.cone, self.solver)

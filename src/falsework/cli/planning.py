@@ -84,10 +84,8 @@ class RegraspOptions(RuleOptions):
         """Return the rules, as `find_plans` takes them.
 
         Raises:
-            InputError: parts or states that the structure does not have, or rules that exclude each other.
+            InputError: parts or states that the structure does not have.
         """
-        if self.wider and self.missing is not None:
-            raise InputError("--allow-regrasp and --props take no missing parts; leave out --missing")
         from falsework.assembly.props import keep_props
 
         # States are given without places for props, which are absent at both ends.
@@ -99,21 +97,6 @@ class RegraspOptions(RuleOptions):
     def wider(self) -> bool:
         """Whether plans may hold parts more than once or use props."""
         return self.allow_regrasp or self.props > 0
-
-    def check_several(self, other: dict[str, bool]) -> None:
-        """Refuse options that plans with several parts at once do not have.
-
-        Raises:
-            InputError: an option that they do not have; the message names it.
-        """
-        given = {
-            "--allow-regrasp": self.allow_regrasp,
-            "--props": self.props > 0,
-            "--missing": self.missing is not None,
-        } | other
-        wrong = next((name for name, there in given.items() if there), None)
-        if self.parts_at_once > 1 and wrong is not None:
-            raise InputError(f"--parts-at-once takes no {wrong} yet; leave one of the two out")
 
     def with_places(self, assembly: Assembly) -> Assembly:
         """Return the structure with places for props, if any are allowed.
@@ -301,13 +284,12 @@ def load_record(loads: Loads) -> dict[str, float | None]:
 def load_text(plan: Plan, loads: Loads) -> str:
     """Return the largest force and moment that robots bear in a plan, and where; empty if it is not known."""
     from falsework.stability.contact.hold_loads import largest_load
-    from falsework.stability.holds import describe_force
 
     every = [(load, row) for row, some in enumerate(loads) for load in some]
     if not every:
         return ""
     load, row = max(every, key=lambda pair: pair[0].force)
-    force, moment = describe_force(load.force), format_quantity(largest_load(loads)[1], "moment")
+    force, moment = format_quantity(load.force, "force"), format_quantity(largest_load(loads)[1], "moment")
     return f"robots bear at most {force} (for {plan.part_names[load.part]}, after step {row}) and {moment}"
 
 
@@ -338,8 +320,7 @@ def refuse_unstable(
     import numpy as np
 
     from falsework.assembly.state import complete_state
-    from falsework.cli.velocity_text import describe, motions
-    from falsework.stability.motion import motion_of
+    from falsework.cli.velocity_text import describe, motions_at
     from falsework.stability.verdict import Verdict
 
     names = ("target", "start") if building else ("start", "target")
@@ -349,8 +330,7 @@ def refuse_unstable(
             continue
         complete = np.array_equal(state, complete_state(assembly.boundary))
         subject = "complete structure" if complete else f"{name} state"
-        motion = motion_of(assembly, verdicts, 0)
-        moving = [] if motion is None else motions(assembly, motion)
+        moving = motions_at(assembly, verdicts, 0)
         outcome = "no plan exists" if verdicts.unstable[0] else "no plan was found"
         text = f"{outcome}: the {subject} {Verdict(verdicts.verdict[0]).words}"
         if verdicts.on_tolerance[0]:

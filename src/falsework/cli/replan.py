@@ -312,9 +312,8 @@ class MakeReplan(Command):
     ) -> None:
         """Report why there is no plan, and which parts move where the search ended."""
         from falsework.cli.failure import explain
-        from falsework.cli.velocity_text import describe, motions
+        from falsework.cli.velocity_text import describe, motions_at
         from falsework.search.problem.result import Outcome
-        from falsework.stability.motion import motion_of
         from falsework.stability.oracle import StabilityOracle
 
         oracle, moving = StabilityOracle(assembly, replace(stability, reserve=1.0)), []
@@ -323,9 +322,7 @@ class MakeReplan(Command):
         if answer.search is None:  # one of the two ends may be unstable, which ends the work before any search
             task = request.task(assembly)
             verdicts = oracle.verdicts(np.stack([task.start, task.target]), require_certificate=True)
-            row = int(np.argmin(verdicts.stable))
-            motion = motion_of(assembly, verdicts, row)
-            moving = [] if motion is None else motions(assembly, motion)
+            moving = motions_at(assembly, verdicts, int(np.argmin(verdicts.stable)))
         elif not answer.deadline_passed:
             failure = explain(assembly, oracle, answer.search)
             moving, text = failure.moving, failure.text

@@ -135,13 +135,14 @@ class PlanRobots(Command):
         settings = HybridSettings(order, seed=self.seed)
         building = order is Direction.ASSEMBLY
         if begun is not None:
-            held, joints, grips = begun.arms
-            task = self._task(assembly, cell, begun.state, held)
+            held, joints, grips = [*begun.now.held], [*begun.now.configurations], [*begun.now.gripped]
+            task = self._task(assembly, cell, begun.now.state, held)
         else:
             held, joints = parse_holding(self.holding, cell, assembly), parse_joints(self.joints, cell)
             task = self._task(assembly, cell, parse_now(self.state or self._beginning, held, assembly), held)
             grips = parse_grips(self.grips, held, task.target if building else task.start, cell, assembly)
-        stability = self.holds.settings(self.criterion or ("contact" if begun is None else begun.criterion))
+        criterion = self.criterion or ("contact" if begun is None else begun.plan.plan.claim.criterion)
+        stability = self.holds.settings(criterion)
         if refuse_unstable(
             assembly, StabilityOracle(assembly, replace(stability, reserve=1.0)), task, output, building=building
         ):

@@ -47,9 +47,8 @@ class CheckStability(JudgingCommand):
         import numpy as np
 
         from falsework.cli.arguments import parse_states
-        from falsework.cli.velocity_text import describe, motions, part_name
+        from falsework.cli.velocity_text import describe, motions_at, part_name
         from falsework.stability import Proof
-        from falsework.stability.motion import motion_of
         from falsework.stability.oracle import StabilityOracle
         from falsework.stability.verdict import Verdict
 
@@ -60,8 +59,7 @@ class CheckStability(JudgingCommand):
         for index in range(len(states)):
             verdict, proof = Verdict(verdicts.verdict[index]), Proof(verdicts.proof[index])
             residual = float(verdicts.residual[index])
-            motion = motion_of(assembly, verdicts, index)
-            moving = [] if motion is None else motions(assembly, motion)
+            moving = motions_at(assembly, verdicts, index)
             output.row(
                 "states",
                 {

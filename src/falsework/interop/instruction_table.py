@@ -22,9 +22,10 @@ from falsework.errors import InputError, PlanError
 from falsework.geometry.paths.moves import ExitPath
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import NO_ROBOT, Action, name_together
-from falsework.stability.holds import Press, describe_force
+from falsework.stability.holds import Press
 from falsework.utils.files.formats import Exporter
 from falsework.utils.files.output_file import write_whole
+from falsework.utils.quantity import format_quantity
 from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
@@ -137,7 +138,7 @@ class AssemblyInstructions:
         described = []
         for press in step.presses:
             way = describe_motion(np.array(press.wrench[:3]) / max(press.force, 1e-300))
-            what = f"{self.name(press.part)} with {describe_force(press.force)}"
+            what = f"{self.name(press.part)} with {format_quantity(press.force, 'force')}"
             described.append((what, f"{way} by support {supports[press.part] + 1}"))
         return described
 

@@ -9,7 +9,7 @@ import numpy as np
 from falsework.assembly.state import HELD
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
-from falsework.stability.holds import describe_force
+from falsework.utils.quantity import format_quantity
 from falsework.viewer.appearance import Appearance
 from falsework.viewer.arrows import KINDS, Arrows
 from falsework.viewer.page.viewer_state import ViewerState
@@ -51,10 +51,10 @@ def labels_of(model: ViewerState, appearance: Appearance) -> dict[int, str]:
     }
     for load in model.timeline.loads_at(model.step):
         if load.part in labels:
-            labels[load.part] += f" bears {describe_force(load.force)}"
+            labels[load.part] += f" bears {format_quantity(load.force, 'force')}"
     for press in model.timeline.presses_at(model.step):
         if press.part in labels:
-            labels[press.part] += f" presses {describe_force(press.force)}"
+            labels[press.part] += f" presses {format_quantity(press.force, 'force')}"
     if model.selected is not None:
         name = model.assembly.names[model.selected]
         labels[model.selected] = f"{name}, {labels[model.selected]}" if model.selected in labels else name
@@ -129,7 +129,7 @@ def legend_text(model: ViewerState, shown: Mapping[str, Arrows]) -> str:
     for kind, color in KINDS.items():
         some = shown.get(kind)
         if some is not None and len(some):
-            longest = f", up to {describe_force(some.longest)}" if some.longest else ""
+            longest = f", up to {format_quantity(some.longest, 'force')}" if some.longest else ""
             entries.append((color, f"{kind}{longest}"))
     if model.sliding and "sliding" not in shown:
         entries.append((SLIDING, "would slide"))

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.mesh import triangle_normals
-from falsework.stability.holds import describe_force
 from falsework.utils.files.printable import printable
+from falsework.utils.quantity import format_quantity
 from falsework.viewer.appearance import Appearance, bounds_of, diagonal
 from falsework.viewer.arms import ArmPoses, Arms, wxyz_of
 from falsework.viewer.arrows import KINDS, Arrows, scale_arrow
@@ -155,7 +155,7 @@ class ViserScene:
                 "/scale/arrow", ends.astype(np.float32), rgb(arrow.color),
                 shaft_radius=width / 2, head_radius=1.3 * width, head_length=2.6 * width,
             )  # fmt: skip
-            words = self._scene.add_label("/scale/force", describe_force(force), position=ends[0, 1])
+            words = self._scene.add_label("/scale/force", format_quantity(force, "force"), position=ends[0, 1])
             self._keep("/scale", key, line, words)
 
     def show_arrows(self, arrows: Mapping[str, Arrows], moved: Mapping[int, Array], color: str = MOTION) -> None:
