@@ -69,9 +69,12 @@ def read_compas(path: Path | str, *, unit: str | None = None) -> Draft:
         unit: unit of the coordinates; metres if not given.
     """
     path, scale = Path(path), unit_length(unit or "m")
-    reader = _Reader(path)
-    blocks = reader.blocks()
-    return Draft.from_blocks(path, scale, blocks, reader.interfaces)
+    return _Reader(path).draft(None, scale)
+
+
+def draft_of(data: Any, name: str) -> Draft:
+    """Return the parts and interfaces in COMPAS data, JSON values with coordinates in metres, as `read_compas`."""
+    return _Reader(Path(name)).draft(data, 1.0)
 
 
 class _Reader:
@@ -84,14 +87,14 @@ class _Reader:
         self._left_out: Counter[str] = Counter()
         self._curved: list[str] = []
 
-    def blocks(self) -> list[Block]:
-        if not self._path.is_file():
+    def draft(self, data: Any, scale: float) -> Draft:
+        """Return the parts in data, of the file if none are given."""
+        if data is None and not self._path.is_file():
             raise InputError(f"there is no file {self._path}; give one that compas.json_dump wrote")
-        if self._path.stat().st_size > LARGEST_FILE:
+        if data is None and self._path.stat().st_size > LARGEST_FILE:
             self._fail(f"it is larger than {LARGEST_FILE // 2**20} MiB", "write fewer or coarser meshes")
         try:
-            data = parse_json(self._path.read_text(encoding="utf-8"))
-            found = list(self._find(data))
+            found = list(self._find(parse_json(self._path.read_text(encoding="utf-8")) if data is None else data))
         except UnicodeDecodeError:
             self._fail("it is not text")
         except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
@@ -106,7 +109,7 @@ class _Reader:
             kinds = listed([f"{count} {kind}" for kind, count in self._left_out.items()])
             warn_of(self._path, f"what bounds no solid was left out: {kinds}")
         warn_of_curves(self._path, self._curved)
-        return found
+        return Draft.from_blocks(self._path, scale, found, self.interfaces)
 
     def _find(self, data: Any, key: str = "") -> Iterator[Block]:
         """Yield all blocks in a value, in their order; one without a name is called by its key in a dictionary."""
