@@ -61,18 +61,9 @@ class Evaluate(Command):
         from falsework.learn.evaluate import evaluate
 
         with output.bar("evaluating") as show:
-            record = evaluate(
-                self.folder,
-                self.structure,
-                robots=self.robots,
-                criterion=self.criterion,
-                targets=self.targets,
-                search=self.search,
-                states=self.states,
-                device=self.device,
-                seed=self.seed,
-                progress=show,
-            )
+            names = ("robots", "criterion", "targets", "search", "states", "device", "seed")
+            options = {name: getattr(self, name) for name in names}
+            record = evaluate(self.folder, self.structure, progress=show, **options)
         if record is None:
             return Exit.DONE
         output.record(record)

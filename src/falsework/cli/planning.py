@@ -33,15 +33,11 @@ SHOWN = 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class RuleOptions:
-    """Rules that a plan must obey in addition to the number of robots."""
+class PartRuleOptions:
+    """Rules on parts that a plan must obey."""
 
-    rare: ClassVar[tuple[str, ...]] = ("begin", "end", "fixed", "removable_only_if_clear")
+    rare: ClassVar[tuple[str, ...]] = ("fixed", "removable_only_if_clear")
 
-    begin: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
-    """State in which the assembly begins, such as `empty`, plan.json:31, or parts as in 0-16,keystone,held:left."""
-    end: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
-    """State in which the assembly ends, such as `complete`, plan.json:31, or parts."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts not delivered yet, such as 3,keystone; assembly does without them as long as possible."""
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
@@ -49,14 +45,38 @@ class RuleOptions:
     removable_only_if_clear: bool = False
     """Remove a part only if it has a collision-free straight exit in some direction."""
 
+    def parts(self, assembly: Assembly) -> dict[str, tuple[int, ...]]:
+        """Return the missing and the fixed parts by the names of the options.
+
+        Raises:
+            InputError: parts that the structure does not have.
+        """
+        given = {"missing": self.missing, "fixed": self.fixed}
+        return {
+            name: () if text is None else parse_parts(text, f"--{name}", assembly.names) for name, text in given.items()
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class RuleOptions(PartRuleOptions):
+    """Rules that a plan must obey in addition to the number of robots."""
+
+    rare: ClassVar[tuple[str, ...]] = (*PartRuleOptions.rare, "begin", "end")
+
+    begin: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
+    """State in which the assembly begins, such as `empty`, plan.json:31, or parts as in 0-16,keystone,held:left."""
+    end: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
+    """State in which the assembly ends, such as `complete`, plan.json:31, or parts."""
+
     def rules(self, assembly: Assembly) -> TaskRules:
         """Return the rules, as `find_plans` takes them."""
+        parts = self.parts(assembly)
         return {
             # A task starts with the state that has more parts.
             "start": None if self.end is None else parse_state(self.end, "--end", assembly),
             "target": None if self.begin is None else parse_state(self.begin, "--begin", assembly),
-            "fixed": () if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names),
-            "missing": () if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
+            "fixed": parts["fixed"],
+            "missing": parts["missing"],
             "removable_only_if_clear": self.removable_only_if_clear,
         }
 

@@ -14,7 +14,15 @@ from tyro.conf import arg
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import HoldOptions, first_steps, lacks_reserve, need_text, reserve_lines, writable
+from falsework.cli.planning import (
+    HoldOptions,
+    PartRuleOptions,
+    first_steps,
+    lacks_reserve,
+    need_text,
+    reserve_lines,
+    writable,
+)
 from falsework.errors import InputError
 from falsework.utils.quantity import counted
 
@@ -44,8 +52,6 @@ class MakeReplan(Command):
 
     rare: ClassVar[tuple[str, ...]] = (
         "of",
-        "fixed",
-        "removable_only_if_clear",
         "alternatives",
         "seed",
         "policy",
@@ -82,10 +88,7 @@ class MakeReplan(Command):
     """Parts of which robots have taken hold since the step of the plan."""
     release: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts of which robots have let go since the step of the plan."""
-    missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
-    """Parts not delivered yet, such as 3,keystone; assembly does without them as long as possible."""
-    fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
-    """Parts that must not be held or removed, such as 7."""
+    rules: PartRuleOptions
     robots: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 2, or those of the plan or run)")] = (
         None
     )
@@ -96,8 +99,6 @@ class MakeReplan(Command):
     ] = None
     """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
     in balance exist."""
-    removable_only_if_clear: bool = False
-    """Move a part only if it has a collision-free straight exit; always on for a run trained with this rule."""
     alternatives: int = 1
     """Number of plans, as different from each other as possible."""
     seed: int = 0
@@ -206,7 +207,7 @@ class MakeReplan(Command):
         if self.of is not None:
             source = replace(self.structure, spec=self.of).source(self.out)
         robots = plan.robots if self.robots is None else self.robots
-        return plan, assembly, None, source, robots, self.removable_only_if_clear or plan.removable_only_if_clear
+        return plan, assembly, None, source, robots, self.rules.removable_only_if_clear or plan.removable_only_if_clear
 
     def _stability(self, plan: Plan | None) -> StabilitySettings:
         """Return the settings that are given, else those of the plan."""
@@ -234,7 +235,13 @@ class MakeReplan(Command):
         folder = Path(self.structure.spec)
         if not (folder / "run.json").is_file():
             robots = 2 if self.robots is None else self.robots
-            return self.structure.load(), None, self.structure.source(self.out), robots, self.removable_only_if_clear
+            return (
+                self.structure.load(),
+                None,
+                self.structure.source(self.out),
+                robots,
+                self.rules.removable_only_if_clear,
+            )
         if self.structure.given():
             option = next(iter(self.structure.given()))
             raise InputError(f"--{option}: a run is for one structure as it was trained; leave the option out")
@@ -244,7 +251,7 @@ class MakeReplan(Command):
             path = (folder.resolve() / source["path"]).resolve()
             source["path"] = Path(os.path.relpath(path, self.out.resolve().parent)).as_posix()
         robots = run.settings.robots if self.robots is None else self.robots
-        clear = self.removable_only_if_clear or run.settings.removable_only_if_clear
+        clear = self.rules.removable_only_if_clear or run.settings.removable_only_if_clear
         return run.assembly, run.policy, source, robots, clear
 
     def _since(self, assembly: Assembly) -> SiteSteps:
@@ -264,8 +271,7 @@ class MakeReplan(Command):
             target=None if self.target is None else parse_state(self.target, "--target", assembly),
             direction=None if self.order == "auto" else Direction(self.order),
             robots=robots,
-            missing=() if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
-            fixed=() if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names),
+            **self.rules.parts(assembly),
             alternatives=self.alternatives,
             seed=self.seed,
             deadline=self.deadline,

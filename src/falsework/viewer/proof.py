@@ -31,7 +31,7 @@ _TIPS = "forces balance every part, but a small motion grows"
 _WHY = "balancing forces exist, but the contacts do not develop them"
 _REST, _REACHED = "from rest", "as reached in assembly"
 _AT_ONCE = 64
-"""States whose contact forces are in memory at the same time."""
+"""States whose contact forces are in memory at the same time, and proofs that are kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +143,40 @@ class BuildProofs:
                 return
             self._forces[np.array([self._reached])] = proof.forces[None]
             self._reached += 1
+
+
+class ProofCache:
+    """The last proofs of states: of a plan as they are reached in assembly, under `contact`; of others from rest."""
+
+    def __init__(self, *, contact: bool) -> None:
+        self._contact = contact
+        self._proofs: dict[int | bytes, StateProof] = {}
+        self._plan: Plan | None = None
+        self._build: BuildProofs | None = None
+
+    def find(self, plan: Plan | None, row: int, state: States) -> StateProof | None:
+        """Return a proof that is known; the arguments are those of `prove`."""
+        return self._proofs.get(self._key(plan, row, state))
+
+    def prove(self, oracle: StabilityOracle, plan: Plan | None, row: int, state: States) -> StateProof:
+        """Return the proof of a state, shape (parts,): a row of a plan; without a plan one that none has reached."""
+        key = self._key(plan, row, state)
+        if key not in self._proofs:
+            if len(self._proofs) >= _AT_ONCE:
+                del self._proofs[next(iter(self._proofs))]
+            if plan is not None and self._contact:
+                self._build = self._build or BuildProofs(plan, oracle)
+            self._proofs[key] = self._build.at(row) if self._build and plan else proof_of_state(oracle, state)
+        return self._proofs[key]
+
+    def _key(self, plan: Plan | None, row: int, state: States) -> int | bytes:
+        """Return the row of a state of a plan under `contact`, else the state; another plan begins anew."""
+        if plan is None or not self._contact:
+            return state.tobytes()
+        if plan is not self._plan:
+            self._plan, self._build = plan, None
+            self._proofs.clear()
+        return row
 
 
 def _stable(

@@ -279,9 +279,9 @@ def animate(
         subject: an object or a file as `open_file` takes it, with steps to animate.
         path: file to write; it ends in .mp4 or .gif.
         structure: structure of a plan or graph that does not name it.
-        seconds: length of a step; a robot plan with a schedule plays by its own clock instead.
+        seconds: length of a step; a robot plan plays by its own clock instead.
         rate: pictures a second.
-        speed: seconds of a schedule that pass in a second.
+        speed: seconds of a robot plan that pass in a second.
         verdicts: decide the stability of every state, and mark those that are not stable.
         criterion: stability criterion.
         width: pixels across.

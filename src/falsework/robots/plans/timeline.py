@@ -130,13 +130,12 @@ def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array |
     """Yield the activity of each arm at an instant of the schedule of a plan.
 
     Args:
-        plan: robot plan with a schedule.
+        plan: the robot plan; without a schedule its motions come one after the other.
         starts: start time of each node, as `TemporalPlanGraph.starts` returns it.
         moment: seconds from the start of the schedule.
         factor: factor on the duration of each motion, shape (nodes,); 1 by default.
     """
-    graph = plan.schedule
-    assert graph is not None
+    graph = schedule_of(plan)
     factor = np.ones(len(graph.nodes)) if factor is None else factor
     for robot in range(graph.robots):
         mine = graph.of_robot(robot)

@@ -1,6 +1,6 @@
 """Plan as one HTML file that plays without a server: viser's client with a recorded scene in it.
 
-A second of the recording is a step, or a second of the schedule, so that the time below the scene is the step.
+A second of the recording is a step, or a second of the motions of arms, so that the time below the scene is the step.
 """
 
 from __future__ import annotations

@@ -145,18 +145,23 @@ class ViserScene:
         found = scale_arrow(self.assembly, arrows)
         if found is None:
             self._hide("/scale")
-            return
-        arrow, force = found
-        ends = self.place(arrow.ends)
-        key = ends.tobytes()
-        if self._fresh("/scale", key):
-            width = 0.006 * SIZE
-            line = self._scene.add_arrows(
-                "/scale/arrow", ends.astype(np.float32), rgb(arrow.color),
-                shaft_radius=width / 2, head_radius=1.3 * width, head_length=2.6 * width,
-            )  # fmt: skip
-            words = self._scene.add_label("/scale/force", format_quantity(force, "force"), position=ends[0, 1])
-            self._keep("/scale", key, line, words)
+        elif (node := self._arrow_node("/scale", "/scale/arrow", found[0])) is not None:
+            end = self.place(found[0].ends)[0, 1]
+            words = self._scene.add_label("/scale/force", format_quantity(found[1], "force"), position=end)
+            self._keep("/scale", self.nodes["/scale"][0], node, words)
+
+    def _arrow_node(self, name: str, path: str, arrows: Arrows) -> Any:
+        """Draw arrows as a node of the scene, and return it; None where it is there already."""
+        ends = self.place(arrows.ends)
+        if not self._fresh(name, ends.tobytes()):
+            return None
+        width = 0.006 * SIZE * arrows.breadth
+        node = self._scene.add_arrows(
+            path, ends.astype(np.float32), rgb(arrows.color),
+            shaft_radius=width / 2, head_radius=1.3 * width, head_length=2.6 * width,
+        )  # fmt: skip
+        self._keep(name, ends.tobytes(), node)
+        return node
 
     def show_arrows(self, arrows: Mapping[str, Arrows], moved: Mapping[int, Array], color: str = MOTION) -> None:
         """Update the arrows.
@@ -164,22 +169,14 @@ class ViserScene:
         Args:
             arrows: arrows by kind; missing kinds are hidden.
             moved: vertices of parts slightly later in their motion, metres.
+            color: colour of these parts.
         """
-        for kind, arrow_color in KINDS.items():
-            name = f"/arrows/{kind.replace(' ', '-')}"
-            some = arrows.get(kind)
+        for kind in KINDS:
+            name, some = f"/arrows/{kind.replace(' ', '-')}", arrows.get(kind)
             if some is None or len(some) == 0:
                 self._hide(name)
-                continue
-            ends = self.place(some.ends)
-            key = ends.tobytes()
-            if self._fresh(name, key):
-                width = 0.006 * SIZE * some.breadth
-                node = self._scene.add_arrows(
-                    name, ends.astype(np.float32), rgb(arrow_color),
-                    shaft_radius=width / 2, head_radius=1.3 * width, head_length=2.6 * width,
-                )  # fmt: skip
-                self._keep(name, key, node)
+            else:
+                self._arrow_node(name, name, some)
         if not moved:
             self._hide("/motion")
             return

@@ -151,7 +151,7 @@ def one_state(
     Args:
         position: where; between whole numbers parts are on their way.
         key: the legend, colour and words; of the timeline if not given.
-        time: of their schedule, seconds; None shows them one after the other.
+        time: of their motions, seconds; that at which the place is reached if not given.
         action_probabilities: probability of the action that concerns each part, or another share that colours it, NaN
             where there is none, shape (parts,).
         bounds: box that the picture shows, shape (2, 3); the structure and the ways of its parts if not given.

@@ -52,9 +52,9 @@ def frames_of(
 
     Args:
         timeline: timeline to show, in its order.
-        seconds: length of a step; a plan with a schedule plays by its own clock instead.
+        seconds: length of a step; a robot plan plays by its own clock instead.
         rate: pictures a second.
-        speed: seconds of a schedule that pass in a second.
+        speed: seconds of a robot plan that pass in a second.
         proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
             above.
         samples: as for `render`.
@@ -63,7 +63,7 @@ def frames_of(
     sliding = any(proof.slides for proof in (proofs or {}).values())
     still = max(round(HOLD * rate), 1)
     moments = _moments(timeline, arms, seconds, rate, speed)
-    chart = None if arms is None or arms.clock is None else strip_of(arms.plan, camera.width)
+    chart = None if arms is None else strip_of(arms.plan, camera.width)
     for number, (position, time) in enumerate(moments):
         # One after the other, a step is written as soon as it begins; else the last that the structure has come to.
         step = timeline.next(position) if time is None else timeline.row(position)
@@ -92,14 +92,14 @@ def frames_of(
 def _moments(
     timeline: Timeline, arms: Arms | None, seconds: float, rate: float, speed: float
 ) -> list[tuple[float, float | None]]:
-    """Return the place of every picture, and its time of the schedule if there is one."""
-    if arms is None or arms.clock is None:
+    """Return the place of every picture, and its time if there are arms."""
+    if arms is None:
         return [(abs(place - timeline.begin), None) for place in frame_places(len(timeline), seconds, rate)]
     return [(arms.clock.position(time), time) for time in frame_times(arms.clock.makespan, rate, speed)]
 
 
 def frame_times(makespan: float, rate: float, speed: float) -> list[float]:
-    """Return times of a schedule that are shown, in seconds.
+    """Return times of a robot plan that are shown, in seconds.
 
     Raises:
         InputError: no pictures a second, or a speed of zero.
@@ -145,9 +145,9 @@ def write_film(
 
     Args:
         path: file that ends in .mp4 or .gif.
-        seconds: length of a step; a plan with a schedule plays by its own clock instead.
+        seconds: length of a step; a robot plan plays by its own clock instead.
         rate: pictures a second.
-        speed: seconds of a schedule that pass in a second.
+        speed: seconds of a robot plan that pass in a second.
         proofs: as for `frames_of`.
         progress: called with the number of pictures drawn and of all.
 
