@@ -9,16 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework import Assembly, load_structure
+from falsework import Assembly, export, load_structure
 from falsework.assembly import ContactWarning
 from falsework.cli.main import main
 from falsework.errors import AssemblyError, InputError, MeshError, ReadWarning
 from falsework.interop import to_compas
 from falsework.interop.compas_read import READER as COMPAS
-from falsework.interop.compas_write import write_compas
 
 MODEL = "compas_model.models/Model"
 KINDS = ("meshes", "assembly", "dem")
+
+
+COMPAS_FORMATS = {"meshes": "compas", "assembly": "compas-assembly", "dem": "compas-dem"}
 
 
 @pytest.fixture
@@ -31,7 +33,7 @@ def compas() -> Any:
 @pytest.mark.parametrize("spec", ["arch:blocks=7", "vault", "bottle"])
 def test_there_and_back_without_the_packages(spec: str, kind: Any, tmp_path: Path) -> None:
     assembly = load_structure(spec)
-    write_compas(assembly, tmp_path / "out.json", kind)
+    export(assembly, tmp_path / "out.json", format=COMPAS_FORMATS[kind])
     again = COMPAS.read(tmp_path / "out.json")
     assert again.identity == assembly.identity
     assert again.names == assembly.names
@@ -41,7 +43,7 @@ def test_there_and_back_without_the_packages(spec: str, kind: Any, tmp_path: Pat
 def test_there_and_back_through_the_packages(kind: Any, compas: Any, arch: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_assembly")
     pytest.importorskip("compas_dem")
-    write_compas(arch, tmp_path / "out.json", kind)
+    export(arch, tmp_path / "out.json", format=COMPAS_FORMATS[kind])
     compas.json_dump(compas.json_load(tmp_path / "out.json"), tmp_path / "again.json")
     again = COMPAS.read(tmp_path / "again.json")
     assert again.identity == arch.identity
@@ -50,7 +52,7 @@ def test_there_and_back_through_the_packages(kind: Any, compas: Any, arch: Assem
 
 def test_compas_assembly_sees_blocks_supports_and_interfaces(compas: Any, arch: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_assembly")
-    write_compas(arch, tmp_path / "out.json", "assembly")
+    export(arch, tmp_path / "out.json", format="compas-assembly")
     found = compas.json_load(tmp_path / "out.json")
     assert [block.volume() for block in found.blocks()] == pytest.approx(arch.mass.volume)
     supports = [found.graph.node_attribute(node, "is_support") for node in found.graph.nodes()]
@@ -65,7 +67,7 @@ def test_compas_assembly_sees_blocks_supports_and_interfaces(compas: Any, arch: 
 
 def test_a_line_is_an_interface_of_two_points(compas: Any, beam_on_ridge: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_assembly")
-    write_compas(beam_on_ridge, tmp_path / "out.json", "assembly")
+    export(beam_on_ridge, tmp_path / "out.json", format="compas-assembly")
     (interface,) = compas.json_load(tmp_path / "out.json").graph.edge_attribute((1, 2), "interfaces")
     assert np.allclose(interface.points, beam_on_ridge.contacts.points[-2:])
     assert interface.size == pytest.approx(beam_on_ridge.contacts.areas[1])
@@ -75,7 +77,7 @@ def test_a_line_is_an_interface_of_two_points(compas: Any, beam_on_ridge: Assemb
 
 def test_compas_dem_finds_the_same_contacts(compas: Any, arch: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_dem")
-    write_compas(arch, tmp_path / "out.json", "dem")
+    export(arch, tmp_path / "out.json", format="compas-dem")
     model = compas.json_load(tmp_path / "out.json")
     assert [element.is_support for element in model.elements()] == arch.boundary.tolist()
     model.compute_contacts(tolerance=1e-4, minimum_area=1e-4)

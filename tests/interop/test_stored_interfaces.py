@@ -10,19 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework import Assembly, StabilityOracle, load_structure
+from falsework import Assembly, StabilityOracle, export, load_structure
 from falsework.assembly import ContactWarning, complete_state
 from falsework.assembly.store import save_assembly
 from falsework.cli.main import main
 from falsework.errors import AssemblyError, InputError
 from falsework.interop.compas_read import READER as COMPAS
 from falsework.interop.compas_read import read_compas
-from falsework.interop.compas_write import write_compas
 
 
 @pytest.fixture
 def written(arch: Assembly, tmp_path: Path) -> Path:
-    write_compas(arch, tmp_path / "arch.json", "assembly")
+    export(arch, tmp_path / "arch.json", format="compas-assembly")
     return tmp_path / "arch.json"
 
 
@@ -51,7 +50,7 @@ def test_what_was_found_and_stored_comes_back(arch: Assembly, written: Path) -> 
 
 
 def test_lines_come_back_with_their_normals(beam_on_ridge: Assembly, tmp_path: Path) -> None:
-    write_compas(beam_on_ridge, tmp_path / "beam.json", "assembly")
+    export(beam_on_ridge, tmp_path / "beam.json", format="compas-assembly")
     with pytest.warns(ContactWarning):
         stored = COMPAS.read(tmp_path / "beam.json", interfaces="stored")
     assert stored.contacts.dimension.tolist() == beam_on_ridge.contacts.dimension.tolist()
@@ -104,7 +103,7 @@ def test_an_interface_of_no_part_is_refused(written: Path) -> None:
 
 
 def test_where_none_are_stored(tmp_path: Path, arch: Assembly) -> None:
-    write_compas(arch, tmp_path / "meshes.json")
+    export(arch, tmp_path / "meshes.json", format="compas")
     for structure in (tmp_path / "meshes.json", "arch:blocks=5", save_assembly(arch, tmp_path / "folder")):
         with pytest.raises(InputError, match="stores no interfaces"):
             load_structure(structure, interfaces="stored")

@@ -6,7 +6,6 @@ import io
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,10 +16,9 @@ from falsework.interop.instruction_table import (
     AssemblyInstruction,
     AssemblyInstructions,
     sheet,
-    write_sheet,
 )
 from falsework.interop.pdf_text import BOLD, REGULAR, broken_lines, register_fonts, write_line, write_paragraph
-from falsework.utils.files.formats import Exporter
+from falsework.utils.files.formats import Exporter, writer_of
 from falsework.utils.quantity import counted
 from falsework.viewer.appearance import appearance_at, bounds_of, diagonal
 from falsework.viewer.arrows import Arrows, arrows_of_step
@@ -352,19 +350,18 @@ def _shortened(sheet: AssemblyInstructions, parts: tuple[int, ...]) -> str:
     return names if len(parts) <= _LISTED_PARTS else f"{names} and {len(parts) - _LISTED_PARTS} more"
 
 
-def _write_pdf(
+def _pdf_of(
     assembly: Assembly,
-    path: Path | str,
     plan: Plan,
     *,
     azimuth: float = CAMERA.azimuth,
     elevation: float = CAMERA.elevation,
     progress: Progress | None = None,
-) -> None:
+) -> bytes:
     if not -90 < elevation < 90 or elevation == 0:
         raise InputError(f"an elevation of {elevation:g} degrees sees nothing; give one such as 24")
     camera = replace(CAMERA, azimuth=azimuth, elevation=elevation)
-    write_sheet(instructions_pdf(sheet(assembly, plan), camera=camera, progress=progress), path)
+    return instructions_pdf(sheet(assembly, plan), camera=camera, progress=progress)
 
 
-PDF = Exporter(_write_pdf, (".pdf",), ("Plan",), ("azimuth", "elevation", "progress"))
+PDF = Exporter(writer_of(_pdf_of), (".pdf",), ("Plan",), ("azimuth", "elevation", "progress"))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction
-from falsework.utils.files.formats import Exporter
+from falsework.utils.files.formats import Exporter, writer_of
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.files.printable import printable
 from falsework.utils.quantity import counted
@@ -244,12 +244,11 @@ def _panel(model: ViewerState, shown: dict[str, Arrows]) -> str:
     )
 
 
-def _write_page(
-    assembly: Assembly, path: Path | str, plan: Plan | RobotPlan | None, *, cell: AnyCell | None = None
-) -> None:
+def _page_of(assembly: Assembly, plan: Plan | RobotPlan | None = None, *, cell: AnyCell | None = None) -> str:
     from falsework.viewer.viewable import viewable_of
 
-    save_page(viewable_of(assembly if plan is None else plan, None if plan is None else assembly, cell=cell), path)
+    return record(viewable_of(assembly if plan is None else plan, None if plan is None else assembly, cell=cell))
 
 
-EXPORTER = Exporter(_write_page, (".html",), ("Assembly", "Plan", "RobotPlan"), ("cell",), complete=True)
+_SHOWN = ("Assembly", "Plan", "RobotPlan")
+EXPORTER = Exporter(writer_of(_page_of), (".html",), _SHOWN, ("cell",), complete=True)
