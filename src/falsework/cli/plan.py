@@ -21,6 +21,8 @@ from falsework.cli.planning import (
     need_text,
     refuse_unstable,
     reserve_lines,
+    save_plans,
+    say_alternatives,
     search_directions,
     writable,
 )
@@ -295,16 +297,7 @@ class MakePlan(Command):
         return path
 
     def _save(self, plans: Sequence[Plan]) -> list[tuple[Path, Plan]]:
-        from falsework.search.plans.plan_file import save_plan
-
-        saved = []
-        for number, found in enumerate(plans, 1):
-            path = self.out if number == 1 else self.out.with_stem(f"{self.out.stem}-{number}")
-            plan = replace(found, source=self.structure.source(path))
-            # A plan whose replay fails, which is saved to be looked at, has no proofs of all states.
-            save_plan(plan, path, proofs=self.proofs and (plan.replay is None or plan.replay.stands))
-            saved.append((path, plan))
-        return saved
+        return save_plans(plans, self.out, self.structure.source, proofs=self.proofs)
 
     def _show_fallen(self, plan: Plan, output: Output) -> None:
         """Save the plan whose replay gets farthest, and report where it fails."""
@@ -378,11 +371,7 @@ class MakePlan(Command):
             output.say(line)
         for need in first.needs:
             output.say(need_text(first, need))
-        if len(plans) > 1:
-            others = ", ".join(str(path) for path, _ in plans[1:])
-            output.say(f"alternatives in {others}; the two plans most alike differ by {found.least_distance:.2f} of 1")
-        if len(plans) < self.alternatives:
-            output.note(f"only {len(plans)} of the {self.alternatives} requested plans were found")
+        say_alternatives([path for path, _ in plans], found.least_distance, self.alternatives, output)
 
 
 def _replay_record(plan: Plan) -> dict[str, Any] | None:

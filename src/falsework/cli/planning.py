@@ -1,10 +1,11 @@
-"""Task and search options that `plan` and `graph` share, and the checks before a search."""
+"""Options of rules and holds, texts about plans, and the checks before a search, which several commands share."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import arg
 
@@ -17,7 +18,6 @@ from falsework.utils.quantity import counted, format_quantity
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
-    from falsework.search.beam.settings import BeamSettings
     from falsework.search.plans.plan import PartDeadline, Plan
     from falsework.search.problem.task import Direction, Task
     from falsework.search.task_rules import TaskRules
@@ -217,6 +217,37 @@ def lacks_judge(plan: Plan, *, asked: bool) -> str:
     return f"no plan was found that discrete elements build; in this one {part} falls {where}"
 
 
+def save_plans(
+    plans: Iterable[Plan], out: Path, source: Callable[[Path], Mapping[str, Any] | None], *, proofs: bool = False
+) -> list[tuple[Path, Plan]]:
+    """Write plans, from the second on with -2, -3, ... in their names, and return them as they were written.
+
+    Args:
+        out: file of the first.
+        source: returns the source of the structure for a file.
+        proofs: write the proofs of states too.
+    """
+    from falsework.search.plans.plan_file import save_plan
+
+    saved = []
+    for number, found in enumerate(plans, 1):
+        path = out if number == 1 else out.with_stem(f"{out.stem}-{number}")
+        plan = replace(found, source=source(path))
+        # A plan whose replay fails, which is saved to be looked at, has no proofs of all states.
+        save_plan(plan, path, proofs=proofs and (plan.replay is None or plan.replay.stands))
+        saved.append((path, plan))
+    return saved
+
+
+def say_alternatives(paths: Sequence[Path], least: float, asked: int, output: Output) -> None:
+    """Print where further plans are, and how different the two most alike are, from 0 to 1."""
+    if len(paths) > 1:
+        others = ", ".join(map(str, paths[1:]))
+        output.say(f"alternatives in {others}; the two plans most alike differ by {least:.2f} of 1")
+    if len(paths) < asked:
+        output.note(f"only {len(paths)} of the {asked} requested plans were found")
+
+
 def first_steps(plan: Plan, direction: Direction, built: int = 0) -> str:
     """Describe the steps of a plan that come first in an order, after those that are done."""
     steps = plan.in_order(direction)[built:]
@@ -233,40 +264,6 @@ def need_text(plan: Plan, need: PartDeadline, built: int = 0) -> str:
     if not after:
         return f"{when}, before any other part"
     return f"{when}, after {after} {'more' if built else 'other'} {'part is' if after == 1 else 'parts are'} placed"
-
-
-@dataclass(frozen=True, kw_only=True)
-class TaskOptions(RuleOptions):
-    """Rules that a plan must obey."""
-
-    robots: int = 2
-    """Number of robots: parts that can be held at a time."""
-
-    def task(self, assembly: Assembly) -> Task:
-        """Check the rules against a structure."""
-        from falsework.search.find import make_task
-
-        return make_task(assembly, self.robots, **self.rules(assembly))
-
-
-@dataclass(frozen=True, kw_only=True)
-class SearchOptions:
-    """Options of the search."""
-
-    rare: ClassVar[tuple[str, ...]] = ("search_from", "seed")
-
-    width: int = 64
-    """States kept at each step; a wider search finds more and takes longer."""
-    search_from: Literal["beginning", "end"] = "beginning"
-    """End of the assembly from which to search: its beginning, the empty structure, or its end, the complete one."""
-    seed: int = 0
-    """Random seed; results are reproducible on one machine."""
-
-    def settings(self) -> BeamSettings:
-        """Return the settings of the search."""
-        from falsework.search.beam.settings import BeamSettings
-
-        return BeamSettings(self.width, search_directions(self.search_from)[0], seed=self.seed)
 
 
 def search_directions(search_from: str) -> tuple[Direction, ...]:

@@ -21,6 +21,8 @@ from falsework.cli.planning import (
     lacks_reserve,
     need_text,
     reserve_lines,
+    save_plans,
+    say_alternatives,
     writable,
 )
 from falsework.errors import InputError
@@ -157,7 +159,7 @@ class MakeReplan(Command):
         if not answer.found:
             self._refuse(assembly, stability, request, answer, output)
             return Exit.NO
-        paths = self._save(answer, source)
+        paths = [path for path, _ in save_plans(answer.plans, self.out, lambda _: source)]
         for path in paths:
             output.file(path)
         record = _record(answer)
@@ -279,16 +281,6 @@ class MakeReplan(Command):
             confidences=self.confidences,
         )
 
-    def _save(self, answer: ReplanResult, source: Mapping[str, Any] | None) -> list[Path]:
-        from falsework.search.plans.plan_file import save_plan
-
-        paths = []
-        for number, plan in enumerate(answer.plans, 1):
-            path = self.out if number == 1 else self.out.with_stem(f"{self.out.stem}-{number}")
-            save_plan(replace(plan, source=source), path)
-            paths.append(path)
-        return paths
-
     def _tell(self, answer: ReplanResult, paths: list[Path], output: Output) -> None:
         plan, fewer = answer.plans[0], ""
         if answer.built and self.robots is not None and self.robots < plan.robots:
@@ -304,12 +296,8 @@ class MakeReplan(Command):
         output.say(f"{since}: {first_steps(plan, answer.direction, answer.built)}")
         for need in plan.needs:
             output.say(need_text(plan, need, answer.built))
-        if len(paths) > 1:
-            least = answer.distance[~np.eye(len(paths), dtype=bool)].min()
-            others = ", ".join(str(path) for path in paths[1:])
-            output.say(f"alternatives in {others}; the two plans most alike differ by {least:.2f} of 1")
-        if len(paths) < self.alternatives:
-            output.note(f"only {len(paths)} of the {self.alternatives} requested plans were found")
+        least = float(answer.distance[~np.eye(len(paths), dtype=bool)].min(initial=1.0))
+        say_alternatives(paths, least, self.alternatives, output)
         if answer.deadline_passed:
             output.note("the deadline ended the search; more time may give more plans, or need missing parts later")
 
