@@ -23,6 +23,7 @@ from falsework import make_task
 from falsework.assembly import HELD, REMOVED
 from falsework.errors import InputError
 from falsework.search.plans.steps import NO_ROBOT
+from falsework.utils.quantity import format_quantity
 from falsework.viewer import Timeline
 from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.page import Page
@@ -201,7 +202,7 @@ def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     now.click(top)
     now.until(lambda: model.selected == top, "the part is selected")
     tab.get_by_text(f"{assembly.names[top]} (number {top})").wait_for()
-    tab.get_by_text(f"{assembly.mass.mass[top]:.4g} kg").wait_for()
+    tab.get_by_text(format_quantity(float(assembly.mass.mass[top]), "mass")).wait_for()
     selected = now.picture()
     assert (np.abs(selected - whole).max(axis=2) > 25).sum() > 50
 

@@ -56,7 +56,7 @@ def times_record(plan: RobotPlan) -> dict[str, Any]:
         "lower_bound_s": round(graph.lower_bound, 3) if proven else None,
         "gap": round(graph.gap, 4) if proven else None,
         "arms": [
-            {name: value if name == "robot" else round(value, 4) for name, value in asdict(share).items()}
+            {name: round(value, 4) if isinstance(value, float) else value for name, value in asdict(share).items()}
             for share in arm_shares(plan, graph)
         ],
     }

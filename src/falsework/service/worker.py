@@ -35,6 +35,7 @@ from falsework.stability.verdict import Criterion, Proof, Verdict, Verdicts
 
 if TYPE_CHECKING:
     from falsework.replanning.replanner import Replanner, ReplanResult
+    from falsework.replanning.since import SiteSteps
 
 Kind = Literal["replan", "stability", "picture"]
 
@@ -303,8 +304,8 @@ def read_plan(values: Mapping[str, Any], assembly: Assembly) -> tuple[Plan, Asse
         AssemblyError: a prop for which there is no place.
     """
     structure = values.get("structure")
-    structure = structure if isinstance(structure, dict) else {}
-    names, props = (structure.get(name) if isinstance(structure.get(name), list) else [] for name in ("parts", "props"))
+    entries = structure if isinstance(structure, dict) else {}
+    names, props = (entry if isinstance(entry, list) else [] for entry in map(entries.get, ("parts", "props")))
     if names and (len(names) - len(props) != assembly.part_count or len(props) > assembly.part_count):
         raise PlanError(
             f"the plan is of {len(names) - len(props)} parts, {assembly.name} has {assembly.part_count}; send a plan "
@@ -319,7 +320,8 @@ def _on_site(given: Mapping[str, Any], assembly: Assembly) -> tuple[Assembly, di
 
     Robots and holds are those of the plan where others are not given.
     """
-    since, payload = given["since"], {name: value for name, value in given.items() if name != "since"}
+    since: SiteSteps = given["since"]
+    payload: dict[str, Any] = {name: value for name, value in given.items() if name != "since"}
     if payload["plan"] is None:
         if since:
             raise InputError("since: this is told of a step of a plan; give the plan and its step too")
@@ -328,7 +330,7 @@ def _on_site(given: Mapping[str, Any], assembly: Assembly) -> tuple[Assembly, di
         plan, wide = read_plan(payload["plan"], assembly)
     except InputError as error:
         raise InputError(f"plan: {error}") from None
-    payload = {"robots": plan.robots, "holds": plan.claim.holds, **payload, "plan": plan}
+    payload = {"robots": plan.robots, "holds": plan.claim.holds} | payload | {"plan": plan}
     if since:
         if payload["step"] is None:
             raise InputError("since: this is told of a step of the plan; give the step too")
@@ -338,8 +340,9 @@ def _on_site(given: Mapping[str, Any], assembly: Assembly) -> tuple[Assembly, di
         except InputError as error:
             raise InputError(f"since: {error}") from None
         payload |= {"plan": plan, "step": len(plan)}
-    if payload["target"] is not None:  # given without places for props, which are absent there
-        payload["target"] = np.pad(payload["target"], (0, wide.part_count - assembly.part_count))
+    if (target := payload["target"]) is not None:  # given without places for props, which are absent there
+        absent = np.zeros(wide.part_count - assembly.part_count, dtype=np.uint8)
+        payload["target"] = np.concatenate([target, absent])
     return wide, payload
 
 

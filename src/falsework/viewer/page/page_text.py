@@ -101,7 +101,7 @@ def facts_of(model: ViewerState, part: int) -> list[tuple[str, str]]:
     ]
     facts = [
         ("part", f"{assembly.names[part]} (number {part})"),
-        ("mass", f"{assembly.mass.mass[part]:.4g} kg"),
+        ("mass", format_quantity(float(assembly.mass.mass[part]), "mass")),
         ("now", now),
         ("contacts", f"{len(mine)}, {contacts.areas[mine].sum():.3g} m2, with {touching or 'nothing'}"),
         ("held by", "; ".join(spans) if spans else "no robot"),

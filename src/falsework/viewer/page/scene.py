@@ -17,9 +17,9 @@ from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.utils.files.printable import printable
 from falsework.utils.quantity import format_quantity
 from falsework.viewer.appearance import Appearance, bounds_of, diagonal
-from falsework.viewer.arms import ArmPoses, Arms, wxyz_of
+from falsework.viewer.arms import ArmPoses, Arms, Link, wxyz_of
 from falsework.viewer.arrows import KINDS, Arrows, scale_arrow
-from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, rgb, robot_color
+from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, bytes_of, rgb, robot_color
 from falsework.viewer.section import Plane, cut
 from falsework.viewer.timeline import Timeline
 
@@ -209,30 +209,19 @@ class ViserScene:
             self.show_arms(None, None)
             self._robots = arms.cell
             for number, link in enumerate(arms.links):
-                color = tuple(round(255 * channel) for channel in link.color)
-                vertices = (link.vertices * self.scale).astype(np.float32)
-                self._arms.append(
-                    self._scene.add_mesh_simple(
-                        f"/arms/{number}", vertices, link.faces.astype(np.uint32), color=color, flat_shading=True
-                    )
-                )
+                self._arms.append(link_node(self._scene, f"/arms/{number}", link, self.scale))
         for node, pose in zip(self._arms, arm_poses.poses, strict=True):
             if node.visible != seen:
                 node.visible = seen
-            node.position = self.place(pose[:3, 3])
-            node.wxyz = wxyz_of(pose[:3, :3])
+            node.position, node.wxyz = self.place(pose[:3, 3]), wxyz_of(pose[:3, :3])
         for part in self._carried.keys() - {carried.part for carried in arm_poses.carried}:
             self._carried.pop(part).remove()
         for carried in arm_poses.carried:
             part, turn = carried.part, carried.pose[:3, :3]
             if part not in self._carried:
-                self._carried[part] = self._scene.add_mesh_simple(
-                    f"/carried/{part}",
-                    self._vertices[part],
-                    self._faces[part],
-                    color=rgb(robot_color(carried.robot)),
-                    flat_shading=True,
-                )
+                color, shape = rgb(robot_color(carried.robot)), (self._vertices[part], self._faces[part])
+                node = self._scene.add_mesh_simple(f"/carried/{part}", *shape, color=color, flat_shading=True)
+                self._carried[part] = node
             self._carried[part].wxyz = wxyz_of(turn)
             self._carried[part].position = self.place(turn @ self.origin + carried.pose[:3, 3])
 
@@ -262,15 +251,9 @@ class ViserScene:
         missing, pale, standing = name == "/parts/missing", name == "/parts/pale", name.startswith("/parts/standing")
         digits = MISSING if missing else INSTALLED if standing or pale else f"#{name[-6:]}"
         node = self._scene.add_mesh_simple(
-            name,
-            vertices,
-            faces.astype(np.uint32),
-            color=rgb(digits),
-            flat_shading=not missing,
-            wireframe=missing,
-            opacity=_PALE if pale else self._opacity,
-            cast_shadow=not (missing or pale),
-        )
+            name, vertices, faces.astype(np.uint32), color=rgb(digits), flat_shading=not missing, wireframe=missing,
+            opacity=_PALE if pale else self._opacity, cast_shadow=not (missing or pale),
+        )  # fmt: skip
         nodes = [node]
         if self._lined and not (missing or pale):
             lines = np.concatenate([edges for _, _, edges in shapes])
@@ -362,6 +345,12 @@ class ViserScene:
             del self.shown[name]
             for node in self.nodes[name][1]:
                 node.visible = False
+
+
+def link_node(scene: Any, name: str, link: Link, size: float = 1.0) -> Any:
+    """Add a piece of a robot to a scene, in lengths of it, and return its node."""
+    vertices, faces = (link.vertices * size).astype(np.float32), link.faces.astype(np.uint32)
+    return scene.add_mesh_simple(name, vertices, faces, color=bytes_of(link.color), flat_shading=True)
 
 
 def sharp_edges(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> NDArray[np.float32]:
