@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from tyro.conf import Positional, arg
 
 from falsework.cli.arguments import spell_options
-from falsework.cli.command import CONE_HINT, UNSET, JudgingCommand, LoadOptions
+from falsework.cli.command import UNSET, ConeOption, JudgingCommand, LoadOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.overrides import exit_of_good
 from falsework.cli.planning import judge_text, load_record, load_text
@@ -82,8 +82,7 @@ class CheckPlan(JudgingCommand):
     reading: LoadOptions
     accept_overrides: bool = False
     """Accept the options of the structure that the plan records, as if all were given."""
-    cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
-    """Friction cone: round, or eight-sided as in the paper."""
+    cone: ConeOption = None
     tolerance: float = 1e-4
     """Largest acceleration of a part in a stable state, as a share of gravity."""
     gravity: float = 9.81

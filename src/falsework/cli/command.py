@@ -20,8 +20,30 @@ if TYPE_CHECKING:
 
 UNSET = ""
 """Shown in place of a default where leaving an option out is the default."""
-CONE_HINT = "(default: quadratic under contact, octagon under equilibrium)"
-"""Shown as the default of options for the friction cone."""
+CRITERION = (
+    "Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces in "
+    "balance exist."
+)
+_CRITERION_HINT = "(default: contact, or that of the plan)"
+_CONE_HINT = "(default: quadratic under contact, octagon under equilibrium)"
+STATES = (
+    "A state, as `complete`, digits, plan.json:31, or parts such as 0-16,keystone,held:left; or a file with states: a "
+    "JSON list, a .npy array, or a plan."
+)
+CriterionName = Literal["contact", "equilibrium"]
+CriterionOption = Annotated[CriterionName, arg(help=CRITERION)]
+CriterionOfPlan = Annotated[CriterionName | None, arg(help=CRITERION, help_behavior_hint=_CRITERION_HINT)]
+ConeOption = Annotated[
+    Literal["octagon", "quadratic"] | None,
+    arg(help="Friction cone: round, or eight-sided as in the paper.", help_behavior_hint=_CONE_HINT),
+]
+SolverOption = Annotated[
+    Literal["auto", "cpu", "gpu", "exact"],
+    arg(help="Solver; `auto` takes a GPU where there is one and it is faster."),
+]
+DeviceOption = Annotated[Literal["auto", "cpu", "cuda"], arg(help="Device; `auto` takes a GPU if there is one.")]
+SeedOption = Annotated[int, arg(help="Random seed; results are reproducible on one machine.")]
+"""Options that several commands have, with their help texts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,9 +71,7 @@ class Command(ABC):
 class JudgingCommand(Command):
     """Base of subcommands that decide stability."""
 
-    criterion: Literal["contact", "equilibrium"] = "contact"
-    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
-    in balance exist."""
+    criterion: CriterionOption = "contact"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
+from falsework.cli.command import UNSET, JudgingCommand, SeedOption, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import RuleOptions, refuse_unstable, search_directions, writable
 from falsework.errors import InputError
@@ -52,8 +52,7 @@ class MakeGraph(JudgingCommand):
     """States kept at each step; a wider search finds more and takes longer."""
     search_from: Literal["beginning", "end"] = "beginning"
     """End of the assembly from which to search: its beginning, the empty structure, or its end, the complete one."""
-    seed: int = 0
-    """Random seed; results are reproducible on one machine."""
+    seed: SeedOption = 0
     sets: Annotated[str | None, arg(metavar="WIDTHS", help_behavior_hint=UNSET)] = None
     """Save data sets, from searches of these widths: for training, for the test, and others for more training states,
     such as 64,128 or 64,128,256."""

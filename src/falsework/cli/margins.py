@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
 from falsework.cli.arguments import parse_states, spell_options
-from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
+from falsework.cli.command import STATES, UNSET, Command, ConeOption, CriterionOfPlan, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.margins_table import print_margins
 from falsework.errors import InputError
@@ -48,17 +48,10 @@ class FindMargins(Command):
 
     structure: StructureOptions
     states: Annotated[
-        str | None, arg(metavar="STATES", help_behavior_hint="(default: complete, or those of the plan)")
+        str | None, arg(metavar="STATES", help=STATES, help_behavior_hint="(default: complete, or those of the plan)")
     ] = None
-    """A state, as `complete`, digits, plan.json:31, or parts such as 0-16,keystone,held:left; or a file with states: a
-    JSON list, a .npy array, or a plan."""
-    criterion: Annotated[
-        Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: contact, or that of the plan)")
-    ] = None
-    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
-    in balance exist."""
-    cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
-    """Friction cone: round, or eight-sided as in the paper."""
+    criterion: CriterionOfPlan = None
+    cone: ConeOption = None
     bears: Annotated[str | None, arg(metavar="FORCE,MOMENT", help_behavior_hint=UNSET)] = None
     """Largest force and moment that a robot can bear, such as 120N,8Nm."""
     polygon: bool = False

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions, settlement_record
+from falsework.cli.command import (
+    UNSET,
+    Command,
+    ConeOption,
+    CriterionOption,
+    SeedOption,
+    SolverOption,
+    StructureOptions,
+    settlement_record,
+)
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import (
     HoldOptions,
@@ -105,15 +114,10 @@ class MakePlan(Command):
     guide: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint="(default: support first)")] = None
     """Trained run, of this structure or of a policy for any, or `general` for the one that comes with this program: its
     policy says which actions a search tries first. Without it, parts with much support are inserted first."""
-    seed: int = 0
-    """Random seed; results are reproducible on one machine."""
-    criterion: Literal["contact", "equilibrium"] = "contact"
-    """Stability criterion: compliant contacts without prestress bring every part to rest, in every state and in a
-    replay of the whole plan; or (paper) contact forces in balance exist."""
-    cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
-    """Friction cone: round, or eight-sided as in the paper."""
-    solver: Literal["auto", "cpu", "gpu", "exact"] = "cpu"
-    """Solver; `auto` takes a GPU where there is one and it is faster."""
+    seed: SeedOption = 0
+    criterion: CriterionOption = "contact"
+    cone: ConeOption = None
+    solver: SolverOption = "cpu"
     margin: Annotated[str | None, arg(metavar="MARGINS", help_behavior_hint=UNSET)] = None
     """Margins that every state must keep: friction=1.25 (factor of safety), tilt=2deg, horizontal=0.05g, push=20N (on
     any free face), load=1kN (on any installed part), placement=1mm; several are separated by commas."""

@@ -12,7 +12,7 @@ import numpy as np
 from tyro.conf import arg
 
 from falsework.cli.arguments import parse_parts, parse_state
-from falsework.cli.command import UNSET, Command, StructureOptions
+from falsework.cli.command import UNSET, Command, CriterionOfPlan, SolverOption, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import (
     HoldOptions,
@@ -96,11 +96,7 @@ class MakeReplan(Command):
     )
     """Number of robots: parts that can be held at a time."""
     holds: HoldOptions
-    criterion: Annotated[
-        Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: contact, or that of the plan)")
-    ] = None
-    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
-    in balance exist."""
+    criterion: CriterionOfPlan = None
     alternatives: int = 1
     """Number of plans, as different from each other as possible."""
     seed: int = 0
@@ -118,8 +114,7 @@ class MakeReplan(Command):
     """File to write; alternatives get -2, -3, ... added to its name."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"
     """Device of the policy; `auto` takes a GPU if there is one."""
-    solver: Literal["auto", "cpu", "gpu", "exact"] = "cpu"
-    """Solver; `auto` takes a GPU where there is one and it is faster."""
+    solver: SolverOption = "cpu"
 
     def run(self, output: Output) -> Exit:
         """Replan, compare, save."""

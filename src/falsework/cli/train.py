@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
+from falsework.cli.command import UNSET, DeviceOption, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import refuse_unstable
 from falsework.errors import InputError
@@ -80,8 +80,7 @@ class Train(JudgingCommand):
     """Training data: wide searches, or the paper's training set alone."""
     seed: int = 0
     """Random seed of weights, batches and rollouts."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Device; `auto` takes a GPU if there is one."""
+    device: DeviceOption = "auto"
     log: tuple[Literal["tensorboard", "wandb"], ...] = ("tensorboard",)
     """Loggers in addition to progress.jsonl in the folder."""
 

@@ -330,7 +330,8 @@ def _on_site(given: Mapping[str, Any], assembly: Assembly) -> tuple[Assembly, di
         plan, wide = read_plan(payload["plan"], assembly)
     except InputError as error:
         raise InputError(f"plan: {error}") from None
-    payload = {"robots": plan.robots, "holds": plan.claim.holds} | payload | {"plan": plan}
+    defaults: dict[str, Any] = {"robots": plan.robots, "holds": plan.claim.holds}
+    payload = {**defaults, **payload, "plan": plan}
     if since:
         if payload["step"] is None:
             raise InputError("since: this is told of a step of the plan; give the step too")
