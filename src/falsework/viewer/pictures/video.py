@@ -179,20 +179,13 @@ def _write_gif(path: Path, pictures: Iterator[Pixels], rate: float) -> int:
     pillow = import_pillow()
     palette = pillow.Image.new("P", (1, 1))
     palette.putpalette(_gif_colors().ravel().tolist())
-    frames: list[Any] = []
-    lengths: list[int] = []
-    last: Pixels | None = None
-    for picture in pictures:
-        if last is not None and picture is last:
-            lengths[-1] += round(1000 / rate)
-            continue
-        frames.append(pillow.Image.fromarray(picture).quantize(palette=palette, dither=pillow.Image.Dither.NONE))
-        lengths.append(round(1000 / rate))
-        last = picture
+    none = pillow.Image.Dither.NONE
+    frames = [pillow.Image.fromarray(picture).quantize(palette=palette, dither=none) for picture in pictures]
+    each = round(1000 / rate)
 
     def save(file: Any) -> None:
         frames[0].save(
-            file, format="GIF", save_all=True, append_images=frames[1:], duration=lengths, loop=0, optimize=True
+            file, format="GIF", save_all=True, append_images=frames[1:], duration=each, loop=0, optimize=True
         )
 
     write_whole(path, save)
