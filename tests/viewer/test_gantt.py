@@ -18,8 +18,9 @@ from falsework.errors import InputError
 from falsework.robots import Keyframe, Precedence, RobotPlan, RobotStep, Trajectory, nodes_of
 from falsework.robots.plans.robot_record import RobotRecord
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
+from falsework.robots.plans.timeline import bars_of
 from falsework.search.plans.plan_file import plan_from_dict
-from falsework.viewer.pictures.gantt import bars_of, draw_gantt
+from falsework.viewer.pictures.gantt import draw_gantt
 
 pytest.importorskip("matplotlib", reason="charts need matplotlib; pip install 'falsework[picture]'")
 

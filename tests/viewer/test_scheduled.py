@@ -14,14 +14,14 @@ from falsework import Assembly, Direction, Plan
 from falsework.errors import InputError
 from falsework.robots import Cell, RobotPlan, nodes_of
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.plans.timeline import activities_at
+from falsework.robots.plans.timeline import activities_at, bars_of
 from falsework.viewer import Camera, Timeline
 from falsework.viewer.arms import Arms
 from falsework.viewer.clock import Clock
 from falsework.viewer.page.page_text import where_text
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import INK, rgb, robot_color
-from falsework.viewer.pictures.gantt import bars_of, strip_of
+from falsework.viewer.pictures.gantt import strip_of
 from falsework.viewer.pictures.video import frame_times, frames_of
 
 

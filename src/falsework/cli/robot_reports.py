@@ -57,7 +57,7 @@ def times_record(plan: RobotPlan) -> dict[str, Any]:
         "gap": round(graph.gap, 4) if proven else None,
         "arms": [
             {name: round(value, 4) if isinstance(value, float) else value for name, value in asdict(share).items()}
-            for share in arm_shares(plan, graph)
+            for share in arm_shares(plan)
         ],
     }
 

@@ -27,10 +27,9 @@ from falsework.robots.plans.robot_plan_file import (
     save_robot_plan,
 )
 from falsework.robots.plans.robot_record import records_of
-from falsework.robots.plans.timeline import arm_shares, event_times
+from falsework.robots.plans.timeline import arm_shares, bars_of, event_times
 from falsework.search.plans.plan_check import validate_plan
 from falsework.viewer.arms import Arms
-from falsework.viewer.pictures.gantt import bars_of
 from tests.robots.plans.sunk_cubes import FAR, NEAR, begin, cubes, make_task, planned
 
 
@@ -235,7 +234,7 @@ def test_a_schedule_keeps_the_order_of_both_halves(timed: RobotPlan, falling: As
         report = check_robot_plan(one, falling, roofed)
         assert report.good, what(report)
         assert simulate(one, runs=100).good
-        for share in arm_shares(one, one.schedule):
+        for share in arm_shares(one):
             assert share.moves + share.holds + share.waits == pytest.approx(1.0)
 
 

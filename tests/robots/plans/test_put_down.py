@@ -41,13 +41,12 @@ from falsework.robots.plans.robot_plan_file import (
     save_robot_plan,
 )
 from falsework.robots.plans.robot_plan_model import robot_plan_schema
-from falsework.robots.plans.timeline import activities_at, event_times
+from falsework.robots.plans.timeline import activities_at, bars_of, event_times
 from falsework.robots.schedule.conflicts import choices
 from falsework.robots.schedule.itinerary import Itineraries
 from falsework.robots.schedule.swept_bodies import SweptBodies
 from falsework.search.plans.plan_check import validate_plan
 from falsework.viewer.arms import Arms
-from falsework.viewer.pictures.gantt import bars_of
 from tests.robots.plans.bag_reading import corners, planning_scenes
 from tests.robots.plans.roofed_slab import SLAB, make_task, slab, tabled
 
