@@ -111,7 +111,8 @@ class MakePicture(JudgingCommand):
         """Refuse options that what is drawn does not have."""
         given = [f"--{name.replace('_', '-')}" for name in options if getattr(self, name) != getattr(type(self), name)]
         if given:
-            raise InputError(f"{what} has no {' and '.join(given)}; leave it out, or draw something else")
+            them = "it" if len(given) == 1 else "them"
+            raise InputError(f"{what} has no {' and '.join(given)}; leave {them} out, or draw something else")
 
     def _draw(self, output: Output) -> Exit:
         from falsework.viewer.show import picture
