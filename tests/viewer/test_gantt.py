@@ -86,7 +86,10 @@ def test_a_chart_is_drawn_from_the_command_line_as_asked(
     assert capsys.readouterr().out.splitlines()[-1].startswith("chart.svg: 2 arms over")
     for given, message in (
         (("--out", "chart.mp4"), "a video such as chart.mp4 has no --gantt"),
-        (("--step", "1", "--forces"), "a Gantt chart has no --step and --forces; leave them out, or draw something else"),
+        (
+            ("--step", "1", "--forces"),
+            "a Gantt chart has no --step and --forces; leave them out, or draw something else",
+        ),
         (("--width=-5",), "-5"),
     ):
         assert main(["picture", "plan.json", "--gantt", *given]) == 2
