@@ -13,7 +13,7 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET
 from falsework.errors import InputError
 from falsework.utils.files.output_file import check_writable
-from falsework.utils.quantity import counted, format_quantity
+from falsework.utils.quantity import counted, format_quantity, listed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -253,8 +253,7 @@ def first_steps(plan: Plan, direction: Direction, built: int = 0) -> str:
     steps = plan.in_order(direction)[built:]
     if not steps:
         return "nothing is left to do"
-    rest = len(steps) - SHOWN
-    return f"{', '.join(map(str, steps[:SHOWN]))}{f', and {rest} steps more' if rest > 0 else ''}"
+    return listed([str(step) for step in steps], SHOWN, "steps")
 
 
 def need_text(plan: Plan, need: PartDeadline, built: int = 0) -> str:

@@ -19,7 +19,7 @@ from falsework.interop.instruction_table import (
 )
 from falsework.interop.pdf_text import BOLD, REGULAR, broken_lines, register_fonts, write_line, write_paragraph
 from falsework.utils.files.formats import Exporter, writer_of
-from falsework.utils.quantity import counted
+from falsework.utils.quantity import counted, listed
 from falsework.viewer.appearance import appearance_at, bounds_of, diagonal
 from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.palette import INK, PRESS, mix, robot_color
@@ -218,7 +218,7 @@ def _head(canvas: Canvas, sheet: AssemblyInstructions) -> float:
             "PRESS: a support pushes its part with the force given while the other part is released, then stays there."
         )
     if sheet.start:
-        lines.append(f"There before step 1: {_shortened(sheet, sheet.start)}.")
+        lines.append(f"There before step 1: {listed([sheet.name(part) for part in sheet.start], _LISTED_PARTS)}.")
     if sheet.holding(0):
         held = ", ".join(f"{sheet.name(part)} by support {support + 1}" for part, support in sheet.holding(0))
         lines.append(f"Held before step 1: {held}.")
@@ -343,11 +343,6 @@ def _jpeg(image: NDArray[np.floating]) -> Any:
     Image.fromarray(np.rint(255 * image).astype(np.uint8)).save(file, "JPEG", quality=88, subsampling=0)
     file.seek(0)
     return ImageReader(file)
-
-
-def _shortened(sheet: AssemblyInstructions, parts: tuple[int, ...]) -> str:
-    names = ", ".join(sheet.name(part) for part in parts[:_LISTED_PARTS])
-    return names if len(parts) <= _LISTED_PARTS else f"{names} and {len(parts) - _LISTED_PARTS} more"
 
 
 def _pdf_of(

@@ -13,7 +13,7 @@ from falsework.assembly.state import INSTALLED, REMOVED, States
 from falsework.geometry.contact.grouping import segment_sum
 from falsework.stability.holds import Press
 from falsework.viewer.appearance import bounds_of, diagonal
-from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, INK, MOTION, PRESS, SLIDING
+from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, INK, MOTION, PRESS, SLIDING, unit_rgb
 from falsework.viewer.pictures.render import ColoredSolid
 
 if TYPE_CHECKING:
@@ -75,8 +75,10 @@ class Arrows:
         Args:
             thickness: diameter of a shaft, metres.
         """
-        color = tuple(int(self.color[i : i + 2], 16) / 255 for i in (1, 3, 5))
-        return [ColoredSolid(*arrow_mesh(tail, tip, thickness * self.breadth), color) for tail, tip in self.ends]
+        return [
+            ColoredSolid(*arrow_mesh(tail, tip, thickness * self.breadth), unit_rgb(self.color))
+            for tail, tip in self.ends
+        ]
 
 
 def arrows_of_forces(

@@ -22,6 +22,7 @@ from falsework.stability.motion import motion_of
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
+from falsework.utils.quantity import listed
 from falsework.viewer.arrows import Arrows, arrows_of_forces, arrows_of_motion, moved_parts
 from falsework.viewer.palette import MOTION, SLIDING
 
@@ -212,15 +213,9 @@ def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int, how:
     kind = "sliding" if slides else "motion"
     arrows[kind] = arrows_of_motion(assembly, state, motion, kind)
     speed = np.linalg.norm(motion[:, :3], axis=1)
-    named = _named(assembly, sorted(moved, key=lambda part: -speed[part]))
+    named = listed([assembly.names[part] for part in sorted(moved, key=lambda part: -speed[part])], _NAMED)
     # Velocities that prove a state unstable do so however it was reached.
     words = f"slides: {named} would slide; {_WHY}{_said(how)}" if slides else f"unstable: {named} would move"
     if tips:
         words = f"tips: {named} would move; {_TIPS}{_said(how)}"
     return StateProof(False, True, words, arrows, moved, slides, tips)
-
-
-def _named(assembly: Assembly, parts: Sequence[int]) -> str:
-    """Return the first parts by name, and how many more there are."""
-    more = f" and {len(parts) - _NAMED} more" if len(parts) > _NAMED else ""
-    return ", ".join(assembly.names[part] for part in parts[:_NAMED]) + more

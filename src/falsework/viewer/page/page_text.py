@@ -9,7 +9,7 @@ import numpy as np
 from falsework.assembly.state import HELD
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import format_quantity, listed
 from falsework.viewer.appearance import Appearance
 from falsework.viewer.arrows import KINDS, Arrows
 from falsework.viewer.page.viewer_state import ViewerState
@@ -88,8 +88,7 @@ def facts_of(model: ViewerState, part: int) -> list[tuple[str, str]]:
     contacts = assembly.contacts
     mine = np.flatnonzero((contacts.parts == part).any(axis=1))
     others = sorted({int(other) for other in contacts.parts[mine].ravel()} - {part})
-    touching = ", ".join(assembly.names[other] for other in others[:8])
-    touching += f" and {len(others) - 8} more" if len(others) > 8 else ""
+    touching = listed([assembly.names[other] for other in others], 8)
     value = int(model.site[part])
     now = "boundary" if assembly.boundary[part] else ("not there", "installed", "held")[value]
     who = model.appearance().holder[part]
