@@ -320,9 +320,9 @@ def _on_site(given: Mapping[str, Any], assembly: Assembly) -> tuple[Assembly, di
 
     Robots and holds are those of the plan where others are not given.
     """
-    since: SiteSteps = given["since"]
+    since: SiteSteps | None = given.get("since")
     payload: dict[str, Any] = {name: value for name, value in given.items() if name != "since"}
-    if payload["plan"] is None:
+    if payload.get("plan") is None:
         if since:
             raise InputError("since: this is told of a step of a plan; give the plan and its step too")
         return assembly, payload
