@@ -289,7 +289,9 @@ class MakePlan(Command):
         from falsework.search.settings import PlannerSettings
 
         directions = search_directions(self.search_from)
-        return PlannerSettings(self.width, directions, self.alternatives, self.seed, self.robust, self.judge)
+        return PlannerSettings(
+            self.width, directions, self.alternatives, self.seed, robust=self.robust, judge=self.judge
+        )
 
     def _checkpoint(self) -> Path:
         """Return the path of the search checkpoint; an old one is refused unless the search resumes."""
