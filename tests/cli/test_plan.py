@@ -177,7 +177,7 @@ def test_a_step_has_one_number_and_a_robot_in_every_output(falsework: Run, tmp_p
     lines = [plan.line(number) for number in range(11)]
     assert lines[1].split()[:2] == ["1", "insert"]
     assert all(line.endswith(("(R1)", "(R2)")) for line in lines[1:])
-    assert f"first steps: {', '.join(map(str, plan[:8]))}, and 2 steps more" in planned.out
+    assert f"first steps: {', '.join(map(str, plan[:8]))} and 2 more steps" in planned.out
     checked = falsework("check", out, "--steps", "--replay")
     assert [line.partition("; robot bears")[0] for line in checked.out.splitlines()[:10]] == lines[1:]
     assert [line.partition(":")[0] for line in checked.out.splitlines() if ": stands" in line] == lines

@@ -52,7 +52,7 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
         structure: name of a built-in structure with its parameters, or a folder or file.
         options: unit, density (kg/m3), friction, boundary, ground, contact_settings, settle, loads, earthquake,
             materials, joints and fasteners as for `load_assembly`, and interfaces (`found`, `stored` or `compare`) as
-            for `load_compas`; None is equivalent to omission. A built-in structure takes no unit, contact_settings or
+            for COMPAS data; None is equivalent to omission. A built-in structure takes no unit, contact_settings or
             settle, and only COMPAS data store interfaces.
 
     Raises:
@@ -122,7 +122,7 @@ def _read_structure(path: Path, text: str, given: dict[str, Any]) -> Assembly:
     if (reader := _reader_of(path)) is not None:
         options = {**described_options(path), **given}
         acting = {name: options.pop(name, None) for name in LOAD_OPTIONS}
-        return furnish(reader.load(path, **options), **acting)
+        return furnish(reader.read(path, **options), **acting)
     if given.pop("interfaces", "found") != "found":
         raise InputError(f"{text} is made of meshes and stores no interfaces; leave out --interfaces")
     check_meshes_path(path)

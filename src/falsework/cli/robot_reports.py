@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 
 _AT_HOME = 1e-6
 """Joint values that differ by no more are equal, rad or m."""
+_CHECKED = (
+    *((name, "") for name in ("samples", "timed_samples", "trajectories", "links", "seconds")),
+    *((name, "") for name in ("velocity_share", "acceleration_share")),
+    *(("largest_step", "_rad"), ("largest_join", "_rad"), ("tolerance", "_m"), ("lower_bound", "_s")),
+)
+"""Fields of a check that are recorded, and their units."""
 _NO_GAIN = 0.05
 """A schedule that saves no more than this is none, seconds."""
 
@@ -50,25 +56,14 @@ def times_record(plan: RobotPlan) -> dict[str, Any]:
         "lower_bound_s": round(graph.lower_bound, 3) if proven else None,
         "gap": round(graph.gap, 4) if proven else None,
         "arms": [
-            {
-                "robot": share.robot,
-                "moves": round(share.moves, 4),
-                "holds": round(share.holds, 4),
-                "waits": round(share.waits, 4),
-            }
-            for share in arm_shares(plan, graph)
+            {name: round(value, 4) if isinstance(value, float) else value for name, value in asdict(share).items()}
+            for share in arm_shares(plan)
         ],
     }
 
 
 def found_texts(plan: RobotPlan, name: str, statistics: dict[str, Any]) -> list[str]:
-    """Return what is known of a plan that was found, in sentences.
-
-    Args:
-        plan: the robot plan.
-        name: file that it was written to.
-        statistics: of the search.
-    """
+    """Return what is known of a plan that was found, in sentences."""
     found = [
         f"{name}: {counted(len(plan), 'step')} for {counted(len(plan.robots), 'robot')}, {plan.seconds:.0f} s of "
         f"motion, every state proven stable (criterion {plan.plan.claim.criterion}, {statistics['seconds']:.1f} s)"
@@ -100,37 +95,14 @@ def schedule_text(plan: RobotPlan) -> str:
     )
 
 
-def _finite(share: float) -> float | None:
-    """Return a number as JSON can hold it; None where it overflows."""
-    return share if np.isfinite(share) else None
-
-
 def check_record(report: CheckReport) -> dict[str, Any]:
     """Return the record of the motions of a plan."""
-    delays = report.delays
-    return {
-        "samples": report.samples,
-        "timed_samples": report.timed_samples,
-        "delays": None
-        if delays is None
-        else {
-            "overlaps": delays.overlaps,
-            "early": delays.early,
-            "ranges": delays.ranges,
-            "distances": delays.distances,
-            "seconds": delays.seconds,
-        },
-        "trajectories": report.trajectories,
-        "largest_step_rad": report.largest_step,
-        "largest_join_rad": report.largest_join,
-        "velocity_share": _finite(report.velocity_share),
-        "acceleration_share": _finite(report.acceleration_share),
-        "tolerance_m": report.tolerance,
-        "links": report.links,
-        "lower_bound_s": report.lower_bound,
-        "problems": [problem_record(problem) for problem in report.problems],
-        "seconds": report.seconds,
-    }
+    record = {f"{name}{unit}": getattr(report, name) for name, unit in _CHECKED}
+    for name in ("velocity_share", "acceleration_share"):  # which may overflow
+        record[name] = record[name] if np.isfinite(record[name]) else None
+    names, delays = ("overlaps", "early", "ranges", "distances", "seconds"), report.delays
+    record["delays"] = None if delays is None else {name: getattr(delays, name) for name in names}
+    return record | {"problems": [problem_record(problem) for problem in report.problems]}
 
 
 def problem_record(problem: PlanProblem) -> dict[str, Any]:
@@ -143,8 +115,6 @@ def check_texts(name: str, report: CheckReport, states: int | None) -> list[str]
     """Return what the check of a good plan has established, in sentences.
 
     Args:
-        name: name of the plan.
-        report: the check of its motions.
         states: number of its states that were found stable; None if that was not checked.
     """
     stable = "" if states is None else f", all {states} states are stable"
@@ -164,15 +134,10 @@ def check_texts(name: str, report: CheckReport, states: int | None) -> list[str]
 
 def runs_record(runs: SimulationReport, longest_delay: float) -> dict[str, Any]:
     """Return the record of delayed runs."""
-    least, median, most = runs.spread
-    return {
-        "runs": len(runs.makespans),
-        "longest_delay": longest_delay,
-        "out_of_order": runs.out_of_order,
-        "stuck": runs.stuck,
-        "outside": runs.outside,
-        "makespan_s": {"least": round(least, 3), "median": round(median, 3), "most": round(most, 3)},
-    }
+    spread = zip(("least", "median", "most"), runs.spread, strict=True)
+    record = {name: getattr(runs, name) for name in ("out_of_order", "stuck", "outside")}
+    record |= {"runs": len(runs.makespans), "longest_delay": longest_delay}
+    return {**record, "makespan_s": {name: round(value, 3) for name, value in spread}}
 
 
 def runs_text(runs: SimulationReport, longest_delay: float) -> str:
@@ -224,8 +189,6 @@ def unverified(plan: RobotPlan, report: CheckReport, *, states: bool) -> list[st
     """Return the claims of a robot plan that its check does not establish.
 
     Args:
-        plan: the robot plan.
-        report: the check of its motions.
         states: whether the stability of its states was checked.
     """
     found = []
@@ -268,23 +231,17 @@ def holds_record(loads: list[GripLoad], plan: RobotPlan, cell: Cell) -> list[dic
     """Return the largest force and moment that each robot bears for a part that it holds."""
     from falsework.robots.plans.grip_loads import heaviest
 
-    records = []
+    records, names = [], plan.plan.part_names
     for number, robot in enumerate(cell.robots):
         found = heaviest(loads, number)
         if found is None:
             continue
         force, moment = found
         limits = {"force_n": robot.gripper.force, "moment_nm": robot.gripper.moment, "payload_kg": robot.payload}
-        records.append(
-            {
-                "robot": robot.name,
-                "force_n": force.force_n,
-                "force_part": plan.plan.part_names[force.part],
-                "moment_nm": moment.moment_nm,
-                "moment_part": plan.plan.part_names[moment.part],
-                "limits": {key: None if value == float("inf") else value for key, value in limits.items()},
-            }
-        )
+        record: dict[str, Any] = {"robot": robot.name, "force_n": force.force_n, "moment_nm": moment.moment_nm}
+        record |= {f"{kind}_part": names[load.part] for kind, load in (("force", force), ("moment", moment))}
+        limits = {key: None if value == float("inf") else value for key, value in limits.items()}
+        records.append(record | {"limits": limits})
     return records
 
 

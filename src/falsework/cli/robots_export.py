@@ -71,16 +71,8 @@ class ExportRobots(Command):
                     raise
                 what = "the bag has no shapes" if self.format == "mcap" else "programs have no loads"
                 lacking = [f"{what} of parts: {error}"]
-        paths = export_plan(
-            plan,
-            self.out,
-            self.format,
-            rate=self.rate,
-            structure=shapes,
-            cell=cell,
-            joint_prefix=self.joint_prefix,
-            force=self.force,
-        )
+        options = {name: getattr(self, name) for name in ("rate", "joint_prefix", "force")}
+        paths = export_plan(plan, self.out, self.format, structure=shapes, cell=cell, **options)
         notes = lacking + export_notes(plan, self.format, cell)
         for path in paths:
             output.file(path)

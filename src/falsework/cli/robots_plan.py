@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from tyro.conf import Positional, arg
 
 from falsework.cli.arguments import parse_parts, parse_state
-from falsework.cli.command import UNSET, Command, StructureOptions
+from falsework.cli.command import UNSET, Command, CriterionOfPlan, SeedOption, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.interrupted_robot_plan import InterruptedPlan
 from falsework.cli.planning import HoldOptions, lacks_reserve, press_text, refuse_unstable, writable
@@ -81,8 +81,7 @@ class PlanRobots(Command):
     """File to write."""
     policy: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Trained run whose policy proposes the actions."""
-    seed: int = 0
-    """Random seed; results are reproducible on one machine."""
+    seed: SeedOption = 0
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
     """Time limit."""
     order: Literal["assembly", "disassembly"] = "assembly"
@@ -110,11 +109,7 @@ class PlanRobots(Command):
     proofs: bool = False
     """Write the contact forces that prove each state into the plan."""
     holds: HoldOptions
-    criterion: Annotated[
-        Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: contact, or that of --from)")
-    ] = None
-    """Stability criterion: compliant contacts without prestress bring every part to rest, in every state and in a
-    replay of the whole plan; or (paper) contact forces in balance exist."""
+    criterion: CriterionOfPlan = None
 
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
@@ -135,13 +130,14 @@ class PlanRobots(Command):
         settings = HybridSettings(order, seed=self.seed)
         building = order is Direction.ASSEMBLY
         if begun is not None:
-            held, joints, grips = begun.arms
-            task = self._task(assembly, cell, begun.state, held)
+            held, joints, grips = [*begun.now.held], [*begun.now.configurations], [*begun.now.gripped]
+            task = self._task(assembly, cell, begun.now.state, held)
         else:
             held, joints = parse_holding(self.holding, cell, assembly), parse_joints(self.joints, cell)
             task = self._task(assembly, cell, parse_now(self.state or self._beginning, held, assembly), held)
             grips = parse_grips(self.grips, held, task.target if building else task.start, cell, assembly)
-        stability = self.holds.settings(self.criterion or ("contact" if begun is None else begun.criterion))
+        criterion = self.criterion or ("contact" if begun is None else begun.plan.plan.claim.criterion)
+        stability = self.holds.settings(criterion)
         if refuse_unstable(
             assembly, StabilityOracle(assembly, replace(stability, reserve=1.0)), task, output, building=building
         ):

@@ -44,9 +44,6 @@ def read_exportable(
 
     Returns:
         The object read, and the structure, which is not loaded for a robot plan.
-
-    Raises:
-        InputError: none of them.
     """
     found = load_own(path) if Path(path).suffix.lower() == ".json" else None
     if isinstance(found, RobotPlan):

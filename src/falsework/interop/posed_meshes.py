@@ -40,15 +40,9 @@ def load_posed(path: Path | str, *, unit: str | None = None, **options: Any) -> 
     """Read an assembly from a folder of meshes with a file of poses.
 
     Args:
-        path: the folder.
         unit: of the meshes and translations; centimetres if not given.
         options: density, friction, boundary, ground, contact_settings and settle, as for `load_assembly`. Without a
             boundary a ground is added, with a warning, as their programs do.
-
-    Raises:
-        InputError: no mesh, or a pose that is none.
-        MeshError: a part that does not bound a solid.
-        AssemblyError: the parts make no assembly.
     """
     draft = read_posed(path, unit=unit)
     if options.get("boundary") is None and not options.get("ground"):
@@ -63,11 +57,7 @@ def read_posed(path: Path | str, *, unit: str | None = None) -> Draft:
     Parts without a pose stay where their meshes are, with a warning if others have one.
 
     Args:
-        path: the folder.
         unit: of the meshes and translations; centimetres if not given.
-
-    Raises:
-        InputError: no mesh, or a pose that is none.
     """
     path = Path(path)
     draft = Draft.from_meshes(path, unit or UNIT)

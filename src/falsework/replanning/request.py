@@ -101,7 +101,8 @@ class Request:
         state = self.current(assembly)
         if self.target is not None:
             target = _state(self.target, assembly, "target")
-            stage, wanted = STAGE[state], STAGE[target]
+            own = slice(assembly.part_count - len(assembly.props))  # props come and go in either direction
+            stage, wanted = STAGE[state[own]], STAGE[target[own]]
             if (stage > wanted).any() and (stage < wanted).any():
                 part, other = int(np.argmax(stage > wanted)), int(np.argmax(stage < wanted))
                 raise StateError(

@@ -132,7 +132,7 @@ def test_a_plan_without_a_schedule(planned: RobotPlan) -> None:
 
 
 def test_arms_spend_all_their_time_somehow(scheduled: RobotPlan) -> None:
-    for share in arm_shares(scheduled, graph_of(scheduled)):
+    for share in arm_shares(scheduled):
         assert share.moves > 0
         assert share.moves + share.holds + share.waits == pytest.approx(1.0)
 

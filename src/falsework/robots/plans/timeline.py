@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,28 +29,51 @@ class ArmShares:
     waits: float
 
 
-def arm_shares(plan: RobotPlan, graph: TemporalPlanGraph) -> list[ArmShares]:
+@dataclass(frozen=True)
+class Bar:
+    """Activity of one arm during an interval of its plan."""
+
+    robot: int
+    begin: float
+    end: float
+    """Seconds from the start of the plan."""
+    does: Literal["moves", "carries", "holds"]
+    part: int | None
+
+
+def bars_of(plan: RobotPlan) -> list[Bar]:
+    """Return the activities of the arms of a plan; between two bars of an arm it waits.
+
+    A plan without a schedule is shown one motion after the other.
+    """
+    graph = schedule_of(plan)
+    starts, found = graph.starts().tolist(), []
+    for robot in range(len(plan.robots)):
+        free, held = 0.0, plan.keyframes[0].held[robot]
+        for index in graph.of_robot(robot):
+            node = graph.nodes[index]
+            if held is not None and starts[index] > free:
+                found.append(Bar(robot, free, starts[index], "holds", held))
+            free = starts[index] + node.seconds
+            if node.trajectory is not None:
+                part = plan.steps[node.step].trajectories[node.trajectory].part
+                found.append(Bar(robot, starts[index], free, "moves" if part is None else "carries", part))
+                held = None
+            if node.trajectory is None or node.trajectory == len(plan.steps[node.step].trajectories) - 1:
+                held = plan.keyframes[node.step + 1].held[robot]
+        if held is not None and plan.makespan > free:
+            found.append(Bar(robot, free, plan.makespan, "holds", held))
+    return found
+
+
+def arm_shares(plan: RobotPlan) -> list[ArmShares]:
     """Return the shares of time that every arm of a plan spends in each activity."""
-    total, starts = max(graph.makespan, 1e-12), graph.starts()
-    parts, apart = len(plan.plan.boundary), plan.direction is Direction.DISASSEMBLY
-    held = [part is not None for part in plan.keyframes[0].held]
-    moves, holds, free = np.zeros(graph.robots), np.zeros(graph.robots), np.zeros(graph.robots)
-    for index, node in enumerate(graph.nodes):
-        robot = node.robot
-        last = index + 1 == len(graph.nodes) or graph.nodes[index + 1].step != node.step
-        removes = int(plan.actions[node.step]) >= parts
-        holds[robot] += held[robot] * (starts[index] - free[robot])
-        moves[robot] += node.seconds
-        free[robot] = starts[index] + node.seconds
-        # A removal ends a hold as it begins, an insertion begins one as it ends; holds change at their own instant.
-        if node.trajectory is None or last:
-            held[robot] = plan.keyframes[node.step + 1].held[robot] is not None
-        elif removes and apart:
-            held[robot] = False
-    holds += np.array(held) * (graph.makespan - free)
+    total, spent = max(plan.makespan, 1e-12), np.zeros((len(plan.robots), 2))
+    for bar in bars_of(plan):
+        spent[bar.robot, int(bar.does == "holds")] += (bar.end - bar.begin) / total
     return [
-        ArmShares(record.name, float(m / total), float(h / total), max(0.0, float(1 - (m + h) / total)))
-        for record, m, h in zip(plan.robots, moves, holds, strict=True)
+        ArmShares(record.name, float(moves), float(holds), max(0.0, float(1 - moves - holds)))
+        for record, (moves, holds) in zip(plan.robots, spent, strict=True)
     ]
 
 
@@ -130,13 +154,12 @@ def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array |
     """Yield the activity of each arm at an instant of the schedule of a plan.
 
     Args:
-        plan: robot plan with a schedule.
+        plan: the robot plan; without a schedule its motions come one after the other.
         starts: start time of each node, as `TemporalPlanGraph.starts` returns it.
         moment: seconds from the start of the schedule.
         factor: factor on the duration of each motion, shape (nodes,); 1 by default.
     """
-    graph = plan.schedule
-    assert graph is not None
+    graph = schedule_of(plan)
     factor = np.ones(len(graph.nodes)) if factor is None else factor
     for robot in range(graph.robots):
         mine = graph.of_robot(robot)
