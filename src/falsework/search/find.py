@@ -18,7 +18,6 @@ from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.props import keep_props, without_props
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
-from falsework.geometry.paths.exit_paths import ExitPaths
 from falsework.search.backend import Backend, beams_on
 from falsework.search.margins.demands import MarginOracle
 from falsework.search.margins.plan_margins import PlanMargins
@@ -43,8 +42,9 @@ from falsework.search.problem.result import (
     Stop,
 )
 from falsework.search.problem.state_graph import StateGraph
-from falsework.search.problem.task import Clearance, Task
+from falsework.search.problem.task import Task
 from falsework.search.problem.timed_oracle import timed
+from falsework.search.problem.ways_out import Clearance
 from falsework.search.settings import PlannerSettings
 from falsework.search.task_rules import TaskRules
 from falsework.search.together.rule import InterlockedSets
@@ -240,6 +240,8 @@ def _clearance(assembly: Assembly, moves: int, fixed: Sequence[int], *, turns: b
     """Return the clearance of parts that leave in up to some number of moves."""
     if moves == 1 and not turns:
         return assembly.clearance
+    from falsework.geometry.paths.exit_paths import ExitPaths  # few tasks need it
+
     still = assembly.immovable.copy()
     still[list(fixed)] = True
     meshes, contacts = assembly.meshes, assembly.contacts

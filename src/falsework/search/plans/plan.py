@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from falsework.assembly.assembly_model import Count, Prop
 from falsework.assembly.state import HELD, INSTALLED, Mask, States
 from falsework.errors import PlanError
-from falsework.geometry.paths.exit_paths import ExitPaths
 from falsework.geometry.paths.moves import ExitPath
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay
@@ -63,9 +62,11 @@ def needs_of(actions: NDArray[np.int64], parts: int, missing: tuple[int, ...]) -
 def _exit_paths(route: Route, task: Task) -> tuple[ExitPath, ...]:
     """Return the moves of each step of a route, in the order of assembly; none for steps without or straight ones."""
     clearance, found = task.clearance, []
+    if clearance is None:
+        return ()
     for state, action in zip(route.states[-2::-1], route.actions[::-1].tolist(), strict=True):
         part = action - route.states.shape[1]
-        way = clearance.exit_path(state, part) if part >= 0 and isinstance(clearance, ExitPaths) else ()
+        way = clearance.exit_path(state, part) if part >= 0 else ()
         found.append(way or ())
     return tuple(found)
 

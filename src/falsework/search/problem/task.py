@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from operator import index
-from typing import Any, Protocol, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,10 +26,9 @@ from falsework.assembly.state import (
     undo_actions,
 )
 from falsework.errors import InputError, StateError
-from falsework.geometry.paths.exit_paths import ExitPaths
 from falsework.search.problem.legal_moves import LegalMoves
-from falsework.search.problem.oracle import Criterion, Oracle
-from falsework.search.problem.together import Together
+from falsework.search.problem.oracle import Criterion
+from falsework.search.problem.ways_out import Clearance, Together
 from falsework.utils.quantity import counted
 
 STAGE = np.array([2, 0, 1], dtype=np.int64)
@@ -43,16 +42,6 @@ class Direction(StrEnum):
     """From the start state, by holding and removing; a removal needs a verdict."""
     ASSEMBLY = "assembly"
     """From the target state, by inserting and releasing; a release needs a verdict."""
-
-
-class Clearance(Protocol):
-    """Clearance of parts: which of them have a free exit direction."""
-
-    def can_leave(self, states: States) -> Mask:
-        """Shape (batch, parts): part `i` has an exit that no other present part blocks."""
-
-    def caveat(self, parts: Mask) -> str:
-        """Explain why the absence of a plan would not be proven; empty if it would be."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,9 +191,8 @@ class Task:
 
     def judged_by(self, oracle: Criterion) -> Task:
         """Return the same task with the moves, and the parts that move aside, that an oracle allows."""
-        paths = self.clearance
-        paths = paths.judged_by(cast("Oracle", oracle)) if isinstance(paths, ExitPaths) else paths
-        return replace(self, holds_keep_stable=oracle.holds_keep_stable, clearance=paths)
+        clearance = None if self.clearance is None else self.clearance.judged_by(oracle)
+        return replace(self, holds_keep_stable=oracle.holds_keep_stable, clearance=clearance)
 
     @property
     def caveat(self) -> str:
@@ -218,12 +206,12 @@ class Task:
     @property
     def moves_out(self) -> int:
         """Moves of a way out at most; 1 for straight ways."""
-        return self.clearance.moves if isinstance(self.clearance, ExitPaths) else 1
+        return 1 if self.clearance is None else self.clearance.moves
 
     @property
     def turns(self) -> bool:
         """Whether a part that leaves may turn."""
-        return isinstance(self.clearance, ExitPaths) and self.clearance.turns
+        return self.clearance is not None and self.clearance.turns
 
     @property
     def moves_aside(self) -> bool:
