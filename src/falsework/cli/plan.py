@@ -149,13 +149,11 @@ class MakePlan(Command):
                 "--maximise-margin"
             )
         auto = self.robots == "auto"
-        self.task.check_several(
-            {
-                "--robots auto": auto,
-                "--alternatives": self.alternatives > 1,
-                "--resume": self.resume,
-            }
-        )
+        saves = not self.task.wider and self.task.parts_at_once == 1
+        if self.resume and not saves:
+            raise InputError(
+                "searches with --allow-regrasp, --props or --parts-at-once are not saved; leave out --resume"
+            )
         demands = Demands() if self.margin is None else Demands.from_text(self.margin)
 
         writable(self.out)
@@ -166,7 +164,6 @@ class MakePlan(Command):
                     "--robots auto takes no --margin, --maximise-margin or --judge; give the number of robots"
                 )
             return self._with_fewest_robots(output)
-        saves = not self.task.wider and self.task.parts_at_once == 1
         settings, checkpoint = self._settings(), self._checkpoint() if saves else None
         assembly = self.task.with_places(self.structure.load())
         output.record(settlement_record(assembly))

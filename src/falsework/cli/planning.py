@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from falsework.search.beam.settings import BeamSettings
     from falsework.search.plans.plan import PartDeadline, Plan
     from falsework.search.problem.task import Direction, Task
-    from falsework.search.task_rules import TaskRules
+    from falsework.search.task_rules import TaskRules, WayRules
     from falsework.stability.contact.hold_loads import Loads
     from falsework.stability.judges.judgement import Judgement
     from falsework.stability.oracle import StabilityOracle
@@ -66,15 +66,11 @@ class RuleOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RegraspOptions(RuleOptions):
-    """Rules that a plan must obey, with repeated holds and props."""
+class WayOptions:
+    """Ways on which parts leave."""
 
-    rare: ClassVar[tuple[str, ...]] = (*RuleOptions.rare, "moves", "turns")
+    rare: ClassVar[tuple[str, ...]] = ("moves", "turns")
 
-    allow_regrasp: bool = False
-    """Let robots release a part without removing it when it no longer needs them, and hold parts again."""
-    props: int = 0
-    """Number of props, passive posts from the floor to the lower side of a part, that may be in place at a time."""
     parts_at_once: Annotated[int, arg(metavar="K")] = 1
     """Largest number of parts that one step may insert: parts that lock each other, each held by a robot of its own, or
     all carried by one. More than 1 implies --removable-only-if-clear."""
@@ -83,6 +79,22 @@ class RegraspOptions(RuleOptions):
     way. Other parts that robots hold may move aside meanwhile. More than 1 implies --removable-only-if-clear."""
     turns: bool = False
     """Let a part that leaves also turn, or screw, as one of its --moves. Implies --removable-only-if-clear."""
+
+    def ways(self) -> WayRules:
+        """Return the ways as rules."""
+        return {"parts_at_once": self.parts_at_once, "moves": self.moves, "turns": self.turns}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegraspOptions(WayOptions, RuleOptions):
+    """Rules that a plan must obey, with repeated holds and props."""
+
+    rare: ClassVar[tuple[str, ...]] = (*RuleOptions.rare, *WayOptions.rare)
+
+    allow_regrasp: bool = False
+    """Let robots release a part without removing it when it no longer needs them, and hold parts again."""
+    props: int = 0
+    """Number of props, passive posts from the floor to the lower side of a part, that may be in place at a time."""
 
     def rules(self, assembly: Assembly) -> TaskRules:
         """Return the rules, as `find_plans` takes them.
@@ -96,31 +108,12 @@ class RegraspOptions(RuleOptions):
 
         # States are given without places for props, which are absent at both ends.
         plain = keep_props(assembly, ()) if assembly.props else assembly
-        ways: TaskRules = {"parts_at_once": self.parts_at_once, "moves": self.moves, "turns": self.turns}
-        return {**super().rules(plain), "allow_regrasp": self.wider, "props": self.props, **ways}
+        return {**super().rules(plain), "allow_regrasp": self.wider, "props": self.props, **self.ways()}
 
     @property
     def wider(self) -> bool:
         """Whether plans may hold parts more than once or use props."""
         return self.allow_regrasp or self.props > 0
-
-    def check_several(self, other: dict[str, bool]) -> None:
-        """Refuse options that plans with several parts at once do not have.
-
-        Args:
-            other: names of the options of the command that are given.
-
-        Raises:
-            InputError: an option that they do not have; the message names it.
-        """
-        given = {
-            "--allow-regrasp": self.allow_regrasp,
-            "--props": self.props > 0,
-            "--missing": self.missing is not None,
-        } | other
-        wrong = next((name for name, there in given.items() if there), None)
-        if self.parts_at_once > 1 and wrong is not None:
-            raise InputError(f"--parts-at-once takes no {wrong} yet; leave one of the two out")
 
     def with_places(self, assembly: Assembly) -> Assembly:
         """Return the structure with places for props, if any are allowed.

@@ -14,7 +14,15 @@ from tyro.conf import arg
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import HoldOptions, first_steps, lacks_reserve, need_text, reserve_lines, writable
+from falsework.cli.planning import (
+    HoldOptions,
+    WayOptions,
+    first_steps,
+    lacks_reserve,
+    need_text,
+    reserve_lines,
+    writable,
+)
 from falsework.errors import InputError
 from falsework.utils.quantity import counted
 
@@ -53,6 +61,8 @@ class MakeReplan(Command):
         "device",
         "solver",
         "prop",
+        "parts_at_once",
+        *WayOptions.rare,
     )
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -90,6 +100,7 @@ class MakeReplan(Command):
         None
     )
     """Number of robots: parts that can be held at a time."""
+    ways: WayOptions
     holds: HoldOptions
     criterion: Annotated[
         Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: contact, or that of the plan)")
@@ -271,6 +282,7 @@ class MakeReplan(Command):
             deadline=self.deadline,
             removable_only_if_clear=clear,
             confidences=self.confidences,
+            **self.ways.ways(),
         )
 
     def _save(self, answer: ReplanResult, source: Mapping[str, Any] | None) -> list[Path]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.assembly_model import Count, Prop
-from falsework.assembly.state import HELD, INSTALLED, Mask, States
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
 from falsework.errors import PlanError
 from falsework.geometry.paths.moves import ExitPath
 from falsework.search.margins.plan_margins import PlanMargins
@@ -42,20 +42,19 @@ class PartDeadline(FileModel, frozen=True):
     """Parts that are placed before it."""
 
 
-def needs_of(actions: NDArray[np.int64], parts: int, missing: tuple[int, ...]) -> tuple[PartDeadline, ...]:
-    """Return when each missing part is inserted, in this order; parts that no action inserts are omitted.
+def needs_of(states: States, missing: tuple[int, ...]) -> tuple[PartDeadline, ...]:
+    """Return when each missing part is inserted, in this order; parts that no step inserts are omitted.
 
     Args:
-        actions: of the plan, shape (steps,).
-        parts: number of parts.
+        states: of the plan, shape (steps + 1, parts).
         missing: the parts in question.
     """
-    placed = np.cumsum(actions >= parts)
-    needs = []
+    there = states != REMOVED
+    placed, needs = there.sum(axis=1), []
     for part in missing:
-        step = np.flatnonzero(actions == parts + part)
-        if len(step):
-            needs.append(PartDeadline(part, int(step[0]), int(placed[step[0]]) - 1))
+        if there[-1, part] and not there[0, part]:
+            step = int(there[:, part].argmax()) - 1
+            needs.append(PartDeadline(part, step, int(placed[step] - placed[0])))
     return tuple(sorted(needs, key=lambda need: need.after_steps))
 
 
@@ -261,7 +260,7 @@ class Plan(Displayed):
     @property
     def needs(self) -> tuple[PartDeadline, ...]:
         """When each missing part is needed, in order; parts that the plan does not touch are omitted."""
-        return needs_of(self.actions, len(self.boundary), self.missing)
+        return needs_of(self.states, self.missing)
 
     def words(self, number: int) -> str:
         """Describe the step of a number, such as `insert keystone`, with the presses of robots; empty for 0."""

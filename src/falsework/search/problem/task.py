@@ -119,8 +119,8 @@ class Task:
             together: rule on several parts in one step; needs `clearance`.
 
         Raises:
-            InputError: fewer than one robot, missing parts with allow_regrasp, several parts at once with missing ones,
-                with allow_regrasp or without clearance, or a part number out of range, doubled, or of the boundary.
+            InputError: fewer than one robot, missing parts with allow_regrasp, several parts at once without clearance,
+                or a part number out of range, doubled, or of the boundary.
             StateError: a malformed state, more parts held than robots, or a target that no rule leads to.
         """
         boundary = np.asarray(boundary, dtype=bool)
@@ -129,9 +129,8 @@ class Task:
         missing = _part_numbers(missing, boundary, "missing", boundary_allowed=False)
         if missing and allow_regrasp:
             raise InputError("plans with repeated holds take no missing parts; leave out one of the two")
-        if together is not None and (missing or allow_regrasp or clearance is None):
-            other = "missing parts" if missing else "repeated holds" if allow_regrasp else "parts without a way out"
-            raise InputError(f"plans with several parts in one step take no {other}; leave out one of the two")
+        if together is not None and clearance is None:
+            raise InputError("several parts leave in one step only where parts need a way out; give a clearance")
         if start is None:
             start = complete_state(boundary)
             start[len(boundary) - len(props) :] = REMOVED
