@@ -58,15 +58,22 @@ def needs_of(states: States, missing: tuple[int, ...]) -> tuple[PartDeadline, ..
     return tuple(sorted(needs, key=lambda need: need.after_steps))
 
 
-def _exit_paths(route: Route, task: Task) -> tuple[ExitPath, ...]:
-    """Return the moves of each step of a route, in the order of assembly; none for steps without or straight ones."""
-    clearance, found = task.clearance, []
-    if clearance is None:
+def _exit_paths(route: Route, task: Task, props: tuple[Prop, ...]) -> tuple[ExitPath, ...]:
+    """Return the moves of each step of a route, in the order of assembly; none for steps without or straight ones.
+
+    Args:
+        route: states of the parts, and of some of the props of the task.
+        task: knows ways out.
+        props: those of the route.
+    """
+    if task.clearance is None or (task.moves_out == 1 and not task.turns):
         return ()
-    for state, action in zip(route.states[-2::-1], route.actions[::-1].tolist(), strict=True):
+    bare, found = task.part_count - len(task.props), []
+    states = np.zeros((len(route.states), task.part_count), dtype=np.uint8)
+    states[:, [*range(bare), *(bare + task.props.index(prop.part) for prop in props)]] = route.states
+    for state, action in zip(states[-2::-1], route.actions[::-1].tolist(), strict=True):
         part = action - route.states.shape[1]
-        way = clearance.exit_path(state, part) if part >= 0 else ()
-        found.append(way or ())
+        found.append((task.clearance.exit_path(state, part) if 0 <= part < bare else ()) or ())
     return tuple(found)
 
 
@@ -176,7 +183,7 @@ class Plan(Displayed):
         cls, route: Route, assembly: Assembly, task: Task, verdicts: Verdicts, claim: StabilityCriterion
     ) -> Plan:
         """Plan as `of`, whatever the verdicts are."""
-        exit_paths = _exit_paths(route, task)
+        exit_paths = _exit_paths(route, task, assembly.props)
         return cls(
             states=route.states[::-1].copy(),
             actions=route.actions[::-1].copy(),

@@ -76,6 +76,8 @@ class SourceEntry(FileModel, frozen=True):
     """Source of the contacts: found from the meshes, or stored in the file."""
     settle: Positive | None = None
     """Largest motion with which parts settled into their clearance, m."""
+    groups: tuple[tuple[int | str, ...], ...] | None = None
+    """Groups of parts that are one part each, handled as one by robots; the part that is held comes first."""
     loads: tuple[LoadEntry, ...] | None = None
     earthquake: Earthquake | None = None
     """Pseudo-static horizontal acceleration along x, or along x and y, in shares of gravity."""

@@ -48,6 +48,13 @@ class Together(Protocol):
 
     largest: int
     """Parts of a step at most."""
+    each_held: bool
+    """Whether several robots may move a set, each with a part of its own; else one robot carries it."""
+
+    @property
+    def carried(self) -> Together:
+        """The same rule for sets that one robot carries."""
+        ...
 
     def sets(self, movable: Mask) -> tuple[PartSet, ...]:
         """Return the sets of two parts and more, among parts of shape (parts,), that may leave together somewhere."""

@@ -99,7 +99,8 @@ class TogetherMoves:
             self._check_time()
             rows = list(parts)
             held = [part for part in parts if state[part] == HELD]
-            if not held or len(held) not in (1, len(parts)) or (state[rows] == REMOVED).any() or propped & set(parts):
+            allowed = (1, len(parts)) if self._rule.each_held else (1,)
+            if len(held) not in allowed or (state[rows] == REMOVED).any() or propped & set(parts):
                 continue
             if len(held) == 1 and held[0] not in self._rule.carriers(parts, self._oracle):
                 continue
@@ -115,7 +116,11 @@ class TogetherMoves:
             rows = list(parts)
             if (state[rows] != REMOVED).any():
                 continue
-            if free >= len(parts) and self._rule.leave_together(parts, state[None], apart=True)[0]:
+            if (
+                self._rule.each_held
+                and free >= len(parts)
+                and self._rule.leave_together(parts, state[None], apart=True)[0]
+            ):
                 after = state.copy()
                 after[rows] = HELD
                 yield after, len(state) + parts[0]
