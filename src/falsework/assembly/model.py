@@ -89,7 +89,7 @@ class Assembly(Displayed):
             contact_settings: tolerances.
             ground: add a fixed slab under the lowest point, as the last part.
             contacts: contacts of the parts, if they are known; found from the meshes if not given.
-            settle: largest motion with which parts settle into their clearance first, metres; none if not given.
+            settle: largest motion with which parts settle into their clearance first, metres; none if not given or 0.
 
         Raises:
             AssemblyError: no parts, no boundary or ids out of range, density or friction out of range, parts that
@@ -122,7 +122,7 @@ class Assembly(Displayed):
         mass = mass_properties(parts, densities)
         settings = contact_settings or ContactSettings()
         given, settlement = contacts is not None, None
-        if settle is not None:
+        if settle:
             if given:
                 raise AssemblyError("given contacts belong to the poses of the parts, which cannot settle; find them")
             from falsework.geometry.settling.settle import settle_parts  # few structures need it
@@ -130,7 +130,7 @@ class Assembly(Displayed):
             parts, settlement = settle_parts(parts, fixed, mass, friction, settle)
             mass = mass_properties(parts, densities)
         contacts = find_contacts(parts, settings) if contacts is None else contacts
-        check_touching(parts, fixed, contacts, settings, settle)
+        check_touching(parts, fixed, contacts, settings, settle or None)
         fixed.setflags(write=False)
         densities.setflags(write=False)
         assembly = Assembly(

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.errors import AssemblyError
+from falsework.errors import AssemblyError, UntouchedPartError
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, default_gap
 from falsework.geometry.contact.near import near_points
 from falsework.geometry.mesh.collision import nearest
@@ -145,7 +145,7 @@ def check_touching(
             )
         farther = 1000 * float(_above(gap)) if settled is None else 2000 * settled
         how = "let parts settle" if settled is None else "let parts settle farther"
-        raise AssemblyError(
+        raise UntouchedPartError(
             f"{where}, and {1000 * allowed:.3g} mm is allowed; move it into place, {how} (--settle {farther:.2g}), or "
             f'allow the gap if it is meant to be filled ("contact": {{"gap": {_above(gap)}}} in assembly.json)'
         )

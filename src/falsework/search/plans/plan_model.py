@@ -74,7 +74,7 @@ class SourceEntry(FileModel, frozen=True):
     """Whether a fixed ground was put under the lowest point."""
     interfaces: Literal["found", "stored", "compare"] | None = None
     """Source of the contacts: found from the meshes, or stored in the file."""
-    settle: Positive | None = None
+    settle: NotNegative | None = None
     """Largest motion with which parts settled into their clearance, m."""
     groups: tuple[tuple[int | str, ...], ...] | None = None
     """Groups of parts that are one part each, handled as one by robots; the part that is held comes first."""
