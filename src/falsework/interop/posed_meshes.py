@@ -21,11 +21,11 @@ from falsework.assembly.draft import Draft
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError, UntouchedPartError
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.geometry.mesh.surface import listed, warn_of
+from falsework.geometry.mesh.surface import warn_of
 from falsework.stability.oracle import StabilityOracle
 from falsework.utils.files.formats import FOLDER, Reader
 from falsework.utils.json_text import parse_json
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import format_quantity, listed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

@@ -13,11 +13,10 @@ from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
+from falsework.utils.quantity import listed
 
 _EVERY = 0.2
 """Seconds between two questions whether to stop."""
-_NAMED = 3
-"""Sets that are named in words at most."""
 
 
 class TogetherMoves:
@@ -73,8 +72,8 @@ class TogetherMoves:
         movable = [parts for parts in sets if self._rule.can_begin_to_move(parts, state)]
         if not movable:
             return f"no part there, and no set of up to {self.largest}, can begin to move, not even by turning"
-        names = ", ".join(self._rule.name(parts) for parts in movable[:_NAMED])
-        return f"what can begin to move there finds no straight way out: {names}{', ...' * (len(movable) > _NAMED)}"
+        names = listed([self._rule.name(parts) for parts in movable])
+        return f"what can begin to move there finds no straight way out: {names}"
 
     def _check_time(self) -> None:
         """Ask whether to stop, a few times a second: searches that take turns count how often they ask."""
