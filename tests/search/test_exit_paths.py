@@ -263,7 +263,7 @@ def test_sets_of_parts_and_several_moves_go_together() -> None:
     solids = [surface(name, frozenset(some), (EDGE,) * 3, (2.0, 0.0, 0.1)) for name, some in (("key", {(0, 0, 0)}),)]
     solids.append(replace(surface("frame", frozenset(walls), (EDGE,) * 3, (2.0, 0.0, 0.1)), fixed=True))
     blocks = gather(solids)
-    boundary = [*np.flatnonzero(shelf.boundary), shelf.part_count + 1]
+    boundary = [*np.flatnonzero(shelf.boundary).tolist(), shelf.part_count + 1]
     assembly = Assembly.from_meshes([*shelf.meshes, *blocks.meshes], boundary=boundary)
     plan = find_plans(assembly, robots=1, parts_at_once=2, moves=2, stability=SETTINGS).plans[0]
     assert (plan.parts_at_once, plan.moves) == (2, 2)

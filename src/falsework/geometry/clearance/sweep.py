@@ -306,7 +306,7 @@ class _Edges:
     """Edges of a closed mesh with the two faces of each."""
 
     def __init__(self, faces: NDArray[np.int32]) -> None:
-        tail, head = directed_edges(faces)
+        tail, head = directed_edges(faces.astype(np.int64))
         owner = np.repeat(np.arange(len(faces)), 3)
         # A closed surface passes each edge as often forwards as backwards: sorting both ways pairs them up.
         up, down = tail < head, tail > head

@@ -34,7 +34,8 @@ def weld(points: Array) -> NDArray[np.int64]:
     reach = _WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
     from scipy.spatial import KDTree
 
-    label = components(*KDTree(points).query_pairs(reach, output_type="ndarray").T, len(points))
+    pairs = KDTree(points).query_pairs(reach, output_type="ndarray")
+    label = components(pairs[:, 0], pairs[:, 1], len(points))
     _, first = np.unique(label, return_index=True)
     return first[label]
 
