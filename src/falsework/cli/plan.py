@@ -271,7 +271,8 @@ class MakePlan(Command):
         from falsework.search.settings import PlannerSettings
 
         directions = search_directions(self.search_from)
-        return PlannerSettings(self.width, directions, self.alternatives, self.seed, self.robust, self.judge)
+        more = {"robust": self.robust, "judge": self.judge}
+        return PlannerSettings(self.width, directions, self.alternatives, self.seed, **more)
 
     def _checkpoint(self) -> Path:
         """Return the path of the search checkpoint; an old one is refused unless the search resumes."""
