@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from falsework import Assembly, Direction, StabilityOracle, StabilitySettings
 from falsework.assembly import States
-from falsework.assembly.symmetry import symmetries
+from falsework.learn.data.symmetry import symmetries
 from falsework.learn import Environment, Policy, TrainSettings
 from falsework.learn.data.dataset import (
     VALIDATION_STATES,

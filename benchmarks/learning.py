@@ -38,7 +38,7 @@ from draws import Searches, success_on_draws, test_seeds
 from states import find
 
 from falsework import StabilityOracle, StabilitySettings, load_structure, train
-from falsework.assembly.symmetry import symmetries
+from falsework.learn.data.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn import Environment, Policy, PolicySettings, TrainSettings, roll_out, transfer
 from falsework.learn.config.policy import recommended

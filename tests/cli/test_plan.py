@@ -317,10 +317,6 @@ def test_the_answer_names_steps_of_several_parts(falsework: Run, tmp_path: Path)
     [
         (("--parts-at-once", 0), "0 is not a number of parts of arch:blocks=3 that can move at once"),
         (("--parts-at-once", 4), "4 is not a number of parts of arch:blocks=3 that can move at once; give 1 (one at a"),
-        (("--parts-at-once", 2, "--allow-regrasp"), "--parts-at-once takes no --allow-regrasp yet"),
-        (("--parts-at-once", 2, "--missing", "1"), "--parts-at-once takes no --missing yet"),
-        (("--parts-at-once", 2, "--robots", "auto"), "--parts-at-once takes no --robots auto yet"),
-        (("--parts-at-once", 2, "--alternatives", 2), "--parts-at-once takes no --alternatives yet"),
     ],
 )
 def test_parts_at_once_that_cannot_be_had(falsework: Run, tmp_path: Path, options: tuple, message: str) -> None:

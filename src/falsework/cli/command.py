@@ -93,7 +93,8 @@ class LoadOptions:
     )
     """Contacts: found from the meshes, those that a COMPAS file stores, or found and compared with the stored ones."""
     settle: Annotated[float | None, arg(metavar="MM", help_behavior_hint=UNSET)] = None
-    """Let parts settle into their clearance before they are judged, each by at most this, such as 0.5."""
+    """Let parts settle into their clearance before they are judged, each by at most this, such as 0.5. With 0 they
+    stay, where the reader of their format would let them settle."""
     # A tuple of texts; tyro would import typeguard to check the default of `tuple[str, ...]`.
     loads: Annotated[UseAppendAction[tuple], arg(name="load", metavar="PART=FX,FY,FZ", help_behavior_hint=UNSET)] = ()
     """Force on a part in N, such as keystone=0,0,-1000, at its centre of mass or at a point: 7=0,0,-1000@0.2,0,1.

@@ -52,7 +52,7 @@ _COMPARED = ("maximise_margin", "resume", "guide", "robust", "judge")
 _WIDER = ("--allow-regrasp", "--props")
 _EXCLUDED: dict[str, tuple[str, ...]] = {
     "--robots auto": ("--alternatives", "--resume", "--margin", "--maximise-margin", "--judge", "--guide"),
-    "--parts-at-once": (*_WIDER, "--missing", "--robots auto", "--alternatives", "--resume"),
+    "--parts-at-once": ("--resume",),
     "--allow-regrasp": ("--missing", "--alternatives", "--resume", "--margin", "--maximise-margin"),
     "--props": ("--missing", "--alternatives", "--resume", "--margin", "--maximise-margin"),
     "--maximise-margin": ("--alternatives", "--resume"),
@@ -149,13 +149,13 @@ class MakePlan(Command):
         from falsework.stability.oracle import StabilityOracle
 
         self._refuse_pairs()
+        saves = not self.task.wider and self.task.parts_at_once == 1
         demands = Demands() if self.margin is None else Demands.from_text(self.margin)
 
         writable(self.out)
         check_deadline(self.deadline)
         if self.robots == "auto":
             return self._with_fewest_robots(output)
-        saves = not self.task.wider and self.task.parts_at_once == 1
         settings, checkpoint = self._settings(), self._checkpoint() if saves else None
         assembly = self.task.with_places(self.structure.load())
         output.record(settlement_record(assembly))

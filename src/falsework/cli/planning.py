@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.search.plans.plan import PartDeadline, Plan
     from falsework.search.problem.task import Direction, Task
-    from falsework.search.task_rules import TaskRules
+    from falsework.search.task_rules import TaskRules, WayRules
     from falsework.stability.contact.hold_loads import Loads
     from falsework.stability.judges.judgement import Judgement
     from falsework.stability.oracle import StabilityOracle
@@ -82,15 +82,11 @@ class RuleOptions(PartRuleOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RegraspOptions(RuleOptions):
-    """Rules that a plan must obey, with repeated holds and props."""
+class WayOptions:
+    """Ways on which parts leave."""
 
-    rare: ClassVar[tuple[str, ...]] = (*RuleOptions.rare, "moves", "turns")
+    rare: ClassVar[tuple[str, ...]] = ("moves", "turns")
 
-    allow_regrasp: bool = False
-    """Let robots release a part without removing it when it no longer needs them, and hold parts again."""
-    props: int = 0
-    """Number of props, passive posts from the floor to the lower side of a part, that may be in place at a time."""
     parts_at_once: Annotated[int, arg(metavar="K")] = 1
     """Largest number of parts that one step may insert: parts that lock each other, each held by a robot of its own, or
     all carried by one. More than 1 implies --removable-only-if-clear."""
@@ -99,6 +95,22 @@ class RegraspOptions(RuleOptions):
     way. Other parts that robots hold may move aside meanwhile. More than 1 implies --removable-only-if-clear."""
     turns: bool = False
     """Let a part that leaves also turn, or screw, as one of its --moves. Implies --removable-only-if-clear."""
+
+    def ways(self) -> WayRules:
+        """Return the ways as rules."""
+        return {"parts_at_once": self.parts_at_once, "moves": self.moves, "turns": self.turns}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegraspOptions(WayOptions, RuleOptions):
+    """Rules that a plan must obey, with repeated holds and props."""
+
+    rare: ClassVar[tuple[str, ...]] = (*RuleOptions.rare, *WayOptions.rare)
+
+    allow_regrasp: bool = False
+    """Let robots release a part without removing it when it no longer needs them, and hold parts again."""
+    props: int = 0
+    """Number of props, passive posts from the floor to the lower side of a part, that may be in place at a time."""
 
     def rules(self, assembly: Assembly) -> TaskRules:
         """Return the rules, as `find_plans` takes them.
@@ -110,8 +122,7 @@ class RegraspOptions(RuleOptions):
 
         # States are given without places for props, which are absent at both ends.
         plain = keep_props(assembly, ()) if assembly.props else assembly
-        ways: TaskRules = {"parts_at_once": self.parts_at_once, "moves": self.moves, "turns": self.turns}
-        return {**super().rules(plain), "allow_regrasp": self.wider, "props": self.props, **ways}
+        return {**super().rules(plain), "allow_regrasp": self.wider, "props": self.props, **self.ways()}
 
     @property
     def wider(self) -> bool:

@@ -17,6 +17,7 @@ from falsework.cli.exit_code import Exit
 from falsework.cli.planning import (
     HoldOptions,
     PartRuleOptions,
+    WayOptions,
     first_steps,
     lacks_reserve,
     need_text,
@@ -61,6 +62,8 @@ class MakeReplan(Command):
         "device",
         "solver",
         "prop",
+        "parts_at_once",
+        *WayOptions.rare,
     )
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -95,6 +98,7 @@ class MakeReplan(Command):
         None
     )
     """Number of robots: parts that can be held at a time."""
+    ways: WayOptions
     holds: HoldOptions
     criterion: CriterionOfPlan = None
     alternatives: int = 1
@@ -274,6 +278,7 @@ class MakeReplan(Command):
             deadline=self.deadline,
             removable_only_if_clear=clear,
             confidences=self.confidences,
+            **self.ways.ways(),
         )
 
     def _tell(self, answer: ReplanResult, paths: list[Path], output: Output) -> None:

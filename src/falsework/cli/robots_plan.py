@@ -56,7 +56,7 @@ class PlanRobots(Command):
     reach, obstacles, and the progress of the search. A partial plan is saved, except where an assembly is continued.
     """
 
-    rare: ClassVar[tuple[str, ...]] = ("seed", "target", "grips", "proofs", "criterion", "sequential")
+    rare: ClassVar[tuple[str, ...]] = ("seed", "target", "grips", "proofs", "criterion", "sequential", "parts_at_once")
     outcomes: ClassVar[tuple[str, str]] = ("found", "not_found")
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -104,6 +104,8 @@ class PlanRobots(Command):
     allow_regrasp: bool = False
     """Let arms release parts that stand without them and hold them again with another grasp, hand other parts to
     another arm, and put parts down on the way to grip them in another way, where there is no other way."""
+    parts_at_once: Annotated[int, arg(metavar="K")] = 1
+    """Largest number of parts that lock each other and that one arm may carry at once, holding one of them."""
     sequential: bool = False
     """One robot moves at a time; without this, robots move together wherever that is proven safe."""
     proofs: bool = False
@@ -197,7 +199,7 @@ class PlanRobots(Command):
         return self.structure.load(), cell
 
     def _task(self, assembly: Assembly, cell: Cell, now: States, held: Sequence[int | None]) -> Task:
-        from falsework.search.problem.task import Task
+        from falsework.search.find import make_task
 
         building = self.order == "assembly"
         missing = () if self.missing is None else parse_parts(self.missing, "--missing", assembly.names)
@@ -209,15 +211,15 @@ class PlanRobots(Command):
                 raise InputError(f"part {name} is said to be missing, yet it is {where}; name parts that are not there")
         end = None if self.target is None else parse_state(self.target, "--target", assembly)
         start, target = (end, now) if building else (now, end)  # plans are found as disassembly
-        return Task.from_rules(
-            assembly.boundary,
+        return make_task(
+            assembly,
             cell.robot_count,
             start=start,
             target=target,
             missing=missing,
-            clearance=assembly.clearance,
-            identity=assembly.identity,
+            removable_only_if_clear=True,
             allow_regrasp=self.allow_regrasp,
+            parts_at_once=self.parts_at_once,
         )
 
     def _guide(self, assembly: Assembly, task: Task) -> Guide | None:
@@ -237,7 +239,7 @@ class PlanRobots(Command):
                 from falsework.robots.plans.continued import continued
 
                 found, fails_at = continued(found, begun.plan, begun.now.done, begun.assembly)
-            saved = self._save(found, begun)
+            saved = self._save(found, begun, result.structure)
             output.file(self.out)
             output.record(
                 {
@@ -267,7 +269,8 @@ class PlanRobots(Command):
             output.note(f"falsework: {result.explanation.text}")
         return Exit.NO
 
-    def _save(self, plan: RobotPlan, begun: InterruptedPlan | None) -> RobotPlan:
+    def _save(self, plan: RobotPlan, begun: InterruptedPlan | None, joined: Assembly | None) -> RobotPlan:
+        from falsework.assembly.groups import groups_of
         from falsework.robots.plans.robot_plan_file import save_robot_plan
         from falsework.search.plans.plan_source import moved_source
 
@@ -275,6 +278,9 @@ class PlanRobots(Command):
             source = moved_source(begun.plan.plan, begun.file, self.out)
         else:
             source = self.structure.source(self.out)
+        groups = None if joined is None else groups_of(joined)
+        if groups is not None:
+            source = {**(source or {}), "groups": groups.names}
         place = self.cell if begun is None or self.cell else begun.plan.cell_place(begun.file)
         assert place is not None
         if Path(place).is_file():

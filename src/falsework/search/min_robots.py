@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, held_count
-from falsework.errors import InputError
 from falsework.search.find import FIRST_SHARE, PLANS, make_task, prove_route
 from falsework.search.planner import Planner
 from falsework.search.plans.plan import Plan
@@ -139,10 +138,8 @@ def min_robots(
         The best that was found by the deadline, or until the keyboard interrupted the search.
 
     Raises:
-        InputError: a deadline of zero or less, steps of several parts, or rules that the structure cannot keep.
+        InputError: a deadline of zero or less, or rules that the structure cannot keep.
     """
-    if rules.get("parts_at_once", 1) > 1:
-        raise InputError("no bound on the robots is known where steps move several parts; give the number of robots")
     clock, assembly = Deadline(deadline), as_assembly(assembly)
     progress = or_notebook(progress, "searching")
     first = oracle or StabilityOracle(assembly, stability)
@@ -271,7 +268,7 @@ class _Query:
         """Return whether it is proven that no plan exists with so many robots, after another attempt if need be."""
         if robots < self._least:
             return True
-        if self._task.prop_limit:  # which the bound does not cover
+        if self._task.prop_limit or self._task.together is not None:  # which the bound does not cover
             return False
         barrier = self._bound.barrier(robots, budget * self._assembly.part_count)
         if barrier is None:
@@ -333,7 +330,7 @@ def unremovable_parts(task: Task) -> NDArray[np.intp]:
     """
     leaving = (task.start != REMOVED) & (task.target == REMOVED)
     if (
-        task.clearance is None or task.caveat or task.moves_out > 1
+        task.clearance is None or task.together is not None or task.caveat or task.moves_out > 1
     ):  # where others move aside, the number of robots matters
         return np.flatnonzero(leaving & False)
     state = task.start.copy()

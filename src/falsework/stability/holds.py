@@ -19,7 +19,6 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
@@ -197,6 +196,8 @@ def inexact_wrenches() -> Array:
 
     Shape (errors, 6, 6), the identity first.
     """
+    from scipy.spatial.transform import Rotation  # few structures need it
+
     maps = [np.eye(6), (1 - _OFF_SIZE) * np.eye(6), (1 + _OFF_SIZE) * np.eye(6)]
     for axis in np.eye(3):
         for angle in (-_OFF_DIRECTION, _OFF_DIRECTION):

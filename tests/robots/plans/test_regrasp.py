@@ -31,6 +31,7 @@ from falsework.robots.plans.timeline import arm_shares, bars_of, event_times
 from falsework.search import Oracle
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.result import Route
+from falsework.search.problem.ways_out import Clearance
 from falsework.search.together.rule import InterlockedSets
 from falsework.stability import Verdicts
 from tests.robots.plans.orders import APART
@@ -214,7 +215,7 @@ def test_a_grasp_that_cannot_leave_is_the_last_choice(sunk: Assembly, roofed: Ce
     assert next(graph.edges(stays.node, NEAR), None) is None  # the next grasp must be one that can leave
 
 
-class Rules(Oracle):
+class Rules(Oracle, Clearance):
     """Five parts that can leave in one order only, and the sets of them that must be held where others are gone."""
 
     holds_keep_stable, replayer = True, None

@@ -56,7 +56,7 @@ class GripChecker:
         tool = self.tool(robot, configuration)
         if pose is not None:  # seen from the part at its place
             tool = np.linalg.inv(pose) @ tool
-        triangles = self.judge.parts.meshes[part].triangles
+        triangles = self.judge.parts.surface(part).triangles
         return surface_fault(gripper, tool, triangles, name)
 
 

@@ -105,7 +105,7 @@ def grasps(
 
 def candidates(assembly: Assembly, parts: PartShapes, part: int, gripper: Gripper) -> list[Grasp]:
     """Return grasps of a part that is alone, in the order of `grasps`; a gripper of the same size has the same ones."""
-    faces = faces_of(parts.meshes[part], smallest=np.pi * gripper.cup**2 if gripper.kind == "suction" else 0.0)
+    faces = faces_of(parts.surface(part), smallest=np.pi * gripper.cup**2 if gripper.kind == "suction" else 0.0)
     table = assembly.clearance
     ways = table.directions[table.start[part] : table.start[part + 1]] @ parts.turn.T
     size = float(np.linalg.norm(np.ptp(parts.meshes[part].vertices, axis=0)))
@@ -130,7 +130,7 @@ def grasp_fault(parts: PartShapes, part: int, gripper: Gripper, *, blocked: bool
     what = "no face that the gripper can grasp"
     if blocked:
         what = f"{what} among the other parts, which leave it no room"
-    faces = faces_of(parts.meshes[part])
+    faces = faces_of(parts.surface(part))
     if gripper.kind == "suction":
         largest = max((_radius(face) for face in faces), default=0.0)
         return (

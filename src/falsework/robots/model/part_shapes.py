@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.groups import groups_of
 from falsework.assembly.model import Assembly
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.model.cell import Placement
@@ -33,6 +35,13 @@ class PartShapes:
     """Centres of mass in the world frame, shape (parts, 3)."""
     turn: Array
     """Rotation from the structure's frame to the world, shape (3, 3): for directions of the clearance table."""
+    gripped: Mapping[int, int] = field(default_factory=dict)
+    """Of joined parts, the number of their first faces: those of the part that robots hold."""
+
+    def surface(self, part: int) -> TriangleMesh:
+        """Return the faces of a part that robots may grip: all, but of joined parts those of the one that is held."""
+        mesh = self.meshes[part]
+        return TriangleMesh(mesh.name, mesh.vertices, mesh.faces[: self.gripped.get(part, len(mesh.faces))])
 
     @property
     def part_count(self) -> int:
@@ -64,4 +73,6 @@ def place_parts(assembly: Assembly, placement: Placement = Placement(), *, toler
     center = move(world, scale * assembly.mass.center)
     for array in (mass, center):
         array.setflags(write=False)
-    return PartShapes(assembly.names, assembly.boundary, meshes, pieces, mass, center, world[:3, :3])
+    groups = groups_of(assembly)
+    gripped = {} if groups is None else groups.carried_faces
+    return PartShapes(assembly.names, assembly.boundary, meshes, pieces, mass, center, world[:3, :3], gripped)

@@ -26,14 +26,14 @@ def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitD
     """Return a task with the number of robots of the cell, and with free exit directions, none of them downwards.
 
     Raises:
-        InputError: props, or steps of several parts.
+        InputError: props, or ways out of several moves.
         StateError: more parts held at start or target than there are robots, or a part that ends up released.
     """
     given = task or Task.from_rules(assembly.boundary, cell.robot_count, identity=assembly.identity)
     if given.props:
         raise InputError("robot plans have no props; plan for the structure without them")
-    if given.together is not None:
-        raise InputError("robot plans move one part at a time; plan motions for a task without several parts at once")
+    if given.moves_out > 1 or given.turns:
+        raise InputError("robots move parts out in straight lines; plan motions for a task without moves and turns")
     freed = np.flatnonzero(STAGE[given.target] < STAGE[given.start])
     if len(freed):
         name = assembly.names[int(freed[0])]

@@ -138,6 +138,10 @@ class BackjumpingBeam(Search):
             limit = f"beams up to a width of {self.search.settings.width} died; wider ones may come through"
         return outcome, limit
 
+    def states(self) -> States:
+        """See `Search.states`."""
+        return self.search.states()
+
     def _farthest_states(self) -> tuple[int, States, States]:
         return self.search._farthest_states()
 

@@ -96,6 +96,10 @@ class Search(ABC):
         """Dead ends so far, from which the search went back."""
         return 0
 
+    def states(self) -> States:
+        """Return the stable states that it keeps, shape (count, parts), from which alternatives are chosen."""
+        return self.route().states
+
     @property
     def examined_all(self) -> bool:
         """Whether the search came to its end with no state left out, under all rules: no other finds a plan then."""
