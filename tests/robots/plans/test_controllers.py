@@ -19,11 +19,10 @@ from falsework.cli.main import main
 from falsework.errors import InputError, PlanError
 from falsework.robots import Cell, CellRobot, Gripper, RobotPlan, Signals, export_plan
 from falsework.robots.exports.commands import Grip, events_of
-from falsework.robots.exports.controller import ToolLoad, rapid_load, tool_load, ur_payload
 from falsework.robots.exports.export import export_notes
-from falsework.robots.exports.part_loads import part_loads, together
+from falsework.robots.exports.payloads import ToolLoad, part_loads, rapid_load, together, tool_load, ur_payload
 from falsework.robots.kinematics.forward import flange_pose
-from falsework.robots.model.maker import maker_of
+from falsework.robots.model.cell import maker_of
 from falsework.robots.model.shapes import block
 from falsework.robots.plans.robot_plan_file import save_robot_plan
 

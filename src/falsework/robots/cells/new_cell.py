@@ -20,8 +20,7 @@ from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.cells.validate import no_parts
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.builtin_robots import BUILTIN
-from falsework.robots.model.cell import Cell, CellRobot
-from falsework.robots.model.maker import maker_of
+from falsework.robots.model.cell import Cell, CellRobot, maker_of
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 
 Array = NDArray[np.float64]
