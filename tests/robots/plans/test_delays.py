@@ -21,8 +21,9 @@ from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.checks.schedule import check_schedule
 from falsework.robots.checks.separation import BodyPath, SeparationProver
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.plans.reachable_positions import Overlap, ReachablePositions, Segment
+from falsework.robots.plans.reachable_positions import Overlap, ReachablePositions
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
+from falsework.robots.plans.timeline import Segment
 
 
 @pytest.fixture(scope="module")

@@ -18,8 +18,9 @@ from falsework.assembly.state import REMOVED
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.checks.separation import BodyPath, Meeting, SeparationProver
 from falsework.robots.plans.plan_problem import PlanProblem
-from falsework.robots.plans.reachable_positions import ReachablePositions, Segment
+from falsework.robots.plans.reachable_positions import ReachablePositions
 from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.timeline import Segment
 
 Array = NDArray[np.float64]
 

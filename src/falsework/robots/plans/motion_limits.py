@@ -64,7 +64,8 @@ def check_limits(trajectory: Trajectory, model: RobotModel, speed: float) -> Lim
     """
     # Of plans that are no file: readers refuse such numbers.
     times = trajectory.times
-    if not (np.isfinite(trajectory.positions).all() and np.isfinite(times).all() and (np.diff(times) > 0).all()):
+    numbers = (times, trajectory.positions, trajectory.velocities)
+    if not (all(np.isfinite(values).all() for values in numbers) and (np.diff(times) > 0).all()):
         return LimitReport(("a motion has numbers that are none, or times that do not ascend",), False, np.inf, np.inf)
     faults: list[str] = []
     longest = longest_motion(model, speed)

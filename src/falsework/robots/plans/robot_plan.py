@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import perm
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,26 +63,26 @@ class Trajectory:
 
     def sample(self, seconds: Array) -> Array:
         """Return positions at given times, shape (samples,) to (samples, joints)."""
-        return self._cubics.at(np.clip(seconds, 0.0, self.times[-1]))
+        return self._cubics(np.clip(seconds, 0.0, self.times[-1]))
 
     def rates(self, seconds: Array) -> Array:
         """Return velocities at given times, shape (samples,) to (samples, joints)."""
-        return self._cubics.at(np.clip(seconds, 0.0, self.times[-1]), derivative=1)
+        return self._cubics(np.clip(seconds, 0.0, self.times[-1]), 1)
 
     def peaks(self) -> tuple[Array, Array]:
         """Return the exact largest speed and acceleration of each joint, both of shape (joints,)."""
         cubics, span = self._cubics, np.diff(self.times)
         # The speed is a parabola between two knots: it peaks at a knot or where the acceleration is zero.
         ends = np.abs(self.velocities).max(axis=0)
-        first = cubics.at(self.times[:-1], derivative=2)
-        second = 2 * cubics.at(self.times[:-1] + span / 2, derivative=2) - first
+        first = cubics(self.times[:-1], 2)
+        second = 2 * cubics(self.times[:-1] + span / 2, 2) - first
         with np.errstate(divide="ignore", invalid="ignore"):
             share = first / (first - second)
         inside = (share > 0) & (share < 1)
         top = np.zeros_like(first)
         rows, columns = np.nonzero(inside)
         moments = self.times[rows] + share[rows, columns] * (self.times[rows + 1] - self.times[rows])
-        top[rows, columns] = np.abs(cubics.at(moments, derivative=1)[np.arange(len(rows)), columns])
+        top[rows, columns] = np.abs(cubics(moments, 1)[np.arange(len(rows)), columns])
         return np.maximum(ends, top.max(axis=0)), np.maximum(np.abs(first), np.abs(second)).max(axis=0)
 
     def dense(self, step: float) -> tuple[Array, Array]:
@@ -121,29 +120,10 @@ class Trajectory:
         return np.maximum(np.abs(middle), ends).max(axis=1)
 
     @cached_property
-    def _cubics(self) -> _Cubics:
-        span = np.diff(self.times)[:, None]
-        slope, begin, end = np.diff(self.positions, axis=0) / span, self.velocities[:-1], self.velocities[1:]
-        bend = (begin + end - 2 * slope) / span
-        return _Cubics(self.times, (self.positions[:-1], begin, (slope - begin) / span - bend, bend / span))
+    def _cubics(self) -> Any:
+        from scipy.interpolate import CubicHermiteSpline  # a tenth of a second to import
 
-
-class _Cubics(NamedTuple):
-    """Cubics between knots with given values and slopes there (Hermite); SciPy's take a tenth of a second to import."""
-
-    times: Array
-    powers: tuple[Array, Array, Array, Array]
-    """Coefficients of the powers of the time since the last knot, from that of the constant on."""
-
-    def at(self, seconds: Array, derivative: int = 0) -> Array:
-        """Return values, or derivatives, at times between the first and the last knot, shape (...) to (..., joints)."""
-        knot = np.clip(np.searchsorted(self.times, seconds, side="right") - 1, 0, len(self.times) - 2)
-        since, power = (seconds - self.times[knot])[..., None], 1.0
-        found = np.zeros((*np.shape(seconds), self.powers[0].shape[1]))
-        for exponent in range(derivative, 4):
-            found += perm(exponent, derivative) * self.powers[exponent][knot] * power
-            power = power * since
-        return found
+        return CubicHermiteSpline(self.times, self.positions, self.velocities)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED
 from falsework.robots.kernels.coordination import Swept, conflicts
 from falsework.robots.motion.collision_world import CollisionWorld
-from falsework.robots.plans.loads import Load, LoadKey, load_at_rest, load_of
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
-from falsework.robots.plans.timeline import nodes_of
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.timeline import Segment, nodes_of, segments_of
 from falsework.robots.schedule.swept_bodies import SweptBodies
 
 Array = NDArray[np.float64]
@@ -58,8 +57,7 @@ class Itineraries:
         self.plan, self.world = plan, world
         self.nodes, self.events = nodes_of(plan)
         self.bodies = SweptBodies(world)
-        self._cells: dict[Trajectory, tuple[tuple[Swept, Swept], Array]] = {}
-        self._resting: dict[tuple[int, bytes, LoadKey | None], Swept] = {}
+        self._known: dict[object, tuple[tuple[Swept, Swept], Array]] = {}
         self._conflicts: dict[tuple[int, int, float], NDArray[np.bool_]] = {}
         self._configurations = [
             np.array([frame.configurations[robot] for frame in plan.keyframes]) for robot in range(len(plan.robots))
@@ -68,67 +66,44 @@ class Itineraries:
 
     def _row(self, robot: int) -> Iterator[Stretch]:
         """Yield rests and motions of one arm in turn, a rest first and last."""
-        starts = {event.node: k for k, event in enumerate(self.events) if not event.at_end}
-        ends = {event.node: k for k, event in enumerate(self.events) if event.at_end}
-        own = sorted(k for k, event in enumerate(self.events) if self.nodes[event.node].robot == robot)
-        values, first = self.plan.keyframes[0].configurations[robot], 0
-        after: int = -1
-        last: int | None = None
-        for index in (*self.of_robot(robot), None):
-            ahead = next((k for k in own if k > after), len(self.events))
-            yield self._rest(robot, values, first, after, ahead, last, index)
-            first += 1
-            if index is None:
-                return
-            if self.nodes[index].trajectory is None:  # rests before and after it are distinct
-                after = starts[index]
-                continue
-            after = int(starts.get(index, after))
-            ahead = next((k for k in own if k > after), len(self.events))
-            stretch = self._motion(index, first, after, ahead)
-            yield stretch
-            first += stretch.cells
-            after = int(ends.get(index, after))
-            values, last = self._trajectory(index).positions[-1], index
+        own = [k for k, event in enumerate(self.events) if self.nodes[event.node].robot == robot]
+        first = 0
+        for segment in segments_of(self.plan)[robot]:
+            moves = segment.trajectory is not None
+            # What happens when a motion ends belongs to the rest after it.
+            done = [
+                k
+                for k in own
+                if segment.begun is not None
+                and self.events[k].node <= segment.begun - (moves and self.events[k].at_end)
+            ]
+            after = done[-1] if done else -1
+            before = own[len(done)] if len(done) < len(own) else len(self.events)
+            swept, ends = self._swept(segment)
+            frames = segment.frames
+            if not moves:
+                far = np.abs(self._configurations[robot] - segment.rest).max(axis=1)
+                frames |= set(np.flatnonzero(far <= _SAME).tolist())
+            line = segment.trajectory is not None and segment.trajectory.kind == "line"
+            node = segment.begun if moves else None
+            yield Stretch(node, first, len(ends), after, before, ends, swept, line, frames)
+            first += len(ends)
+
+    def _swept(self, segment: Segment) -> tuple[tuple[Swept, Swept], Array]:
+        """Return the swept bodies of a motion or rest in cells and in finer cells, and when each cell ends."""
+        load = None if segment.load is None else segment.load.key
+        key = segment.trajectory or (segment.robot, segment.rest.tobytes(), load)
+        if key not in self._known:
+            if segment.trajectory is not None:
+                self._known[key] = self.bodies.moving(segment.robot, segment.trajectory, segment.load)
+            else:
+                found = self.bodies.resting(segment.robot, segment.rest, segment.load)
+                self._known[key] = (found, found), np.zeros(1)
+        return self._known[key]
 
     def of_robot(self, robot: int) -> list[int]:
         """Return the nodes of one arm in their order."""
         return [index for index, node in enumerate(self.nodes) if node.robot == robot]
-
-    def _trajectory(self, index: int) -> Trajectory:
-        node = self.nodes[index]
-        assert node.trajectory is not None
-        return self.plan.steps[node.step].trajectories[node.trajectory]
-
-    def _rest(
-        self, robot: int, values: Array, first: int, after: int, before: int, last: int | None, following: int | None
-    ) -> Stretch:
-        cell = np.asarray(values, dtype=np.float64)[None]
-        step = None if last is None else self.nodes[last].step
-        load = load_at_rest(self.plan, robot, self._place(last), self._place(following))
-        frames = set(np.flatnonzero(np.abs(self._configurations[robot] - cell).max(axis=1) <= _SAME).tolist())
-        if step is not None and following is not None and self.nodes[following].step == step:  # on the way
-            frames.add(step)
-        key = (robot, cell.tobytes(), None if load is None else load.key)
-        if key not in self._resting:
-            self._resting[key] = self.bodies.resting(robot, values, load)
-        found = self._resting[key]
-        return Stretch(None, first, 1, after, before, np.zeros(1), (found, found), False, frozenset(frames))
-
-    def _place(self, index: int | None) -> tuple[int, int | None] | None:
-        return None if index is None else (self.nodes[index].step, self.nodes[index].trajectory)
-
-    def load(self, index: int) -> Load | None:
-        """Return the load of a robot in a motion."""
-        return load_of(self.plan, self.nodes[index].step, self.nodes[index].trajectory)
-
-    def _motion(self, index: int, first: int, after: int, before: int) -> Stretch:
-        node, trajectory = self.nodes[index], self._trajectory(index)
-        if trajectory not in self._cells:
-            self._cells[trajectory] = self.bodies.moving(node.robot, trajectory, self.load(index))
-        swept, ends = self._cells[trajectory]
-        line = trajectory.kind == "line"
-        return Stretch(index, first, len(ends), after, before, ends, swept, line, frozenset({node.step}))
 
     def present(self, node: int) -> NDArray[np.bool_]:
         """Return the parts that were in place when a motion was planned, shape (parts,)."""
