@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.robots.interleaving.search import OrderSearch
 from falsework.robots.interleaving.work import Work, loads_of
-from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.kinematics.forward import tool_pose
@@ -29,7 +28,7 @@ from falsework.robots.motion.collision_world import (
     grasp_contact,
     withdrawal_contact,
 )
-from falsework.robots.motion.path_planner import plan_free, resolution_of
+from falsework.robots.motion.path_planner import plan_free
 from falsework.robots.plans.loads import Load
 from falsework.robots.plans.robot_plan import Trajectory
 from falsework.stability.oracle import StabilityOracle
@@ -96,7 +95,7 @@ def follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge], old: Contain
 
 def views(graph: KeyframeGraph, node: Node, edge: Edge) -> list[CollisionQuery]:
     """Return for each segment of an edge the collision queries of its scene, with the pairs that may touch."""
-    margins, robot, part = graph.cell.margins, edge.robot, edge.action % len(node.state)
+    robot, part = edge.robot, edge.action % len(node.state)
     found: list[CollisionQuery] = []
     contacts = [LIFT]
     for segment, load in zip(edge.segments, loads_of(node, edge), strict=True):
@@ -108,7 +107,7 @@ def views(graph: KeyframeGraph, node: Node, edge: Edge) -> list[CollisionQuery]:
             contact = contacts.pop() if found else withdrawal_contact(scene)
         else:
             contacts = [PUT_DOWN, PUT_DOWN]
-        found.append(graph.cache.view(scene, robot, contact, margins.line if line else margins.free))
+        found.append(graph.cache.view(scene, robot, contact))
     return found
 
 
@@ -131,10 +130,8 @@ def lies_free(graph: KeyframeGraph, node: Node, edge: Edge) -> bool:
 
 def _proven(segment: PathSegment, view: CollisionQuery, seed: int) -> Array | None:
     """Return the path of a segment if it is free, a new path if it may be replanned, or None."""
-    path = np.ascontiguousarray(segment.path)
-    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
-    if edges_free(path, resolution_of(view), *arrays, np.empty((2, INTERVALS), np.int64)) == len(path) - 1:
+    if view.is_free(segment.path):
         return segment.path
     if segment.kind == "line":
         return None
-    return plan_free(view, path[0], path[-1], seed=seed).path
+    return plan_free(view, segment.path[0], segment.path[-1], seed=seed).path

@@ -14,7 +14,6 @@ from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.keyframes.trajectory_assembly import timed_leg
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.motion.collision_world import NO_CONTACT
 from falsework.robots.plans.loads import Load, LoadKey
 from falsework.robots.plans.robot_plan import Trajectory
 from falsework.robots.schedule.swept_bodies import SweptBodies
@@ -300,7 +299,7 @@ class Work:
         motion = self.graph.cache.motion(scene, robot, start, goal)
         if motion.path is None:
             return None
-        view = self.graph.cache.view(scene, robot, NO_CONTACT, self.graph.cell.margins.free)
+        view = self.graph.cache.view(scene, robot)
         segment = PathSegment("free", motion.path, part=old.part, view=view)
         load = None if old.part is None else Load(old.part, here, np.eye(4))
         return self.leg(robot, segment, load, node, rests, on_way=old is not edge.segments[-1])

@@ -135,7 +135,7 @@ class GraspConfigurations:
             return []
         # One robot among parts, all others at home.
         alone = Scene(self.cell.homes, present, (None,) * self.cell.robot_count)
-        view = self.cache.view(alone, robot, grasp_contact(part), self.cell.margins.line)
+        view = self.cache.view(alone, robot, grasp_contact(part))
         values = np.concatenate(branches)
         which = np.repeat(np.arange(len(found)), [len(solutions) for solutions in branches]).tolist()
         hits = view.hits(values)

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.robots.grasping.exit_directions import ExitDirections
-from falsework.robots.keyframes.delivery import Delivery
 from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.robots.keyframes.joint_holds import JointHolds
@@ -96,8 +95,7 @@ class KeyframeGraph:
         self.dead = DeadEnds()
         """Dead ends of the search that uses the graph."""
         self._alone: dict[tuple[int, int, bytes, bytes, bool, bool], bool] = {}
-        self.withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
-        self.delivery = Delivery(self.cache, self.reasons, self.grasp_configurations)
+        self.withdrawal = Withdrawal(self.cache, self.reasons, self.grasp_configurations, settings.withdrawals)
         self.putting_down = PuttingDown(assembly, self.cache, self.reasons, self.grasp_configurations, self.retreat)
         self.exits = ExitDirections(assembly, self.parts.turn, present, leaving)
 
@@ -242,7 +240,7 @@ class KeyframeGraph:
             grips = [grip for grip in grips if node.is_new(part, robot, grip.configuration)]
         if not grips:
             return
-        view = self.cache.view(node.scene, robot, grasp_contact(part), self.cell.margins.line)
+        view = self.cache.view(node.scene, robot, grasp_contact(part))
         values = np.array([grip.configuration for grip in grips])
         hits = view.hits(values)
         for row in np.flatnonzero(hits >= 0)[:1]:
@@ -259,7 +257,7 @@ class KeyframeGraph:
         self, node: Node, part: int, grip: GraspConfiguration, view: CollisionQuery, lasting: bool
     ) -> Edge | None:
         robot = grip.robot
-        clear = self.cache.view(node.scene, robot, NO_CONTACT, self.cell.margins.free)
+        clear = self.cache.view(node.scene, robot)
         retreat = self.retreat("hold", part, robot, grip.configuration, -grip.grasp.approach, view, clear)
         if retreat is None:
             return None
@@ -299,8 +297,8 @@ class KeyframeGraph:
         key = (grip.robot, part, grip.configuration.tobytes(), state.tobytes(), self.allow_regrasp, part in self.given)
         if key not in self._alone:
             alone = self.start(state, self.cell.homes, (None,) * self.cell.robot_count)
-            view = self.cache.view(alone.scene, grip.robot, grasp_contact(part), self.cell.margins.line)
-            clear = self.cache.view(alone.scene, grip.robot, NO_CONTACT, self.cell.margins.free)
+            view = self.cache.view(alone.scene, grip.robot, grasp_contact(part))
+            clear = self.cache.view(alone.scene, grip.robot)
             here, way = grip.configuration, -grip.grasp.approach
             self._alone[key] = self.retreat("hold", part, grip.robot, here, way, view, clear) is not None and (
                 self.allow_regrasp or self._can_leave_later(alone, part, grip)
@@ -328,7 +326,7 @@ class KeyframeGraph:
         robot, hands_over = node.holder(part), node.handed == part
         here, entry = node.configurations[robot], self.cell.robots[robot]
         view = self._view(node, robot, self.cell.margins.line)
-        clear = self.cache.view(node.scene, robot, NO_CONTACT, self.cell.margins.free)
+        clear = self.cache.view(node.scene, robot)
         path = self.retreat("release", part, robot, here, -tool_pose(entry, here)[:3, 2], view, clear)
         if path is None:
             return
@@ -368,7 +366,7 @@ class KeyframeGraph:
                 yield Edge(action, robot, (*lines, *detour.segments), after, put_down=detour.pose)
 
     def _carry(self, node: Node, part: int, robot: int, paths: tuple[Array, ...], scene: Scene) -> Edge | None:
-        away = self.delivery.path(part, robot, paths[-1][-1], scene)
+        away = self.withdrawal.delivery(part, robot, paths[-1][-1], scene)
         if away is None:
             return None
         lines = tuple(PathSegment("line", path, part=part) for path in paths)

@@ -20,7 +20,7 @@ from falsework.robots.kernels.collision import (
     make_work,
 )
 from falsework.robots.kernels.kernel_arrays import Carried, make_bodies, make_chain, make_obstacles, self_pairs
-from falsework.robots.kernels.rrt_connect import check_many
+from falsework.robots.kernels.rrt_connect import INTERVALS, check_many, edges_free
 from falsework.robots.kinematics.forward import link_poses
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
@@ -33,6 +33,10 @@ NO_FLOOR = -1e9
 """Height of the floor of a cell without one, metres: below everything."""
 _OBSTACLE, _ROBOT, _SUPPORT = -1, -2, -3
 """Owners of obstacles that are no parts."""
+BLOCKED_MARGIN_SHARE = 0.5
+"""Share of the margin below which an interval of an edge that is not proven free counts as blocked."""
+BLOCKED_LENGTH = 0.0005
+"""Lower bound of the same length where the margin is small, metres."""
 _PLACED = 256
 """Configurations of arms whose pieces are kept."""
 
@@ -177,7 +181,7 @@ class CollisionQuery:
                 f"configurations have shape {values.shape}; {self.model.name} has {self.model.joints} joints"
             )
         found = np.empty(len(values), np.int64)
-        check_many(values, self.chain, self.bodies, self.obstacles, self.rules, self.work, found)
+        check_many(values, *self.arrays, found)
         return found
 
     def collides(self, configurations: ArrayLike) -> NDArray[np.bool_]:
@@ -186,6 +190,25 @@ class CollisionQuery:
         Shape (batch, joints) to (batch,). Limits are not checked.
         """
         return self.hits(configurations) != CLEAR
+
+    @property
+    def resolution(self) -> float:
+        """Motion of the farthest point in half an interval of an edge below which it counts as blocked, metres."""
+        return max(BLOCKED_MARGIN_SHARE * self.margin, BLOCKED_LENGTH)
+
+    @property
+    def arrays(self) -> tuple[Chain, Bodies, Obstacles, Rules, CollisionScratch]:
+        """What compiled functions take."""
+        return self.chain, self.bodies, self.obstacles, self.rules, self.work
+
+    def free_edges(self, path: Array) -> int:
+        """Return the number of leading edges of a path that are proven free, shape (points, joints)."""
+        opened = np.empty((2, INTERVALS), np.int64)
+        return edges_free(np.ascontiguousarray(path), self.resolution, *self.arrays, opened)
+
+    def is_free(self, path: Array) -> bool:
+        """Return whether a path is proven free, shape (points, joints)."""
+        return self.free_edges(path) == len(path) - 1
 
     def pair(self, hit: int) -> tuple[str, str]:
         """Return names of the two bodies of a hit, such as `("left link_4", "part 7")`."""

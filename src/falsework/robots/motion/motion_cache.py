@@ -20,13 +20,7 @@ class MotionCache:
     """Cache of collision queries and free motions of one collision world."""
 
     def __init__(self, world: CollisionWorld, *, nodes: int, seed: int) -> None:
-        """Create an empty cache.
-
-        Args:
-            world: the cell with the parts in it.
-            nodes: limit on the nodes of the trees of one free motion.
-            seed: seed of the free motions.
-        """
+        """Create an empty cache; `nodes` limits those of the trees of one free motion."""
         self.world = world
         self.motions = self.motions_kept = self.views = 0
         self._nodes, self._seed = nodes, seed
@@ -34,33 +28,30 @@ class MotionCache:
         self._views: dict[bytes, dict[str, CollisionQuery]] = {}
 
     def motion(self, scene: Scene, robot: int, start: Array, goal: Array) -> Motion:
-        """Return a free motion of one robot; its seed depends only on the arguments.
+        """Return a free motion of one robot between configurations, shape (joints,).
 
-        Args:
-            scene: poses of everything else.
-            robot: index of the moving robot.
-            start: shape (joints,).
-            goal: shape (joints,).
+        Its seed depends only on the arguments.
         """
         key = scene_digest(scene, robot) + np.round([start, goal], 6).tobytes()
         if key not in self._motions:
             self.motions += 1
-            view = self.view(scene, robot, NO_CONTACT, self.world.cell.margins.free)
+            view = self.view(scene, robot)
             seed = (zlib.crc32(key) + self._seed) % 2**31
             self._motions[key] = plan_free(view, start, goal, seed=seed, nodes=self._nodes)
         else:
             self.motions_kept += 1
         return self._motions[key]
 
-    def view(self, scene: Scene, robot: int, contact: Contact, margin: float) -> CollisionQuery:
-        """Return the collision queries of one robot in a scene.
+    def view(
+        self, scene: Scene, robot: int, contact: Contact = NO_CONTACT, margin: float | None = None
+    ) -> CollisionQuery:
+        """Return the collision queries of one robot in a scene, with pairs that may touch and a margin in metres.
 
-        Args:
-            scene: poses of everything else.
-            robot: index of the moving robot.
-            contact: pairs that may touch.
-            margin: distance to keep from everything else, metres.
+        The margin is by default that of lines if there is a contact rule, else that of free motions.
         """
+        if margin is None:
+            margins = self.world.cell.margins
+            margin = margins.free if contact is NO_CONTACT else margins.line
         place = scene_digest(scene, robot)
         rules = repr(
             (sorted(contact.gripper), sorted(contact.carried), contact.carried_floor, contact.carried_supports, margin)

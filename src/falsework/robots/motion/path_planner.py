@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.errors import InputError
 from falsework.robots.kernels.collision import CLEAR
 from falsework.robots.kernels.numeric_ik import reach_poses
-from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free, grow, shorten
+from falsework.robots.kernels.rrt_connect import INTERVALS, grow, shorten
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import tail_of
 from falsework.robots.motion.collision_world import CollisionQuery
@@ -22,10 +22,6 @@ LONGEST_EDGE = 1.0
 """Longest edge of a tree, rad in joint space."""
 SHORTCUTS = 60
 """Shortcuts tried on a path found by the trees."""
-BLOCKED_MARGIN_SHARE = 0.5
-"""Share of the margin below which an interval that is not proven free counts as blocked."""
-BLOCKED_LENGTH = 0.0005
-"""Lower bound of the same length where the margin is small, metres."""
 SAMPLED_TURN = float(np.pi)
 """Joints with a larger range are sampled within it, unless start or goal lie outside, rad."""
 ROUNDS_PER_CALL = 50
@@ -99,12 +95,10 @@ def plan_free(
         hit = int(view.hits(values)[0])
         if hit != CLEAR:
             return Motion(f"{which} in collision", pair=view.pair(hit), at=values)  # type: ignore[arg-type]
-    resolution = resolution_of(view)
-    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
-    opened = np.empty((2, INTERVALS), np.int64)
     direct = np.stack([a, b])
-    if edges_free(direct, resolution, *arrays, opened) == 1:
+    if view.is_free(direct):
         return Motion("found", direct)
+    arrays, opened = view.arrays, np.empty((2, INTERVALS), np.int64)
     trees = np.empty((2, nodes, model.joints))
     trees[0, 0], trees[1, 0] = a, b
     parents = np.full((2, nodes), -1, np.int64)
@@ -115,7 +109,7 @@ def plan_free(
     drawn = 0
     while True:
         met, one, other = grow(
-            trees, parents, sizes, low, high, LONGEST_EDGE, ROUNDS_PER_CALL, resolution, state, *arrays, opened
+            trees, parents, sizes, low, high, LONGEST_EDGE, ROUNDS_PER_CALL, view.resolution, state, *arrays, opened
         )
         drawn += ROUNDS_PER_CALL
         if met == 1:
@@ -126,13 +120,8 @@ def plan_free(
     path = _branch(trees[0], parents[0], one)[::-1] + _branch(trees[1], parents[1], other)
     room = np.empty((len(path) + 2 * SHORTCUTS + 2, model.joints))
     room[: len(path)] = path
-    count = shorten(room, len(path), SHORTCUTS, resolution, state, *arrays, opened)
+    count = shorten(room, len(path), SHORTCUTS, view.resolution, state, *arrays, opened)
     return Motion("found", room[:count].copy(), samples=int(sizes[0] + sizes[1]))
-
-
-def resolution_of(view: CollisionQuery) -> float:
-    """Return the motion of the farthest point in half an interval at which bisection ends, metres."""
-    return max(BLOCKED_MARGIN_SHARE * view.margin, BLOCKED_LENGTH)
 
 
 def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, distance: float) -> Motion:
@@ -190,9 +179,7 @@ def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, di
     if not inside.all():
         bad = int(np.argmin(inside))
         return Motion("joint limit on the line", at=path[bad])
-    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
-    opened = np.empty((2, INTERVALS), np.int64)
-    free = int(edges_free(path, resolution_of(view), *arrays, opened))
+    free = view.free_edges(path)
     if free < len(path) - 1:
         return _blocked(view, path, free)
     return Motion("found", path)

@@ -23,7 +23,7 @@ from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import CarriedLoad, Edge, Node, PathSegment, accept_all
 from falsework.robots.keyframes.trajectory_assembly import STANDSTILL
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Scene, grasp_contact, withdrawal_contact
+from falsework.robots.motion.collision_world import Scene, grasp_contact, withdrawal_contact
 from falsework.robots.motion.near_pairs import nearest_pair
 from falsework.robots.motion.path_planner import follow_line
 from falsework.search.problem.task import Task
@@ -121,7 +121,7 @@ class BoundaryMotions:
         graph.accepts = self.accepts
         for robot, part in enumerate(node.held):
             values = node.configurations[robot]
-            clear = self._clear(node, robot)
+            clear = self.graph.cache.view(node.scene, robot)
             pair = clear.explain(values)
             arms = tuple(f"{entry.name} " for entry in graph.cell.robots)
             if (
@@ -194,7 +194,7 @@ class BoundaryMotions:
                 line = self._line(node, robot, here)
                 way = None if line is None else replace(line, path=line.path[::-1].copy())
             else:
-                way = self.graph.delivery.path(load.attached.part, robot, here, node.scene)
+                way = self.graph.withdrawal.delivery(load.attached.part, robot, here, node.scene)
             if way is None:
                 self._blocked = robot, "no way leads from where it is"
                 return None
@@ -255,7 +255,7 @@ class BoundaryMotions:
         if turned or length < _SAME_WAY or not len(ways) or (ways @ far).max() < (1 - _SAME_WAY) * length:
             return None
         scene = node.scene.with_attached(robot, part, tools[0])
-        view = self.graph.cache.view(scene, robot, withdrawal_contact(scene), self.graph.cell.margins.line)
+        view = self.graph.cache.view(scene, robot, withdrawal_contact(scene))
         path = follow_line(view, here, far / length, length).path
         if path is None or np.abs(path[-1] - goal).max() > _SAME_WAY:
             return None
@@ -264,7 +264,7 @@ class BoundaryMotions:
     def _fetched(self, node: Node, robot: int, load: CarriedLoad, goal: Array) -> tuple[PathSegment, ...] | None:
         """Return the motions that fetch a part from a drop-off pose and bring it where it is at the end."""
         carried = node.moved(robot, goal, load).scene
-        away = self.graph.delivery.path(load.attached.part, robot, goal, carried)
+        away = self.graph.withdrawal.delivery(load.attached.part, robot, goal, carried)
         free = None if away is None else self._free(node.scene, robot, node.configurations[robot], away.path[-1])
         if away is None or free is None:
             return None
@@ -276,19 +276,16 @@ class BoundaryMotions:
             between = "" if free.pair is None else f" ({free.pair[0]} and {free.pair[1]})"
             self._blocked = robot, f"then to where the assembly goes on: {free.reason}{between}"
             return None
-        view = self.graph.cache.view(scene, robot, NO_CONTACT, self.graph.cell.margins.free)
+        view = self.graph.cache.view(scene, robot)
         return PathSegment("free", free.path, part=part, view=view)
-
-    def _clear(self, node: Node, robot: int) -> CollisionQuery:
-        return self.graph.cache.view(node.scene, robot, NO_CONTACT, self.graph.cell.margins.free)
 
     def _line(self, node: Node, robot: int, goal: Array) -> PathSegment | None:
         """Return the line to a configuration that is too near to a part for a free motion, if there is one."""
-        clear, world = self._clear(node, robot), self.graph.world
+        clear, world = self.graph.cache.view(node.scene, robot), self.graph.world
         if node.load(robot) is not None or not clear.collides(goal)[0]:
             return None
         part = min(np.flatnonzero(node.present).tolist(), key=lambda part: world.grip_distance(robot, goal, part))
-        view = self.graph.cache.view(node.scene, robot, grasp_contact(part), self.graph.cell.margins.line)
+        view = self.graph.cache.view(node.scene, robot, grasp_contact(part))
         turn = tool_pose(self.graph.cell.robots[robot], goal)[:3, :3]
         for way in (-turn[:, 2], np.array([0.0, 0.0, 1.0]), *turn[:, :2].T, *-turn[:, :2].T):
             path = self.graph.retreat("release", part, robot, goal, way, view, clear)
