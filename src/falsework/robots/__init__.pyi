@@ -22,5 +22,5 @@ from falsework.robots.plans.robot_plan import Trajectory as Trajectory
 from falsework.robots.plans.temporal_graph import Precedence as Precedence
 from falsework.robots.plans.timeline import interruption as interruption
 from falsework.robots.plans.timeline import nodes_of as nodes_of
-from falsework.robots.schedule.build import schedule_plan as schedule_plan
 from falsework.robots.schedule.simulation import simulate as simulate
+from falsework.robots.schedule.solver import schedule_plan as schedule_plan

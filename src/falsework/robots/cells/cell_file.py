@@ -129,9 +129,7 @@ def parse_cell(text: str, source: str, folder: Path, *, faults: list[str] | None
     """Return a cell from the text of a TOML file.
 
     Args:
-        text: TOML.
         source: name of the text in messages.
-        folder: folder that relative paths start from.
         faults: takes errors of single entries, which are then left out; None raises the first one.
 
     Raises:

@@ -31,10 +31,6 @@ def read_robot(
     """Return a robot from its entry in a cell file.
 
     Args:
-        values: the entry.
-        place: of the entry, for messages.
-        grippers: grippers of the cell by name.
-        folder: folder that relative paths start from.
         faults: takes an error of the home, which is then that of the arm; None raises it.
 
     Raises:

@@ -82,8 +82,6 @@ def new_cell(
 
     Args:
         arms: the arms; their bases are evenly spaced around the structure, and face its middle.
-        folder: folder of the file to be.
-        gripper: kind of the gripper of all arms.
         assembly: the structure; bases and homes are clear of it. Without it the origin is in the middle.
 
     Raises:

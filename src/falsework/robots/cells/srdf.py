@@ -34,8 +34,6 @@ def group_states(srdf: Path, root: Element, joints: Sequence[str]) -> tuple[dict
     States of several groups that have the same name, such as `home` of the arm and of the hand, are one.
 
     Args:
-        srdf: the file, for messages.
-        root: its content.
         joints: names of the joints of the arm.
 
     Raises:
@@ -75,8 +73,6 @@ def excluded_pairs(
     against every shape of the other.
 
     Args:
-        srdf: the file, for messages.
-        root: its content.
         carried: for each moving link, the links with shapes that move with it.
         links: names of all links of the URDF.
     """

@@ -288,9 +288,7 @@ def carrier_of(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, 
     """Return the frame that carries a link and the pose of the link in it; joints off the chain stay at zero.
 
     Args:
-        name: the link.
         below: joint above each link, by its name.
-        frame_of: frame of the links of the chain, and their poses in it.
     """
     pose = np.eye(4)
     while name not in frame_of:

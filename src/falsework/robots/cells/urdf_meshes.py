@@ -39,7 +39,6 @@ def shape_mesh(file: Path, link: str, entry: Any) -> TriangleMesh:
     """Return one collision or visual shape in the frame of its link.
 
     Args:
-        file: the URDF.
         link: name of the link.
         entry: the shape, as yourdfpy reads it.
 
@@ -99,7 +98,6 @@ def colored_meshes(file: Path, link: str, entry: Any) -> list[tuple[TriangleMesh
     """Return the pieces of a visual shape in the frame of its link, and the colour that its mesh file has for each.
 
     Args:
-        file: the URDF.
         link: name of the link.
         entry: the shape, as yourdfpy reads it.
 

@@ -138,8 +138,6 @@ def accelerations(file: Path, root: Element, joints: Sequence[str]) -> NDArray[n
     """Return the acceleration limits that `<limit>` of joints has, as Drake writes them; NaN where it has none.
 
     Args:
-        file: the file, for messages.
-        root: its content.
         joints: names of joints.
 
     Returns:
@@ -171,7 +169,6 @@ def coupling_fault(joints: Iterable[Any], chain: Iterable[Any], moved: Iterable[
 
     Args:
         joints: all joints, as yourdfpy reads them.
-        chain: those from the base to the tip.
         moved: names of joints beside the chain that carry shapes.
     """
     names, carrying = {joint.name for joint in chain}, set(moved)

@@ -49,9 +49,6 @@ def link_visuals(model: RobotModel) -> tuple[tuple[VisualShape, ...], ...]:
 
     A link without visual shapes, and all of an arm that is built in, looks like its collision shapes.
 
-    Args:
-        model: the arm.
-
     Warns:
         CellWarning: visual shapes that cannot be read; collision shapes stand in for them.
     """

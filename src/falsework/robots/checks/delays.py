@@ -117,11 +117,6 @@ def check_delays(plan: RobotPlan, judge: PinocchioCollisionChecker, *, most: int
     arm against itself, its surroundings, and the parts that its motion was planned with is not checked here;
     `check_robot_plan` does both.
 
-    Args:
-        plan: robot plan with a schedule.
-        judge: collision checker of the cell and the parts.
-        most: number of problems after which the check stops.
-
     Raises:
         PlanError: the plan has no schedule.
     """

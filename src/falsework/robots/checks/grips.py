@@ -24,7 +24,6 @@ class GripChecker:
     """Grips of the robots of a cell, measured on the exact surfaces of the parts."""
 
     def __init__(self, cell: Cell, judge: PinocchioCollisionChecker) -> None:
-        """Measure grips of the robots of `cell` with the kinematics and parts of `judge`."""
         self.cell, self.judge = cell, judge
         self._known: dict[tuple[int, int, bytes, bytes], str] = {}
 
@@ -36,9 +35,7 @@ class GripChecker:
         """Return why a robot does not grip a part; empty if it does.
 
         Args:
-            robot: index of the robot.
             configuration: its joint values, shape (joints,).
-            part: the part, at its place.
             pose: its displacement from there, shape (4, 4); by default it is in place.
         """
         key = (robot, part, configuration.tobytes(), b"" if pose is None else pose.tobytes())
@@ -64,7 +61,6 @@ def surface_fault(gripper: Gripper, tool: Array, triangles: Array, name: str) ->
     """Return why a gripper does not meet the surface of a part as it must; empty if it does.
 
     Args:
-        gripper: the gripper.
         tool: pose of its tool frame, shape (4, 4).
         triangles: the surface, outward, shape (triangles, 3, 3).
         name: name of the part.

@@ -34,7 +34,6 @@ class HandlingChecker:
     """Places, payloads and lines of the parts that the robots of a plan move."""
 
     def __init__(self, plan: RobotPlan, cell: Cell, grips: GripChecker) -> None:
-        """Check `plan` in `cell` with tool poses from `grips`."""
         self.plan, self.cell, self.grips = plan, cell, grips
         self.names, self.mass = grips.judge.parts.names, grips.judge.parts.mass
 

@@ -82,8 +82,6 @@ class PinocchioCollisionChecker:
         """Build shapes and kinematics.
 
         Args:
-            cell: robots and their surroundings.
-            parts: exact surfaces of the parts in place.
             tolerance: distance by which a part is shrunk where it may touch its neighbours, metres.
         """
         self.cell, self.parts, self.tolerance = cell, parts, tolerance
@@ -119,7 +117,6 @@ class PinocchioCollisionChecker:
         """Prepare the check of one moving robot; others may move at the same time.
 
         Args:
-            robot: index of the checked robot.
             configurations: joint values of all robots; those of the moving one are ignored.
             present: parts in place, shape (parts,).
             load: part in the gripper, or put down; against fixed bodies `obstructs` checks the latter.

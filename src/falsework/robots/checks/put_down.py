@@ -30,9 +30,6 @@ def put_down_faults(
     Robots beside it are checked with the motions meanwhile.
 
     Args:
-        plan: the robot plan.
-        index: a step in which a part is put down.
-        grips: grips of the robots.
         present: parts in place, shape (parts,).
     """
     step, lying, judge = plan.steps[index], lying_motions(plan, index), grips.judge

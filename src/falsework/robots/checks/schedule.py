@@ -35,9 +35,6 @@ def check_schedule(
     """Check a schedule, nominal or delayed; return its problems and the number of checked instants.
 
     Args:
-        plan: robot plan with a schedule.
-        cell: its cell.
-        judge: collision checker of the cell and the parts.
         step: largest motion of a joint between two samples, rad or m; samples are at most `INTERVAL` apart.
         stretch: factor on the duration of each motion, shape (nodes,); 1 by default.
 

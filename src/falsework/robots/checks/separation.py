@@ -72,12 +72,10 @@ class BodyPath:
         """Bound what each body moves.
 
         Args:
-            judge: collision checker of the cell.
             bodies: bodies of an arm, or of none.
             shapes: their shapes.
             values: configuration of a rest, shape (joints,).
             trajectory: the motion; None: a rest.
-            robot: the arm.
         """
         self.names, self.shapes = tuple(body.name for body in bodies), shapes
         self.radii = np.array([shape.radius for shape in shapes])

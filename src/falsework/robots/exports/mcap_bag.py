@@ -14,6 +14,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -41,51 +42,6 @@ _ADD, _REMOVE = 0, 1
 _WORLD = "world"
 """Frame of the parts in place."""
 _IDENTITY = {"orientation": {"w": 1.0}}
-_DEFINITIONS = {
-    "object_recognition_msgs/msg/ObjectType": "string key\nstring db\n",
-    "moveit_msgs/msg/RobotTrajectory": (
-        "trajectory_msgs/JointTrajectory joint_trajectory\n"
-        "trajectory_msgs/MultiDOFJointTrajectory multi_dof_joint_trajectory\n"
-    ),
-    "moveit_msgs/msg/CollisionObject": (
-        "std_msgs/Header header\ngeometry_msgs/Pose pose\nstring id\nobject_recognition_msgs/ObjectType type\n"
-        "shape_msgs/SolidPrimitive[] primitives\ngeometry_msgs/Pose[] primitive_poses\n"
-        "shape_msgs/Mesh[] meshes\ngeometry_msgs/Pose[] mesh_poses\n"
-        "shape_msgs/Plane[] planes\ngeometry_msgs/Pose[] plane_poses\n"
-        "string[] subframe_names\ngeometry_msgs/Pose[] subframe_poses\n"
-        "byte ADD=0\nbyte REMOVE=1\nbyte APPEND=2\nbyte MOVE=3\nbyte operation\n"
-    ),
-    "moveit_msgs/msg/AttachedCollisionObject": (
-        "string link_name\nmoveit_msgs/CollisionObject object\nstring[] touch_links\n"
-        "trajectory_msgs/JointTrajectory detach_posture\nfloat64 weight\n"
-    ),
-    "moveit_msgs/msg/RobotState": (
-        "sensor_msgs/JointState joint_state\nsensor_msgs/MultiDOFJointState multi_dof_joint_state\n"
-        "moveit_msgs/AttachedCollisionObject[] attached_collision_objects\nbool is_diff\n"
-    ),
-    "moveit_msgs/msg/AllowedCollisionEntry": "bool[] enabled\n",
-    "moveit_msgs/msg/AllowedCollisionMatrix": (
-        "string[] entry_names\nmoveit_msgs/AllowedCollisionEntry[] entry_values\n"
-        "string[] default_entry_names\nbool[] default_entry_values\n"
-    ),
-    "moveit_msgs/msg/LinkPadding": "string link_name\nfloat64 padding\n",
-    "moveit_msgs/msg/LinkScale": "string link_name\nfloat64 scale\n",
-    "moveit_msgs/msg/ObjectColor": "string id\nstd_msgs/ColorRGBA color\n",
-    "octomap_msgs/msg/Octomap": ("std_msgs/Header header\nbool binary\nstring id\nfloat64 resolution\nint8[] data\n"),
-    "octomap_msgs/msg/OctomapWithPose": (
-        "std_msgs/Header header\ngeometry_msgs/Pose origin\noctomap_msgs/Octomap octomap\n"
-    ),
-    "moveit_msgs/msg/PlanningSceneWorld": (
-        "moveit_msgs/CollisionObject[] collision_objects\noctomap_msgs/OctomapWithPose octomap\n"
-    ),
-    "moveit_msgs/msg/PlanningScene": (
-        "string name\nmoveit_msgs/RobotState robot_state\nstring robot_model_name\n"
-        "geometry_msgs/TransformStamped[] fixed_frame_transforms\n"
-        "moveit_msgs/AllowedCollisionMatrix allowed_collision_matrix\n"
-        "moveit_msgs/LinkPadding[] link_padding\nmoveit_msgs/LinkScale[] link_scale\n"
-        "moveit_msgs/ObjectColor[] object_colors\nmoveit_msgs/PlanningSceneWorld world\nbool is_diff\n"
-    ),
-}
 
 
 class _Bag:
@@ -98,7 +54,9 @@ class _Bag:
         except ImportError:
             raise DependencyError("an MCAP bag needs mcap and rosbags: pip install 'falsework[schedule]'") from None
         self.store = get_typestore(Stores.ROS2_HUMBLE)
-        for name, text in _DEFINITIONS.items():
+        definitions = files("falsework.robots.exports").joinpath("moveit.msg").read_text(encoding="utf-8")
+        for entry in definitions.split("MSG: ")[1:]:
+            name, text = entry.split("\n", 1)
             self.store.register(get_types_from_msg(text, name))
         self.data = io.BytesIO()
         self.writer = Writer(self.data)
@@ -157,7 +115,6 @@ def write_bag(
 
     Args:
         plan: robot plan; without a schedule its motions are sequential.
-        path: file to write.
         placed: the parts with their shapes; without them the planning scene has only their names.
         presses: of the plan, at the times of its schedule: set points of the wrench at the flange of an arm, zero from
             the end of a press on.

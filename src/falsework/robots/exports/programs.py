@@ -55,9 +55,6 @@ def rapid_modules(
     by force and moment over its stiffness, on a slow line from where it holds the part, and stays there.
 
     Args:
-        plan: the robot plan.
-        cell: its cell.
-        presses: of the plan.
         loads: of carried parts; None leaves them out.
 
     Raises:

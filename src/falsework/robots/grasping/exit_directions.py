@@ -40,7 +40,6 @@ class ExitDirections:
         """Compute the blocking parts of every part and direction.
 
         Args:
-            assembly: the structure.
             turn: rotation from its frame to the world, shape (3, 3).
             present: parts that are ever in place, all by default: others need no fan and block none, shape (parts,).
             leaving: parts that ever leave, all by default: others need no fan either, shape (parts,).

@@ -83,8 +83,6 @@ def grasps(
 
     Args:
         assembly: the structure; its clearance table gives the exit directions of the part.
-        parts: its parts in the cell.
-        part: index of the part.
         present: present parts: a mask or a state, shape (parts,).
         robot: robot with the gripper; a part heavier than its payload has no grasp.
         limit: largest number of returned grasps.
@@ -122,9 +120,6 @@ def grasp_fault(parts: PartShapes, part: int, gripper: Gripper, *, blocked: bool
     """Return in words why a gripper has no grasp of a part, with its own size and that of the part.
 
     Args:
-        parts: the parts in the cell.
-        part: index of the part.
-        gripper: the gripper.
         blocked: whether it has grasps of the part alone.
     """
     what = "no face that the gripper can grasp"
@@ -166,11 +161,7 @@ def clear_grasps(
     """Return the first grasps of a part with which the gripper keeps clear of the other parts that are there.
 
     Args:
-        tried: the grasps.
-        parts: the parts in the cell.
-        part: index of the part.
         there: present parts, shape (parts,).
-        gripper: the gripper.
         limit: largest number of returned grasps.
     """
     found: list[Grasp] = []

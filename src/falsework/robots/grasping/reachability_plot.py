@@ -36,9 +36,6 @@ def draw_reach(cell: Cell, parts: PartShapes, table: ReachTable, path: Path) -> 
     """Draw parts from above, coloured by the number of robots that reach them, and the circle of each robot's reach.
 
     Args:
-        cell: the cell.
-        parts: the structure in it.
-        table: reachability of each part by each robot.
         path: picture to write; an existing file is replaced.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -31,8 +31,6 @@ class NextSteps:
         """Know no steps but those of the plan.
 
         Args:
-            work: motions of the cell.
-            oracle: decides stability.
             units: units of the plan.
             legal: actions that the rules of the task allow in a state, releases aside.
         """

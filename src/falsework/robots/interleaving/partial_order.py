@@ -149,9 +149,6 @@ def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit, *, build
     nothing else may change the state meanwhile.
 
     Args:
-        work: the motions.
-        partial: the order before.
-        step: the step.
         owner: the unit with the same job whose duration is part of what is left.
         builds: whether the order is executed backwards, as an assembly; times then count from its end.
     """

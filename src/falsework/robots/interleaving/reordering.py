@@ -50,11 +50,6 @@ def reorder(
     """Return the edges of a plan in an order, and with the robots, that allow a shorter schedule.
 
     Args:
-        graph: keyframes of the structure in the cell.
-        oracle: decides stability.
-        root: the first keyframe.
-        chain: the edges.
-        timed: their trajectories.
         legal: actions that the rules of the task allow in a state, releases aside.
         stop: tells when to end with the order found so far.
         builds: whether the plan is executed as an assembly, backwards.

@@ -66,10 +66,6 @@ class OrderSearch:
         """Prepare the search.
 
         Args:
-            work: motions of the cell.
-            oracle: decides stability.
-            root: the first keyframe.
-            chain: the edges of the plan.
             legal: actions that the rules of the task allow in a state, releases aside.
             stop: tells when to end with the order found so far.
             builds: whether the plan is executed backwards, as an assembly.
@@ -203,10 +199,7 @@ class OrderSearch:
         """Search some steps of the best order again; return whether another order was found.
 
         Args:
-            first: the first of the steps.
             size: number of steps, as far as there are so many.
-            own: next parts of its own that an arm chooses from.
-            others: next parts of each other arm that an arm chooses from.
             far: units from behind the end that may be taken too.
             worse: share by which an order that was not the best one before may be worse; by default it must be better.
         """

@@ -118,7 +118,6 @@ class Work:
     """Motions of the arms of a plan, and their conflicts, each computed once."""
 
     def __init__(self, graph: KeyframeGraph, timed: dict[PathSegment, Trajectory | None]) -> None:
-        """Prepare for motions of a cell; some have trajectories."""
         self.graph, self.timed = graph, timed
         self.bodies = SweptBodies(graph.world)
         self._rests: dict[tuple[int, bytes, LoadKey | None], ArmSweep] = {}
@@ -152,10 +151,6 @@ class Work:
 
         Args:
             job: index of the unit that it replaces.
-            node: the keyframe.
-            part: the part.
-            robot: the arm, which holds nothing.
-            rests: bodies of all arms there.
         """
         hold = next(self.graph.holds(node, part, robot), None)
         removal = None if hold is None else next(self.graph.edges(hold.node, len(node.state) + part), None)
@@ -192,10 +187,6 @@ class Work:
         """Return a motion that was planned at a keyframe; None for one of zero length.
 
         Args:
-            robot: the arm.
-            segment: its path.
-            load: the part that it carries or put down.
-            node: the keyframe.
             rests: bodies of all arms there, which the motion is known to keep clear of.
             on_way: whether the arm carries the part beyond its end.
         """
@@ -253,7 +244,6 @@ class Work:
         """Return whether a motion is in conflict with one of some parts in place that were absent where it was planned.
 
         Args:
-            leg: the motion.
             parts: the parts, as bits.
         """
         return self.meets(leg, parts) < np.inf

@@ -152,7 +152,6 @@ def self_pairs(model: RobotModel, links: Sequence[int]) -> NDArray[np.int64]:
     they hardly move relative to each other, and whether they fit is checked once, with the cell.
 
     Args:
-        model: the arm.
         links: the body of every piece, as `make_bodies` returns it.
     """
     return _self_pairs(model, tuple(links)).copy()

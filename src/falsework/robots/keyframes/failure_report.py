@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from msgspec import to_builtins
 from numpy.typing import NDArray
 
 from falsework.assembly.state import describe_step
@@ -84,15 +85,8 @@ class Explanation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the explanation as a JSON object."""
-        return {
-            "outcome": self.outcome,
-            "reached": self.reached,
-            "steps": self.steps,
-            "unreachable": list(self.unreachable),
-            "hopeless": None if self.hopeless is None else {"part": self.hopeless[0], "action": self.hopeless[1]},
-            "details": list(self.details),
-            "text": self.text,
-        }
+        hopeless = None if self.hopeless is None else {"part": self.hopeless[0], "action": self.hopeless[1]}
+        return {**to_builtins(self), "hopeless": hopeless}
 
 
 def describe_failure(what: str, route: Route, row: int, names: Sequence[str], plans: int = 0) -> str:
@@ -100,10 +94,8 @@ def describe_failure(what: str, route: Route, row: int, names: Sequence[str], pl
 
     Args:
         what: name of the plan.
-        route: its states and actions.
         row: number of the state in assembly order.
         names: names of the parts.
-        plans: number of such plans.
     """
     place = "in the first state"
     if row:
@@ -132,8 +124,6 @@ def explain(
     Args:
         outcome: outcome of the search.
         reached: steps of the longest plan that was found.
-        steps: steps of a complete plan.
-        reasons: all failures.
         tried: actions that failed where the search got farthest, as kind and part, with counts.
         robots: names of the robots.
         names: names of the parts.

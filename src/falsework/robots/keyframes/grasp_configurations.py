@@ -76,10 +76,6 @@ class GraspConfigurations:
         """Return the grasps to try, best first: near the robot's configuration, and away from other arms.
 
         Args:
-            grips: grasps of one robot.
-            robot: index of that robot.
-            scene: poses of everything.
-            held: the part that each robot holds.
             count: largest number of returned grasps.
         """
         if not grips:

@@ -38,7 +38,6 @@ class JointHolds:
         """Create an empty set.
 
         Args:
-            grips: grasp configurations of the robots of a cell.
             usable: whether an arm can approach a grasp, and the part leave with it later, among the parts of a state;
                 other grasps do not count.
         """
@@ -145,7 +144,6 @@ class HoldingOracle(Oracle):
     """Stability oracle that leaves states undecided whose held parts no arms can hold together."""
 
     def __init__(self, oracle: StabilityOracle, joint: JointHolds) -> None:
-        """Query `oracle` for the states that `joint` does not exclude."""
         self._oracle, self._joint = oracle, joint
 
     @property

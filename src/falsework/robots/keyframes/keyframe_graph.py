@@ -72,8 +72,6 @@ class KeyframeGraph:
         """Create an empty graph.
 
         Args:
-            assembly: the structure.
-            cell: the robots and their surroundings.
             settings: limits on candidates.
             seed: seed of the free motions.
             parts: the parts as bodies in the cell, if already available.

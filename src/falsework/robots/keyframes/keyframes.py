@@ -109,7 +109,6 @@ class Node:
 
         Args:
             action: as of `state_after`; in a hand-over the part.
-            robot: the robot that carries it out.
             values: its configuration then, shape (joints,).
         """
         configurations, held = list(self.configurations), list(self.held)

@@ -83,10 +83,6 @@ class PuttingDown:
         """Find motions in the scenes of `cache`, and log to `reasons` why there are none.
 
         Args:
-            assembly: the structure.
-            cache: collision queries and motions.
-            reasons: log of failures.
-            grips: grasps, and drop-off configurations.
             retreat: finds the line on which a gripper leaves a part, as `KeyframeGraph` does.
         """
         self.assembly, self.cache, self.reasons, self._grips, self._retreat = assembly, cache, reasons, grips, retreat
@@ -97,11 +93,8 @@ class PuttingDown:
         """Return a detour for a part that a robot has withdrawn but cannot deliver; None if none is found.
 
         Args:
-            part: the part.
-            robot: the robot.
             here: its configuration while the part was in place, shape (joints,).
             end: its configuration after the withdrawal, shape (joints,).
-            scene: the scene in which the part is carried.
         """
         if self.cell.floor is None:
             return None

@@ -42,11 +42,6 @@ def make_robot_plan(
     """Certify the states along a chain of edges and compute its trajectories, in the order of disassembly.
 
     Args:
-        assembly: the structure.
-        cell: the robots.
-        task: the planned task.
-        oracle: stability oracle that proves the states.
-        root: the first keyframe.
         chain: an edge for every action and every transit, and two for each hand-over.
         forces: whether to keep the contact forces in the plan.
         timed: cache of trajectories; missing ones are added.

@@ -45,7 +45,6 @@ class Withdrawal:
         """Yield withdrawal paths of a part, each with the scene in which it is carried; computed on demand.
 
         Args:
-            scene, part, robot: poses of everything, the part, and the robot that holds it.
             here: its configuration, shape (joints,).
             directions: free exit directions in the world, shape (n, 3).
             what: name of the motion in logged reasons.

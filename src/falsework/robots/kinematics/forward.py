@@ -19,8 +19,6 @@ def link_poses(model: RobotModel, configurations: ArrayLike, base: Array | None 
     """Return the poses of all links, shape (joints + 1, 4, 4), or (batch, joints + 1, 4, 4).
 
     Args:
-        model: the arm.
-        configurations: joint values.
         base: pose of the base link in the world, shape (4, 4); by default the identity.
     """
     values = np.ascontiguousarray(np.atleast_2d(configurations), dtype=np.float64)

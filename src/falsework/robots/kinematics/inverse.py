@@ -59,7 +59,6 @@ def inverse(robot: CellRobot, tools: ArrayLike) -> list[Array]:
     """Return all configurations that bring the tool frame of a robot to poses in the world.
 
     Args:
-        robot: robot of a cell.
         tools: poses of the tool frame in the world, shape (4, 4) or (batch, 4, 4).
 
     Returns:

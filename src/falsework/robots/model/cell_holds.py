@@ -47,8 +47,6 @@ def stability_in(cell: Cell, assembly: Assembly, settings: StabilitySettings) ->
     is open when states are judged.
 
     Args:
-        cell: the robots.
-        assembly: the structure.
         settings: with stiffness and limits of robots as they are in the cell.
 
     Raises:

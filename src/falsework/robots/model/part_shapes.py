@@ -44,7 +44,6 @@ def place_parts(assembly: Assembly, placement: Placement = Placement(), *, toler
     """Place the parts of a structure in a cell.
 
     Args:
-        assembly: the structure.
         placement: its pose, scale and density.
         tolerance: share of a part's volume by which its convex pieces may exceed it, as `convex_pieces` takes it.
 

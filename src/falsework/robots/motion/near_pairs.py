@@ -56,7 +56,6 @@ def near_pairs(query: CollisionQuery, configuration: ArrayLike) -> list[NearPair
     Of two bodies with several pieces the nearest two pieces count.
 
     Args:
-        query: the moving arm in its scene.
         configuration: joint values, shape (joints,).
     """
     rules, bodies, obstacles = query.rules, query.bodies, query.obstacles

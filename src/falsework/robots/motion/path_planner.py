@@ -82,7 +82,6 @@ def plan_free(
     proven free over its whole length (`rrt_connect.edge_free`). The same seed gives the same path.
 
     Args:
-        view: collision queries of the moving robot.
         start, goal: configurations, shape (joints,).
         seed: seed of the samples.
         nodes: largest number of nodes per tree, after which the search ends with "no connection".
@@ -131,7 +130,6 @@ def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, di
     proven free between its points too.
 
     Args:
-        view: collision queries of the moving robot.
         start: configuration at the start of the line, shape (joints,).
         direction: direction in the world, shape (3,); any length.
         distance: metres.

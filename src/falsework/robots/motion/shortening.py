@@ -36,7 +36,6 @@ def shorter_path(view: CollisionQuery, path: Array, speed: float, seed: list[int
     """Return a path between the same configurations that takes less time, or the same path.
 
     Args:
-        view: all that the path keeps clear of.
         path: configurations, shape (points, joints).
         speed: share of the velocity limits of the cell.
         seed: seed of the trees and shortcuts.

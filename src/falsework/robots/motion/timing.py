@@ -55,7 +55,6 @@ def time_path(model: RobotModel, path: ArrayLike, speed: float = 1.0) -> Timed:
     by more than `CORNER_DEVIATION`. The speed along it comes from TOPP-RA (Pham and Pham 2018).
 
     Args:
-        model: the arm.
         path: configurations, shape (points, joints).
         speed: share of the velocity limits; accelerations are limited to its square.
 
@@ -85,7 +84,6 @@ class _Trajectory:
     """Fastest motion from rest to rest along straight edges with corners rounded by parabolas."""
 
     def __init__(self, points: Array, deviation: float, velocity: Array, acceleration: Array) -> None:
-        """Round the corners of a path and compute the speed along it, as a function of length along the edges."""
         edges = np.diff(points, axis=0)
         # Length in the 1-norm of joint values bounds how far points of the arm move.
         length = np.abs(edges).sum(axis=1)

@@ -30,7 +30,6 @@ class ExecutionHeuristic:
         """Prepare the score.
 
         Args:
-            graph: keyframes of the structure in the cell.
             guide: action heuristic, such as a trained policy.
         """
         self.graph, self.guide = graph, guide
@@ -60,13 +59,6 @@ class ActionRanking:
     """Order of the legal actions of keyframes."""
 
     def __init__(self, graph: KeyframeGraph, ease: ExecutionHeuristic, solvability: SolvabilityCheck) -> None:
-        """Prepare the ranking.
-
-        Args:
-            graph: keyframes of the structure in the cell.
-            ease: ease of execution, independent of configurations.
-            solvability: legal actions, and those known to keep the target reachable.
-        """
         self.graph, self.ease, self.solvability = graph, ease, solvability
 
     def actions(self, node: Node, attempt: int, rng: np.random.Generator) -> list[int]:
@@ -75,7 +67,6 @@ class ActionRanking:
         Releases are among them, first, only where the abstract plan needs them.
 
         Args:
-            node: the keyframe.
             attempt: number of the search; later ones are perturbed more.
             rng: random generator of the perturbation.
         """
@@ -117,12 +108,6 @@ class FailedActions:
     """
 
     def __init__(self, graph: KeyframeGraph, solvability: SolvabilityCheck) -> None:
-        """Create an empty set.
-
-        Args:
-            graph: keyframe graph, which logs why motions fail.
-            solvability: source of the legal actions.
-        """
         self.graph, self.solvability = graph, solvability
         self._robots: dict[tuple[bytes, int], set[int]] = {}
 
@@ -177,10 +162,6 @@ class FailedActions:
 
     def blamed(self, node: Node, chain: Sequence[Edge]) -> set[int]:
         """Return the holds without which an action that failed at a keyframe might have succeeded.
-
-        Args:
-            node: the keyframe.
-            chain: the edges that lead to it.
 
         Returns:
             Indices of edges.

@@ -38,7 +38,6 @@ def parts_of(task: Task | None, *, continues: bool) -> dict[str, Any]:
     """Return which parts a keyframe graph for a task has to know: those ever in place, and those that ever leave.
 
     Args:
-        task: start and target states.
         continues: whether robots continue an assembly from where they are.
     """
     if task is None:
@@ -58,7 +57,6 @@ class BoundaryMotions:
     """Motions at both ends of the plans of one search; at first there are none."""
 
     def __init__(self, graph: KeyframeGraph) -> None:
-        """Let a graph hold parts in any way, and end anywhere."""
         self.graph = graph
         if graph.given:  # what was learned with these grips may be wrong with others
             graph.joint.forget()

@@ -26,12 +26,6 @@ class ConnectingSearch:
     """Searches for paths to solvable states, with an account of what they cost."""
 
     def __init__(self, oracle: StabilityOracle | HoldingOracle, guide: Guide) -> None:
-        """Begin an account.
-
-        Args:
-            oracle: decides stability.
-            guide: action heuristic.
-        """
         self._oracle, self._guide = oracle, guide
         self.spent = 0
         """Number of verdicts spent."""
@@ -41,7 +35,6 @@ class ConnectingSearch:
         """Return the states from a stable one to the last before a solvable one, all of them stable; None without any.
 
         Args:
-            task: rules of the actions.
             start: a stable state, shape (parts,).
             solvable: keys of the states to reach.
             forbidden: keys of states that no path may contain.

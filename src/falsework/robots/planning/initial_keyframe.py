@@ -61,7 +61,6 @@ def given_keyframe(
     """Return the validated keyframe of given configurations.
 
     Args:
-        graph: keyframes of the structure in the cell.
         state: what stands, and is held; shape (parts,).
         configurations: joint values of the robots, shape (joints,) each; by default their home.
         held: the part that each robot holds in place, or carries if it is not in place.

@@ -62,13 +62,8 @@ class SolvabilityCheck:
         """Create a check in which only the target is known to be solvable.
 
         Args:
-            assembly: the structure.
-            task: task with its rules, free exit directions included.
-            oracle: decides stability.
             guide: action heuristic of the search for the first plan; by default parts with much support go in first.
-            score: action score of rollouts, which are tried before a search for a plan.
             seed: seed of that search.
-            joint: parts that arms cannot hold at the same time.
         """
         self.joint = joint
         self.oracle = oracle if joint is None else HoldingOracle(oracle, joint)
@@ -144,7 +139,6 @@ class SolvabilityCheck:
         """Forbid the state in which the replay of a route collapses, and all states that continue only through it.
 
         Args:
-            route: route whose replay collapses.
             row: index of that state in assembly order.
 
         Returns:

@@ -21,9 +21,7 @@ def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) 
 
     Args:
         rest: motions from where the other one was interrupted, in the same order.
-        begun: the plan that was interrupted.
         done: actions of it that are done, see `Interruption`.
-        assembly: the structure.
 
     Returns:
         The motions of `rest`, with a plan that has the steps that are done too, without motions. And None, or where its

@@ -69,11 +69,6 @@ def grip_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[GripLoad
     sets. In a hand-over each of both grippers is taken to bear all of it. A press is listed at the keyframe after its
     step, alone. Forces grow with the cube of the structure's scale in the cell, and moments with its fourth power.
 
-    Args:
-        plan: the robot plan.
-        assembly: its structure.
-        cell: its cell.
-
     Raises:
         PlanError: the plan is for another structure or cell.
     """

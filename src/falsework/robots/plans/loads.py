@@ -43,8 +43,6 @@ def load_of(plan: RobotPlan, step: int, motion: int | None) -> Load | None:
     """Return the load of a robot in a motion of a step; None without one.
 
     Args:
-        plan: the robot plan.
-        step: index of the step.
         motion: index of the trajectory; None for an action of the gripper.
     """
     entry, part = plan.steps[step], int(plan.actions[step]) - len(plan.plan.boundary)
@@ -73,8 +71,6 @@ def load_at_rest(
     """Return the load of a robot that rests between two motions or actions of its gripper; None without one.
 
     Args:
-        plan: the robot plan.
-        robot: the robot.
         last: step and trajectory before the rest, None as the trajectory of an action of the gripper; None at the
             start.
         following: the same after the rest; None at the end.

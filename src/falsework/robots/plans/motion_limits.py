@@ -47,7 +47,6 @@ def longest_motion(model: RobotModel, speed: float) -> float:
     It follows from the arm, so that neither memory nor time of a check grows with the numbers in a file.
 
     Args:
-        model: the arm.
         speed: share of its velocity limits that motions may use.
     """
     needed = (model.upper - model.lower) / model.velocity + 2 * model.velocity / model.acceleration
@@ -58,8 +57,6 @@ def check_limits(trajectory: Trajectory, model: RobotModel, speed: float) -> Lim
     """Check the limits of a motion at its knots, its exact peaks of speed and acceleration, and its duration.
 
     Args:
-        trajectory: the motion.
-        model: its arm.
         speed: share of the velocity limits that motions may use; of acceleration limits its square.
     """
     # Of plans that are no file: readers refuse such numbers.

@@ -104,12 +104,6 @@ def press_fault(plan: RobotPlan, step: int) -> str:
 def timed_presses(plan: RobotPlan, assembly: Assembly, cell: Cell, graph: TemporalPlanGraph) -> tuple[TimedPress, ...]:
     """Return the presses of a plan in the order of its steps; none for disassembly, in which robots do not press.
 
-    Args:
-        plan: the robot plan.
-        assembly: its structure.
-        cell: its cell.
-        graph: schedule that the times refer to.
-
     Raises:
         PlanError: the plan is for another structure or cell, or its presses cannot be carried out.
     """

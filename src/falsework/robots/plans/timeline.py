@@ -96,8 +96,6 @@ def event_times(plan: RobotPlan, graph: TemporalPlanGraph, stretch: ArrayLike | 
     """Return the time of the event of each step, at which its state is reached, seconds, shape (steps,).
 
     Args:
-        plan: the robot plan.
-        graph: its schedule.
         stretch: as for `TemporalPlanGraph.starts`.
     """
     factor = np.ones(len(graph.nodes)) if stretch is None else np.asarray(stretch, dtype=np.float64)
@@ -185,7 +183,6 @@ def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array |
     """Yield the activity of each arm at an instant of the schedule of a plan.
 
     Args:
-        plan: robot plan with a schedule.
         starts: start time of each node, as `TemporalPlanGraph.starts` returns it.
         moment: seconds from the start of the schedule.
         factor: factor on the duration of each motion, shape (nodes,); 1 by default.

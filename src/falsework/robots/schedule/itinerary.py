@@ -48,12 +48,6 @@ class Itineraries:
     """Itineraries of all arms of a plan."""
 
     def __init__(self, plan: RobotPlan, world: CollisionWorld) -> None:
-        """Divide motions into cells and compute swept bodies.
-
-        Args:
-            plan: the robot plan.
-            world: the cell and the parts.
-        """
         self.plan, self.world = plan, world
         self.nodes, self.events = nodes_of(plan)
         self.bodies = SweptBodies(world)

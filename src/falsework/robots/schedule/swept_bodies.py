@@ -27,7 +27,6 @@ class SweptBodies:
     """Swept bodies in one collision world, with the kinematics and bodies that they need."""
 
     def __init__(self, world: CollisionWorld) -> None:
-        """Create an empty cache."""
         self.world = world
         self._bodies: dict[tuple[int, LoadKey | None], tuple[Chain, Bodies]] = {}
         self._standing: dict[int, Swept] = {}
