@@ -213,20 +213,12 @@ class Place:
         return CellError(f"{self.source}: {self.name(key)} {problem}")
 
     def read(self, kind: type[Kind], values: Any) -> Kind:
-        """Return plain values as a model.
-
-        Raises:
-            CellError: a key that is missing, unknown or wrong.
-        """
+        """Return plain values as a model; CellError for a key that is missing, unknown or wrong."""
         return read_model(kind, values, f"{self.source}: ", CellError, self.where)
 
 
 def pose_of(entry: PoseEntry, place: Place) -> Array:
-    """Return the pose of an entry, shape (4, 4).
-
-    Raises:
-        CellError: yaw beside roll, pitch and yaw.
-    """
+    """Return the pose of an entry, shape (4, 4); CellError if it has yaw beside roll, pitch and yaw."""
     if entry.yaw is not None and entry.rpy is not None:
         raise place.fail("yaw", "is given beside rpy; give one of them")
     made = np.array(pose(entry.position or (0.0, 0.0, 0.0)))

@@ -28,14 +28,9 @@ PLACE_TURNS = 8
 def read_robot(
     values: Any, place: Place, grippers: dict[str, Gripper], folder: Path, faults: list[str] | None = None
 ) -> CellRobot:
-    """Return a robot from its entry in a cell file.
+    """Return a robot from its entry in a cell file; errors as of `load_cell`.
 
-    Args:
-        faults: takes an error of the home, which is then that of the arm; None raises it.
-
-    Raises:
-        CellError: a key that is missing, unknown or wrong.
-        DependencyError: the arm is a URDF file and yourdfpy is missing.
+    `faults` takes an error of the home, which is then that of the arm; None raises it.
     """
     entry = place.read(RobotEntry, values)
     model = _model(entry, place, folder)
@@ -110,11 +105,7 @@ def _changed(urdf: Path, srdf: str | None, joint_limits: str | None) -> tuple[in
 
 
 def _joint_values(given: list[float], place: Place, key: str, model: RobotModel) -> Array:
-    """Return a number for each joint of an arm, shape (joints,).
-
-    Raises:
-        CellError: another number of values; the message has the names of the joints.
-    """
+    """Return a number for each joint of an arm, shape (joints,); the CellError for another number names the joints."""
     if len(given) == model.joints:
         return np.array(given)
     changes = f"; its arm ends at link {model.link_names[-1]}, which tip_link changes"
@@ -131,10 +122,7 @@ def _units(model: RobotModel) -> Array:
 
 
 def _home(given: list[float] | dict[str, float] | str | None, place: Place, model: RobotModel) -> Array:
-    """Return the home joint values: a list or a table by joint, degrees, or the name of a state of the SRDF.
-
-    By default those of the model.
-    """
+    """Return the home joint values: a list or a table by joint, degrees, a state of the SRDF, or those of the model."""
     units, states = _units(model), dict(model.group_states)
     if given is None:
         return model.home

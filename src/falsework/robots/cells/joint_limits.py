@@ -34,11 +34,7 @@ class JointLimits:
 
 
 def read_joint_limits(file: Path, joints: Sequence[str]) -> JointLimits:
-    """Read the limits of some joints.
-
-    Args:
-        file: YAML file with `joint_limits` by joint, as MoveIt and the packages of robot makers have it.
-        joints: names of the joints of the arm.
+    """Read the limits of some joints from a YAML file with `joint_limits` by joint, as MoveIt has it.
 
     Raises:
         CellError: the file cannot be read, or a limit is no number above zero; the message names file and joint.

@@ -78,11 +78,9 @@ class Arm:
 def new_cell(
     arms: Sequence[Arm], folder: Path, *, gripper: GripperKind = "suction", assembly: Assembly | None = None
 ) -> str:
-    """Return the text of a cell file with some arms.
+    """Return the text of a cell file with some arms, evenly spaced around the structure, whose middle they face.
 
-    Args:
-        arms: the arms; their bases are evenly spaced around the structure, and face its middle.
-        assembly: the structure; bases and homes are clear of it. Without it the origin is in the middle.
+    Bases and homes are clear of the structure; without one the origin is in the middle.
 
     Raises:
         CellError: no arms, two of the same name, or one that cannot be read.

@@ -17,11 +17,7 @@ Element = ElementTree.Element
 
 
 def read_srdf(srdf: Path) -> Element:
-    """Return the root element of an SRDF.
-
-    Raises:
-        CellError: the file cannot be read.
-    """
+    """Return the root element of an SRDF; CellError if the file cannot be read."""
     try:
         return ElementTree.parse(srdf).getroot()
     except (ElementTree.ParseError, OSError, ValueError) as error:
@@ -32,12 +28,6 @@ def group_states(srdf: Path, root: Element, joints: Sequence[str]) -> tuple[dict
     """Return the named configurations that give every joint of an arm a value, and notes on the others.
 
     States of several groups that have the same name, such as `home` of the arm and of the hand, are one.
-
-    Args:
-        joints: names of the joints of the arm.
-
-    Raises:
-        CellError: a value is no number.
     """
     values: dict[str, dict[str, float]] = {}
     for state in root.iter("group_state"):
@@ -69,12 +59,8 @@ def excluded_pairs(
 ) -> tuple[set[tuple[int, int]], list[str]]:
     """Return pairs of moving links that an SRDF excludes from collision checking, and what of it is not used.
 
-    Links that move together are one body of the arm. Two bodies are excluded only if every shape of one is excluded
-    against every shape of the other.
-
-    Args:
-        carried: for each moving link, the links with shapes that move with it.
-        links: names of all links of the URDF.
+    `carried` has the links with shapes that move with each moving link as one body. Two bodies are excluded only if
+    every shape of one is excluded against every shape of the other.
     """
     known = set(links)
     named = [(entry.get("link1", ""), entry.get("link2", "")) for entry in root.iter("disable_collisions")]

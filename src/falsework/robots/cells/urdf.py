@@ -234,12 +234,7 @@ def always_touching(model: RobotModel) -> set[tuple[int, int]]:
 
 
 def parse_urdf(file: Path) -> Any:
-    """Return the robot of a URDF as yourdfpy reads it, without meshes.
-
-    Raises:
-        CellError: the file is not readable.
-        DependencyError: yourdfpy is missing.
-    """
+    """Return the robot of a URDF as yourdfpy reads it, without meshes; CellError if it does not."""
     try:
         import yourdfpy
     except ImportError as error:
@@ -285,11 +280,7 @@ def _chain(file: Path, below: dict[str, Any], root: str, end: str) -> list[Any]:
 
 
 def carrier_of(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Array]]) -> tuple[int, Array] | None:
-    """Return the frame that carries a link and the pose of the link in it; joints off the chain stay at zero.
-
-    Args:
-        below: joint above each link, by its name.
-    """
+    """Return the frame that carries a link and the pose of the link in it; joints off the chain stay at zero."""
     pose = np.eye(4)
     while name not in frame_of:
         if name not in below:

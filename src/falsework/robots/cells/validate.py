@@ -37,12 +37,9 @@ def check_cell(cell: Cell, parts: PartShapes | None = None) -> None:
 
 
 def check_bases(cell: Cell, parts: PartShapes | None = None) -> None:
-    """Validate that bases stand clear of obstacles, parts, other bases and the floor.
+    """Raise CellError unless bases stand clear of obstacles, parts, other bases and the floor.
 
     A base whose own frame is upright on the floor stands on it, whatever its shapes do below that frame.
-
-    Raises:
-        CellError: one does not; the message names both.
     """
     stands = [(f"obstacle {obstacle.name}", obstacle.pieces) for obstacle in cell.obstacles]
     if parts is not None:

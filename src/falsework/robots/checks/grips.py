@@ -32,12 +32,7 @@ class GripChecker:
         return self.judge.flange(robot, configuration) @ self.cell.robots[robot].gripper.tool
 
     def fault(self, robot: int, configuration: Array, part: int, pose: Array | None = None) -> str:
-        """Return why a robot does not grip a part; empty if it does.
-
-        Args:
-            configuration: its joint values, shape (joints,).
-            pose: its displacement from there, shape (4, 4); by default it is in place.
-        """
+        """Return why a robot does not grip a part that is at its place, or displaced by a pose; empty if it does."""
         key = (robot, part, configuration.tobytes(), b"" if pose is None else pose.tobytes())
         if key not in self._known:
             self._known[key] = self._fault(robot, configuration, part, pose)
@@ -58,13 +53,7 @@ class GripChecker:
 
 
 def surface_fault(gripper: Gripper, tool: Array, triangles: Array, name: str) -> str:
-    """Return why a gripper does not meet the surface of a part as it must; empty if it does.
-
-    Args:
-        tool: pose of its tool frame, shape (4, 4).
-        triangles: the surface, outward, shape (triangles, 3, 3).
-        name: name of the part.
-    """
+    """Return why a gripper at a tool frame does not meet the surface of a part as it must; empty if it does."""
     return (_cup_fault if gripper.kind == "suction" else _jaw_fault)(gripper, tool, triangles, name)
 
 

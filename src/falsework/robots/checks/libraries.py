@@ -8,11 +8,7 @@ from falsework.errors import DependencyError
 
 
 def import_pinocchio() -> tuple[Any, Any]:
-    """Return the modules Pinocchio and Coal.
-
-    Raises:
-        DependencyError: not installed; the message names the extra.
-    """
+    """Return the modules Pinocchio and Coal; DependencyError without them."""
     try:
         import coal
         import pinocchio

@@ -79,11 +79,7 @@ class PinocchioCollisionChecker:
     """Cell and parts of a structure as models of Pinocchio and Coal."""
 
     def __init__(self, cell: Cell, parts: PartShapes, tolerance: float) -> None:
-        """Build shapes and kinematics.
-
-        Args:
-            tolerance: distance by which a part is shrunk where it may touch its neighbours, metres.
-        """
+        """Let parts that may touch their neighbours be shrunk by a tolerance, metres."""
         self.cell, self.parts, self.tolerance = cell, parts, tolerance
         pinocchio, coal = import_pinocchio()
         self._pin, self._coal = pinocchio, coal

@@ -28,9 +28,6 @@ def put_down_faults(
     """Yield why the part of a step does not lie free and at rest on the floor within reach, and which bodies collide.
 
     Robots beside it are checked with the motions meanwhile.
-
-    Args:
-        present: parts in place, shape (parts,).
     """
     step, lying, judge = plan.steps[index], lying_motions(plan, index), grips.judge
     part, pose = int(plan.actions[index]) - len(plan.plan.boundary), step.put_down
@@ -57,13 +54,7 @@ def put_down_faults(
 
 
 def unrest(corners: Array, center: Array, floor: float | None) -> str:
-    """Return why a part would not rest on the floor; empty if it stands on a face of some width.
-
-    Args:
-        corners: its vertices, shape (vertices, 3).
-        center: its centre of mass, shape (3,).
-        floor: height of the floor; None: there is none.
-    """
+    """Return why a part would not rest on a floor at a height, which may be None; empty if it stands on a face."""
     if floor is None:
         return "the cell has no floor"
     gap = float(corners[:, 2].min()) - floor

@@ -69,14 +69,7 @@ class BodyPath:
         trajectory: Trajectory | None,
         robot: int,
     ) -> None:
-        """Bound what each body moves.
-
-        Args:
-            bodies: bodies of an arm, or of none.
-            shapes: their shapes.
-            values: configuration of a rest, shape (joints,).
-            trajectory: the motion; None: a rest.
-        """
+        """Bound what bodies of an arm, or of none, move in a motion, or at rest in a configuration, shape (joints,)."""
         self.names, self.shapes = tuple(body.name for body in bodies), shapes
         self.radii = np.array([shape.radius for shape in shapes])
         self._judge, self._robot, self._trajectory = judge, robot, trajectory
@@ -156,12 +149,7 @@ class SeparationProver:
     def meeting(
         self, one: BodyPath, other: BodyPath, one_range: tuple[float, float], other_range: tuple[float, float]
     ) -> Meeting | None:
-        """Return positions at which bodies of two paths meet; None where they are proven to keep apart.
-
-        Args:
-            one, other: the paths.
-            one_range, other_range: positions on each between which they can be.
-        """
+        """Return positions in ranges of two paths at which bodies meet; None where they are proven to keep apart."""
         first, second = np.indices((len(one.names), len(other.names))).reshape(2, -1)
         left = [(*one_range, *other_range, first, second)]
         while left:

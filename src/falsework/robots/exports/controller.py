@@ -22,11 +22,7 @@ _SIGNALS: dict[Language, tuple[str, str]] = {
 
 
 def check_makers(cell: Cell, language: Language) -> None:
-    """Refuse programs for arms whose controllers do not run them.
-
-    Raises:
-        InputError: an arm is of another maker, or of an unknown one; the message names it.
-    """
+    """Raise InputError if arms are not, or not known to be, of the maker whose controllers run a language."""
     wanted = MAKERS[language]
     for robot in cell.robots:
         maker, _ = maker_of(robot)
@@ -44,11 +40,7 @@ def check_makers(cell: Cell, language: Language) -> None:
 
 
 def grip_signal(robot: CellRobot, name: str, language: Language) -> str:
-    """Return the output that closes the gripper of a robot with a name in a program.
-
-    Raises:
-        InputError: the cell names an output that the language does not have.
-    """
+    """Return the output that closes the gripper of a robot; InputError if the language does not have it."""
     standard = f"do_{name}_grip" if language == "rapid" else "standard 0"
     given = robot.signals.grip or standard
     pattern, example = _SIGNALS[language]
@@ -83,11 +75,7 @@ def program_notes(cell: Cell, language: Language) -> list[str]:
 
 
 def controller_settings(plan: RobotPlan, cell: Cell, robot: int, language: Language) -> list[str]:
-    """Return what must be set up at the controller of a robot for its program, each in one line.
-
-    Raises:
-        InputError: as `grip_signal`.
-    """
+    """Return what must be set up at the controller of a robot for its program, each in one line."""
     names = program_names(plan)
     entry, level = cell.robots[robot], int(cell.robots[robot].signals.closed)
     output = grip_signal(entry, names[robot], language)

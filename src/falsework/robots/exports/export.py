@@ -141,11 +141,7 @@ def _needed(cell: AnyCell | None) -> Cell:
 
 
 def _presses(plan: RobotPlan, structure: AnyStructure | None, cell: Cell | None, form: str) -> tuple[TimedPress, ...]:
-    """Return the presses of a plan, at the times of its schedule in a bag, else at those of one motion after the other.
-
-    Raises:
-        PlanError: structure or cell are missing, or a gripper of the cell bears less.
-    """
+    """Return the presses of a plan, at the times of its schedule in a bag, else of one motion after the other."""
     if not has_presses(plan):
         return ()
     if structure is None or cell is None:

@@ -113,11 +113,7 @@ def write_bag(
 ) -> int:
     """Write the motions of a robot plan as an MCAP bag, and return the number of messages.
 
-    Args:
-        plan: robot plan; without a schedule its motions are sequential.
-        placed: the parts with their shapes; without them the planning scene has only their names.
-        presses: of the plan, at the times of its schedule: set points of the wrench at the flange of an arm, zero from
-            the end of a press on.
+    Presses, at the times of the schedule, are set points of the wrench at the flange of an arm, zero from their end on.
 
     Raises:
         DependencyError: mcap or rosbags is missing.

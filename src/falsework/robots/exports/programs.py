@@ -48,14 +48,11 @@ _UR_LIMITS = (0.005, 0.005, 0.01, 0.05, 0.05, 0.05)
 def rapid_modules(
     plan: RobotPlan, cell: Cell, presses: Sequence[TimedPress] = (), loads: PartLoads | None = None
 ) -> Iterator[tuple[str, str]]:
-    """Yield file names and RAPID modules, one for each arm.
+    """Yield file names and RAPID modules, one for each arm, with the loads of carried parts if given.
 
     Knots become joint targets in degrees for `MoveAbsJ` with the durations of the plan. An arm sets the
     group output `go_NAME_count`, and reads those of others as `gi_NAME_count`. An arm that presses moves its set point
     by force and moment over its stiffness, on a slow line from where it holds the part, and stays there.
-
-    Args:
-        loads: of carried parts; None leaves them out.
 
     Raises:
         InputError: an arm with another number of joints than 6 or 7, too many motions for 16 bits, or an output that is
@@ -144,20 +141,12 @@ def rapid_modules(
 def ur_scripts(
     plan: RobotPlan, cell: Cell, rate: float, presses: Sequence[TimedPress] = (), loads: PartLoads | None = None
 ) -> Iterator[tuple[str, str]]:
-    """Yield file names and URScript programs, one for each arm.
+    """Yield file names and URScript programs, one for each arm, as `rapid_modules`.
 
     Motions are positions at a fixed rate for `servoj`, with a `movej` to the last of each. An arm writes its count to
     register 128 of its controller; others read it there over Modbus TCP, at the address in the first lines. An arm that
     presses controls the force along its direction, from what the sensor measures before on, and keeps its position
     across it; moments are not commanded.
-
-    Args:
-        plan, cell, presses, loads: as of `rapid_modules`.
-        rate: positions per second.
-
-    Raises:
-        InputError: an arm with another number of joints than 6, too many motions for 16 bits, or an output that a UR
-            controller does not have.
     """
     names = _names(plan, presses)
     for robot, name in enumerate(names):

@@ -31,13 +31,7 @@ NANO = 1_000_000_000
 
 
 def joint_trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory, prefix: str = "") -> dict[str, Any]:
-    """Return a trajectory of a robot as a `trajectory_msgs/JointTrajectory` message of plain values.
-
-    `{robot}` in the prefix of the names of joints stands for the name of the robot.
-
-    Raises:
-        InputError: a prefix with other braces.
-    """
+    """Return a trajectory of a robot as a `trajectory_msgs/JointTrajectory` message of plain values."""
     record = plan.robots[robot]
     return {
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": record.name},
@@ -58,7 +52,7 @@ def joint_trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory, prefix
 
 
 def joint_names(plan: RobotPlan, robot: int, prefix: str) -> list[str]:
-    """Return the names of the joints of a robot with a prefix, as for `joint_trajectory`.
+    """Return the names of the joints of a robot with a prefix, in which `{robot}` stands for the name of the robot.
 
     Raises:
         InputError: a prefix with other braces.
@@ -183,11 +177,7 @@ def _json(value: Any) -> str:
 
 
 def _yaml(value: Any) -> str:
-    """Return plain values as YAML, lists of numbers in one line.
-
-    Raises:
-        DependencyError: PyYAML is not installed.
-    """
+    """Return plain values as YAML, lists of numbers in one line."""
     try:
         import yaml
     except ImportError:

@@ -40,9 +40,9 @@ class ExitDirections:
         """Compute the blocking parts of every part and direction.
 
         Args:
+            assembly: the structure.
             turn: rotation from its frame to the world, shape (3, 3).
-            present: parts that are ever in place, all by default: others need no fan and block none, shape (parts,).
-            leaving: parts that ever leave, all by default: others need no fan either, shape (parts,).
+            present, leaving: parts that are ever in place, and that ever leave, all by default: others need no fan.
         """
         known = assembly.clearance
         _, overlap = assembly.contact_settings.lengths(assembly.meshes)

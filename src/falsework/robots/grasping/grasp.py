@@ -76,16 +76,10 @@ def grasps(
     *,
     limit: int = 64,
 ) -> list[Grasp]:
-    """Return grasps of a part among the present parts, best first; the arm is not considered.
+    """Return grasps of a part among the present parts, a mask or a state, best first; the arm is not considered.
 
     The gripper keeps clear of all other parts on the last segment of its approach and at the part. The list is
     deterministic: the best faces first, each at one rotation about its normal, then at the next.
-
-    Args:
-        assembly: the structure; its clearance table gives the exit directions of the part.
-        present: present parts: a mask or a state, shape (parts,).
-        robot: robot with the gripper; a part heavier than its payload has no grasp.
-        limit: largest number of returned grasps.
 
     Raises:
         StateError: another number of parts, or no such part.
@@ -117,11 +111,7 @@ def candidates(assembly: Assembly, parts: PartShapes, part: int, gripper: Grippe
 
 
 def grasp_fault(parts: PartShapes, part: int, gripper: Gripper, *, blocked: bool) -> str:
-    """Return in words why a gripper has no grasp of a part, with its own size and that of the part.
-
-    Args:
-        blocked: whether it has grasps of the part alone.
-    """
+    """Return in words why a gripper has no grasp of a part, which may be `blocked` by others, with both their sizes."""
     what = "no face that the gripper can grasp"
     if blocked:
         what = f"{what} among the other parts, which leave it no room"
@@ -158,12 +148,7 @@ def _width(face: Face, other: Face) -> float:
 def clear_grasps(
     tried: Sequence[Grasp], parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper, *, limit: int
 ) -> list[Grasp]:
-    """Return the first grasps of a part with which the gripper keeps clear of the other parts that are there.
-
-    Args:
-        there: present parts, shape (parts,).
-        limit: largest number of returned grasps.
-    """
+    """Return the first grasps of a part with which the gripper keeps clear of other parts, those of a mask (parts,)."""
     found: list[Grasp] = []
     open_ways = _free_approaches(parts, part, there, gripper)
     while tried and len(found) < limit:

@@ -16,12 +16,7 @@ from falsework.robots.model.shapes import move
 
 
 def check_picture(path: Path) -> None:
-    """Check before any work that a picture can be written.
-
-    Raises:
-        DependencyError: matplotlib is missing.
-        InputError: an ending that is not a picture format, or no such folder.
-    """
+    """Raise DependencyError or InputError, before any work, unless a picture can be written."""
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
@@ -33,11 +28,7 @@ def check_picture(path: Path) -> None:
 
 
 def draw_reach(cell: Cell, parts: PartShapes, table: ReachTable, path: Path) -> None:
-    """Draw parts from above, coloured by the number of robots that reach them, and the circle of each robot's reach.
-
-    Args:
-        path: picture to write; an existing file is replaced.
-    """
+    """Draw parts from above, coloured by the number of robots that reach them, and the circle of each robot's reach."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -28,12 +28,7 @@ class NextSteps:
     def __init__(
         self, work: Work, oracle: StabilityOracle, units: Sequence[Unit], legal: Callable[[States], Sequence[int]]
     ) -> None:
-        """Know no steps but those of the plan.
-
-        Args:
-            units: units of the plan.
-            legal: actions that the rules of the task allow in a state, releases aside.
-        """
+        """Know no steps but those of the plan; `legal` are actions that the rules allow in a state, releases aside."""
         self.work, self.graph, self.oracle, self.legal = work, work.graph, oracle, legal
         self.parts = self.graph.assembly.part_count
         self._replacements: dict[tuple[int, int], Unit | None] = {(unit.job, unit.robot): unit for unit in units}

@@ -78,8 +78,7 @@ class Partial(NamedTuple):
     def score(self, hold: float) -> float:
         """Return a lower bound on the makespan, apart from waits for other robots, and a share of the mean end.
 
-        Args:
-            hold: duration of a hold, which a robot that holds nothing can do before the next change of the state.
+        A robot that holds nothing can do a hold, of some duration, before the next change of the state.
         """
         return bound(self.free, self.ahead, self.event, [0.0 if entry else hold for entry in self.begun])
 
@@ -146,11 +145,8 @@ def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit, *, build
     """Return an order with one more step, whose motions begin as early as all before it allow.
 
     A removal changes the state as its first motion begins; executed backwards, an insertion as that motion ends, and
-    nothing else may change the state meanwhile.
-
-    Args:
-        owner: the unit with the same job whose duration is part of what is left.
-        builds: whether the order is executed backwards, as an assembly; times then count from its end.
+    nothing else may change the state meanwhile; times then count from the end. `owner` is the unit with the same job
+    whose duration is part of what is left.
     """
     unit, robot, edge = step.unit, step.unit.robot, step.unit.edges[step.place]
     parts = len(partial.node.state)

@@ -49,10 +49,7 @@ def reorder(
 ) -> list[Edge]:
     """Return the edges of a plan in an order, and with the robots, that allow a shorter schedule.
 
-    Args:
-        legal: actions that the rules of the task allow in a state, releases aside.
-        stop: tells when to end with the order found so far.
-        builds: whether the plan is executed as an assembly, backwards.
+    `legal` are actions that the rules allow in a state, releases aside; a plan that `builds` is executed backwards.
     """
     search = OrderSearch(Work(graph, dict(timed)), oracle, root, chain, legal=legal, stop=stop, builds=builds)
     while True:  # a step that fails is excluded in its state, so this ends

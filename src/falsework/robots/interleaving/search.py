@@ -63,13 +63,7 @@ class OrderSearch:
         stop: Callable[[], bool],
         builds: bool = False,
     ) -> None:
-        """Prepare the search.
-
-        Args:
-            legal: actions that the rules of the task allow in a state, releases aside.
-            stop: tells when to end with the order found so far.
-            builds: whether the plan is executed backwards, as an assembly.
-        """
+        """Prepare the search, as `reorder` takes its arguments."""
         self.builds = builds
         self.work, self.graph = work, work.graph
         self.root, self.legal, self.stop = root, legal, stop
@@ -118,11 +112,7 @@ class OrderSearch:
         return extended(self.work, partial, step, self.units[step.unit.job], builds=self.builds)
 
     def run(self, seed: int = 0) -> None:
-        """Find a better order.
-
-        Args:
-            seed: seed of the windows that lead to worse orders.
-        """
+        """Find a better order, with a seed of the windows that lead to worse orders."""
         rng, steps = np.random.default_rng(seed), len(self.best) - 1
         windows = [(first, size) for size in _LENGTHS for first in range(max(steps - size, 1))]
         self.improve(0, steps, own=1, others=0)  # first the sequences of the arms are merged, each as it is
@@ -198,10 +188,8 @@ class OrderSearch:
     ) -> bool:
         """Search some steps of the best order again; return whether another order was found.
 
-        Args:
-            size: number of steps, as far as there are so many.
-            far: units from behind the end that may be taken too.
-            worse: share by which an order that was not the best one before may be worse; by default it must be better.
+        `far` are units from behind the end that may be taken too. An order that was not the best one before may be
+        `worse` by a share; by default it must be better.
         """
         last, cost = min(first + size, len(self.best) - 1), self.cost
         futile = self._futile.setdefault(_signature(self.best[-1]), set())
@@ -240,10 +228,7 @@ class OrderSearch:
         return all(actions[-len(last) :] != last for last in self.fallen)
 
     def _stands(self, order: Partial) -> bool:
-        """Return whether the states of an order are stable, and where it is the best so far its replay; note failures.
-
-        The replay is in the order of assembly.
-        """
+        """Return whether the states of an order are stable, and if it is the best so far its replay; note failures."""
         states, actions = [self.root.state], [step.action for step in order.steps if not step.hands_over]
         for action in actions:
             states.append(state_after(states[-1], action))

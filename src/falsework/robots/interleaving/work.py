@@ -147,11 +147,7 @@ class Work:
         return Unit(job, edges[0].robot, edges[0].action % parts, edges, legs, movable)
 
     def replacement(self, job: int, node: Node, part: int, robot: int, rests: Sequence[ArmSweep]) -> Unit | None:
-        """Return the unit of another arm that takes a part at a keyframe; None if it cannot.
-
-        Args:
-            job: index of the unit that it replaces.
-        """
+        """Return the unit of another arm that takes a part at a keyframe; None if it cannot."""
         hold = next(self.graph.holds(node, part, robot), None)
         removal = None if hold is None else next(self.graph.edges(hold.node, len(node.state) + part), None)
         if hold is None or removal is None or removal.put_down is not None:
@@ -184,11 +180,9 @@ class Work:
         *,
         on_way: bool,
     ) -> Leg | None:
-        """Return a motion that was planned at a keyframe; None for one of zero length.
+        """Return a motion that was planned at a keyframe, clear of arms at rest; None for one of zero length.
 
-        Args:
-            rests: bodies of all arms there, which the motion is known to keep clear of.
-            on_way: whether the arm carries the part beyond its end.
+        `on_way`: the arm carries the part beyond its end.
         """
         cell = self.graph.cell
         if segment not in self.timed:
@@ -221,10 +215,7 @@ class Work:
         return [self.rest(robot, values) for robot, values in enumerate(node.configurations)]
 
     def wait(self, leg: Leg, other: ArmSweep) -> Wait:
-        """Return how long a motion has to wait for what another arm did before.
-
-        Neither the motion nor the rest after it is then in conflict with it.
-        """
+        """Return how long a motion, and the rest after it, has to wait for what another arm did before."""
         found = leg.waits.get(other)
         if found is None:
             forward, backward = NO_WAIT
@@ -241,11 +232,7 @@ class Work:
         return found
 
     def blocked(self, leg: Leg, parts: int) -> bool:
-        """Return whether a motion is in conflict with one of some parts in place that were absent where it was planned.
-
-        Args:
-            parts: the parts, as bits.
-        """
+        """Return whether a motion is in conflict with one of some parts, as bits, absent where it was planned."""
         return self.meets(leg, parts) < np.inf
 
     def meets(self, leg: Leg, parts: int) -> float:

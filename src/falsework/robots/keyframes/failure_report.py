@@ -90,13 +90,7 @@ class Explanation:
 
 
 def describe_failure(what: str, route: Route, row: int, names: Sequence[str], plans: int = 0) -> str:
-    """Return in words where the structure collapses in the replay of a plan.
-
-    Args:
-        what: name of the plan.
-        row: number of the state in assembly order.
-        names: names of the parts.
-    """
+    """Return in words at which state, numbered in assembly order, the structure collapses in the replay of a plan."""
     place = "in the first state"
     if row:
         before, after = route.states[::-1][row - 1 : row + 1]
@@ -119,17 +113,9 @@ def explain(
     limit: str = "",
     abstract: bool = False,
 ) -> Explanation:
-    """Describe the failures of a search.
+    """Describe the failures of a search; `tried` has the actions that failed where it got farthest, with counts.
 
-    Args:
-        outcome: outcome of the search.
-        reached: steps of the longest plan that was found.
-        tried: actions that failed where the search got farthest, as kind and part, with counts.
-        robots: names of the robots.
-        names: names of the parts.
-        unreachable: parts that no robot can hold even when they are alone.
-        limit: limit that ended the search.
-        abstract: whether even a plan without motions is missing.
+    `limit` is what ended the search; `abstract`: even a plan without motions is missing.
     """
     hopeless = max(tried, key=lambda key: (tried[key], -key[1])) if tried else None
     focus = {(kind, part) for kind, part in tried} | {("hold", part) for part in unreachable}

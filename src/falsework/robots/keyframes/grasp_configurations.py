@@ -73,11 +73,7 @@ class GraspConfigurations:
         held: tuple[int | None, ...],
         count: int,
     ) -> list[GraspConfiguration]:
-        """Return the grasps to try, best first: near the robot's configuration, and away from other arms.
-
-        Args:
-            count: largest number of returned grasps.
-        """
+        """Return the grasps to try, best first: near the robot's configuration, and away from other arms."""
         if not grips:
             return []
         room = self._room(grips, robot, scene.configurations, held)

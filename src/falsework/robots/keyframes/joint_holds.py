@@ -35,12 +35,7 @@ class JointHolds:
     """
 
     def __init__(self, grips: GraspConfigurations, usable: Usable) -> None:
-        """Create an empty set.
-
-        Args:
-            usable: whether an arm can approach a grasp, and the part leave with it later, among the parts of a state;
-                other grasps do not count.
-        """
+        """Compare only grasps that are usable: an arm can approach them, and the part leave with them later."""
         self.grips, self.cell, self._usable = grips, grips.cell, usable
         self.rivals: set[Group] = set()
         """Groups that could not be held at the same time."""
@@ -83,11 +78,7 @@ class JointHolds:
         self._excluded[tuple(sorted(parts))].append(state != REMOVED)
 
     def learn_from(self, states: States) -> bool:
-        """Compare the grasps of all rivals that are held together in some states; return whether that excludes any.
-
-        Args:
-            states: shape (batch, parts).
-        """
+        """Compare the grasps of rivals held together in states, (batch, parts); return whether that excludes any."""
         new = False
         for state in states:
             held = set(np.flatnonzero(state == HELD).tolist())

@@ -69,14 +69,9 @@ class KeyframeGraph:
         present: NDArray[np.bool_] | None = None,
         leaving: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Create an empty graph.
+        """Create an empty graph; the seed is that of the free motions.
 
-        Args:
-            settings: limits on candidates.
-            seed: seed of the free motions.
-            parts: the parts as bodies in the cell, if already available.
-            present: parts that are ever in place, all by default, shape (parts,).
-            leaving: parts that are ever removed, all by default, shape (parts,).
+        `present` and `leaving` are parts that are ever in place, and that ever leave, shape (parts,); all by default.
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
         self.allow_regrasp = False
@@ -224,14 +219,9 @@ class KeyframeGraph:
         lasting: bool = True,
         grips: list[GraspConfiguration] | None = None,
     ) -> Iterator[Edge]:
-        """Yield edges on which a robot that holds nothing holds a part.
+        """Yield edges on which a robot that holds nothing holds a part, with some grasps, all by default.
 
-        Args:
-            node: the keyframe.
-            part: the part.
-            robot: the robot.
-            lasting: only with grasps with which the part can leave later.
-            grips: the grasps to choose from, all by default.
+        `lasting`: only with grasps with which the part can leave later.
         """
         grips = self.grips(robot, part, node.state) if grips is None else grips
         if node.changed:
@@ -288,10 +278,7 @@ class KeyframeGraph:
         return None
 
     def _usable(self, grip: GraspConfiguration, part: int, state: States) -> bool:
-        """Return whether an arm can approach a grasp, and the part leave with it later, if no other arm is near.
-
-        With releases it need not be able to leave.
-        """
+        """Return whether an arm can approach a grasp, and the part leave with it or be released, without other arms."""
         key = (grip.robot, part, grip.configuration.tobytes(), state.tobytes(), self.allow_regrasp, part in self.given)
         if key not in self._alone:
             alone = self.start(state, self.cell.homes, (None,) * self.cell.robot_count)

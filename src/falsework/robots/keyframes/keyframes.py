@@ -105,12 +105,7 @@ class Node:
         return replace(self, configurations=tuple(configurations), carried=kept)
 
     def after(self, action: int, robot: int, values: Array) -> Node:
-        """Return the keyframe after an action, or after half of a hand-over of a part that another robot holds.
-
-        Args:
-            action: as of `state_after`; in a hand-over the part.
-            values: its configuration then, shape (joints,).
-        """
+        """Return the keyframe after an action as of `state_after`, or half of a hand-over of a held part."""
         configurations, held = list(self.configurations), list(self.held)
         configurations[robot] = np.asarray(values)
         if action in held[:robot] + held[robot + 1 :]:

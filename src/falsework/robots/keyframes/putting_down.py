@@ -80,11 +80,7 @@ class PuttingDown:
     def __init__(
         self, assembly: Assembly, cache: MotionCache, reasons: FailureLog, grips: GraspConfigurations, retreat: Retreat
     ) -> None:
-        """Find motions in the scenes of `cache`, and log to `reasons` why there are none.
-
-        Args:
-            retreat: finds the line on which a gripper leaves a part, as `KeyframeGraph` does.
-        """
+        """Log to `reasons` why there are no motions; `retreat` is that of the keyframe graph."""
         self.assembly, self.cache, self.reasons, self._grips, self._retreat = assembly, cache, reasons, grips, retreat
         self.cell, self.parts = cache.world.cell, cache.world.parts
         self._faces: dict[int, list[Array]] = {}
@@ -92,9 +88,7 @@ class PuttingDown:
     def detour(self, part: int, robot: int, here: Array, end: Array, scene: Scene) -> Detour | None:
         """Return a detour for a part that a robot has withdrawn but cannot deliver; None if none is found.
 
-        Args:
-            here: its configuration while the part was in place, shape (joints,).
-            end: its configuration after the withdrawal, shape (joints,).
+        `here` and `end` are its configurations before and after the withdrawal; in the scene the part is carried.
         """
         if self.cell.floor is None:
             return None

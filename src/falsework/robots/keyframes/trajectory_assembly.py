@@ -41,13 +41,7 @@ def make_robot_plan(
 ) -> RobotPlan:
     """Certify the states along a chain of edges and compute its trajectories, in the order of disassembly.
 
-    Args:
-        chain: an edge for every action and every transit, and two for each hand-over.
-        forces: whether to keep the contact forces in the plan.
-        timed: cache of trajectories; missing ones are added.
-
-    Raises:
-        PlanError: a state that cannot be proved stable.
+    `timed` caches trajectories. PlanError if a state cannot be proved stable.
     """
     abstract = prove_route(route_along(root, chain), assembly, task, oracle, forces=forces)
     timed = {} if timed is None else timed

@@ -42,12 +42,9 @@ class Withdrawal:
     def lines(
         self, scene: Scene, part: int, robot: int, here: Array, directions: Array, what: str
     ) -> Iterator[tuple[tuple[Array, ...], Scene]]:
-        """Yield withdrawal paths of a part, each with the scene in which it is carried; computed on demand.
+        """Yield withdrawal paths of a part from a configuration, each with the scene in which it is carried, on demand.
 
-        Args:
-            here: its configuration, shape (joints,).
-            directions: free exit directions in the world, shape (n, 3).
-            what: name of the motion in logged reasons.
+        `directions` are free exit directions in the world, shape (n, 3); `what` names the motion in logged reasons.
         """
         tool = tool_pose(self.cell.robots[robot], here)
         scene = scene.with_configuration(robot, here).with_attached(robot, part, tool)
@@ -86,10 +83,7 @@ class Withdrawal:
                 yield (tight,), scene
 
     def delivery(self, part: int, robot: int, start: Array, scene: Scene) -> PathSegment | None:
-        """Return the motion of a robot with a part to the nearest free drop-off configuration; None without one.
-
-        It starts from a configuration, shape (joints,), in the scene in which the part is carried.
-        """
+        """Return the motion of a robot with a part to the nearest free drop-off configuration; None without one."""
         entry = self.cell.robots[robot]
         view = self.cache.view(scene, robot)
         places = self.grips.places(robot)

@@ -70,11 +70,7 @@ def inverse(robot: CellRobot, tools: ArrayLike) -> list[Array]:
 
 
 def inverse_flange(model: RobotModel, flanges: ArrayLike) -> list[Array]:
-    """Solve as `inverse` does for flange poses in the base frame, shape (4, 4) or (batch, 4, 4).
-
-    Raises:
-        InputError: no poses.
-    """
+    """Solve as `inverse` does for flange poses in the base frame, shape (4, 4) or (batch, 4, 4)."""
     targets = np.ascontiguousarray(np.asarray(flanges, dtype=np.float64).reshape(-1, 4, 4))
     if not np.isfinite(targets).all():
         raise InputError("a pose holds a value that is not finite")

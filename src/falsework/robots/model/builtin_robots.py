@@ -29,11 +29,7 @@ _FLANGES = {"x": np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0
 
 
 def builtin_robot(name: str) -> RobotModel:
-    """Return an arm by name.
-
-    Raises:
-        InputError: no such arm; the message lists the available ones.
-    """
+    """Return an arm by name; the InputError for another name lists the available ones."""
     if name not in BUILTIN:
         raise InputError(
             f"no built-in robot {name!r}; there are {', '.join(sorted(BUILTIN))}, or give the path of a URDF"

@@ -70,20 +70,12 @@ class _Cut:
 
 
 def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = MAX_PIECES) -> Pieces:
-    """Return convex pieces whose union contains the solid that a mesh encloses.
+    """Return at most some convex pieces whose union contains the solid that a mesh encloses.
 
     The solid is cut by planes, in each step where that reduces the volume of the convex hulls most, until together
-    they exceed the solid by at most `tolerance`. Every piece is the hull of what it covers, so no part of the solid is
-    ever outside; where the limit of pieces is reached first, or a surface is curved, the cover is larger than the
-    solid and motions keep a larger distance than necessary.
-
-    Args:
-        mesh: closed mesh with outward normals.
-        tolerance: share of the volume by which the pieces may exceed the solid.
-        pieces: largest number of pieces.
-
-    Raises:
-        InputError: the mesh spans no volume.
+    they exceed the solid by at most the share `tolerance`. Every piece is the hull of what it covers, so no part of the
+    solid is ever outside; where the limit of pieces is reached first, or a surface is curved, the cover is larger than
+    the solid and motions keep a larger distance than necessary. InputError if the mesh spans no volume.
     """
     corners = hull(mesh.vertices)
     start = _Cut(mesh.triangles, (), corners, float(ConvexHull(corners).volume))

@@ -41,15 +41,7 @@ class PartShapes:
 
 
 def place_parts(assembly: Assembly, placement: Placement = Placement(), *, tolerance: float = 0.05) -> PartShapes:
-    """Place the parts of a structure in a cell.
-
-    Args:
-        placement: its pose, scale and density.
-        tolerance: share of a part's volume by which its convex pieces may exceed it, as `convex_pieces` takes it.
-
-    Raises:
-        InputError: a part that convex pieces cannot cover.
-    """
+    """Place the parts of a structure in a cell; convex pieces may exceed them by a share, as of `convex_pieces`."""
     scale, world = placement.scale, placement.pose
     meshes = tuple(
         TriangleMesh(mesh.name, np.ascontiguousarray(move(world, scale * mesh.vertices)), mesh.faces)

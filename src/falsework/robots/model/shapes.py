@@ -69,11 +69,7 @@ def cylinder(radius: float, low: float, high: float) -> Array:
 
 
 def hull(points: ArrayLike) -> Array:
-    """Return the vertices of the convex hull. Shape (vertices, 3).
-
-    Raises:
-        InputError: the points span no volume.
-    """
+    """Return the vertices of the convex hull, shape (vertices, 3); InputError if the points span no volume."""
     given = np.asarray(points, dtype=np.float64)
     try:
         return _frozen(given[np.sort(ConvexHull(given).vertices)])

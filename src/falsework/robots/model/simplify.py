@@ -15,20 +15,10 @@ MAX_PLANES = 48
 
 
 def outer_hull(points: ArrayLike, tolerance: float = 0.004, planes: int = MAX_PLANES) -> Array:
-    """Return vertices of a polytope with few faces around the convex hull of points.
+    """Return vertices of a polytope with few planes around the convex hull of points, shape (vertices, 3), metres.
 
-    Starts from the bounding box and repeatedly adds the plane of the hull that the farthest corner violates most.
-
-    Args:
-        points: shape (points, 3), metres.
-        tolerance: largest distance of corners from the hull, metres.
-        planes: largest number of planes; with all of them used, corners may be farther out.
-
-    Returns:
-        Shape (vertices, 3); the hull itself where that has no more vertices.
-
-    Raises:
-        InputError: the points span no volume.
+    Starts from the bounding box and repeatedly adds the plane of the hull that the farthest corner violates most, until
+    corners are within a tolerance; with all planes used, corners may be farther out.
     """
     corners = hull(points)
     if len(corners) <= 16:

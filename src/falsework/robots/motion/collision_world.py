@@ -185,10 +185,7 @@ class CollisionQuery:
         return found
 
     def collides(self, configurations: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether any pair is nearer than the margin.
-
-        Shape (batch, joints) to (batch,). Limits are not checked.
-        """
+        """Return whether any pair is nearer than the margin, (batch, joints) to (batch,); limits are not checked."""
         return self.hits(configurations) != CLEAR
 
     @property
@@ -266,10 +263,7 @@ class CollisionWorld:
         return Carried(held.part, tuple(move(pose, piece) for piece in self.parts.pieces[held.part]))
 
     def robot_pieces(self, robot: int, scene: Scene) -> list[tuple[str, int, Array]]:
-        """Return all moving pieces of a robot in the world frame: name, link index and vertices.
-
-        Index joints + 1 is the gripper, joints + 2 the part.
-        """
+        """Return all moving pieces of a robot in the world: name, link (gripper joints + 1, part + 2), vertices."""
         held, values = scene.attached[robot], np.asarray(scene.configurations[robot], dtype=np.float64)
         if held is not None:
             return self._moving_pieces(robot, values, scene)

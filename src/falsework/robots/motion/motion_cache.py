@@ -28,10 +28,7 @@ class MotionCache:
         self._views: dict[bytes, dict[str, CollisionQuery]] = {}
 
     def motion(self, scene: Scene, robot: int, start: Array, goal: Array) -> Motion:
-        """Return a free motion of one robot between configurations, shape (joints,).
-
-        Its seed depends only on the arguments.
-        """
+        """Return a free motion of one robot between configurations, with a seed that depends only on the arguments."""
         key = scene_digest(scene, robot) + np.round([start, goal], 6).tobytes()
         if key not in self._motions:
             self.motions += 1

@@ -54,9 +54,6 @@ def near_pairs(query: CollisionQuery, configuration: ArrayLike) -> list[NearPair
     """Return all pairs of bodies that a query finds too near at one configuration, the deepest overlap first.
 
     Of two bodies with several pieces the nearest two pieces count.
-
-    Args:
-        configuration: joint values, shape (joints,).
     """
     rules, bodies, obstacles = query.rules, query.bodies, query.obstacles
     placed = _placed(query, np.asarray(configuration, dtype=np.float64))
@@ -109,9 +106,6 @@ def separation(a: Array, b: Array) -> float:
     """Return the distance of two convex pieces, metres; negative: how far one must move for them to touch only.
 
     The depth is the distance of the origin from the boundary of the Minkowski difference.
-
-    Args:
-        a, b: vertices, shape (vertices, 3).
     """
     apart = distance_between(np.ascontiguousarray(a), np.ascontiguousarray(b))
     if apart > 0:

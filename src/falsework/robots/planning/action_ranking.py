@@ -27,11 +27,7 @@ class ExecutionHeuristic:
     """
 
     def __init__(self, graph: KeyframeGraph, guide: Guide | None) -> None:
-        """Prepare the score.
-
-        Args:
-            guide: action heuristic, such as a trained policy.
-        """
+        """Add an action heuristic, such as a trained policy, to the ease of execution."""
         self.graph, self.guide = graph, guide
 
     def __call__(self, states: States, actions: Mask) -> Array:
@@ -64,11 +60,7 @@ class ActionRanking:
     def actions(self, node: Node, attempt: int, rng: np.random.Generator) -> list[int]:
         """Return the legal actions in order of trial: easy ones near a free robot and far from busy ones.
 
-        Releases are among them, first, only where the abstract plan needs them.
-
-        Args:
-            attempt: number of the search; later ones are perturbed more.
-            rng: random generator of the perturbation.
+        Releases are among them, first, only where the abstract plan needs them. Later attempts are perturbed more.
         """
         releases = [part for part in self.solvability.planned_releases(node.state) if not node.was_released(part)]
         actions = self.solvability.legal(node.state)
@@ -118,10 +110,8 @@ class FailedActions:
     def add(self, node: Node, action: int) -> bool:
         """Record an action that has just failed: blocked by robots in collisions, and by the robot that holds the part.
 
-        Without any, it is blocked by the robots that could hold the part if they held no other.
-
-        Returns:
-            Whether two or three parts turned out to be ones that no arms can hold at the same time.
+        Without any, it is blocked by the robots that could hold the part if they held no other. Return whether two or
+        three parts turned out to be ones that no arms can hold at the same time.
         """
         parts, names = self.graph.assembly.part_count, [robot.name for robot in self.graph.cell.robots]
         found = {node.held.index(action - parts)} if action >= parts else set()
@@ -149,10 +139,7 @@ class FailedActions:
         return [("hold" if action < parts else "remove", action % parts) for action in self.of(node)]
 
     def repairs(self, node: Node) -> list[int]:
-        """Return held parts to release or hand over: their robots block actions that failed at a keyframe.
-
-        Parts that cannot leave come first.
-        """
+        """Return held parts to release or hand over, whose robots block actions that failed; those that stay first."""
         if not self.graph.allow_regrasp:
             return []
         robots = Counter(robot for action in self.of(node) for robot in self._robots[node.key, action])
@@ -161,11 +148,7 @@ class FailedActions:
         return sorted(parts, key=lambda part: (node, part + len(node.state)) not in self)
 
     def blamed(self, node: Node, chain: Sequence[Edge]) -> set[int]:
-        """Return the holds without which an action that failed at a keyframe might have succeeded.
-
-        Returns:
-            Indices of edges.
-        """
+        """Return the holds, indices of edges, without which an action that failed might have succeeded."""
         robots = {robot for action in self.of(node) for robot in self._robots[node.key, action]}
         last = {edge.robot: number for number, edge in enumerate(chain)}
         return {last[robot] for robot in robots if node.held[robot] is not None and robot in last}

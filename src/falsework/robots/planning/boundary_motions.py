@@ -35,11 +35,7 @@ _SAME_WAY = 1e-4
 
 
 def parts_of(task: Task | None, *, continues: bool) -> dict[str, Any]:
-    """Return which parts a keyframe graph for a task has to know: those ever in place, and those that ever leave.
-
-    Args:
-        continues: whether robots continue an assembly from where they are.
-    """
+    """Return which parts a keyframe graph for a task has to know: those ever in place, and those that ever leave."""
     if task is None:
         return {}
     present = {"present": task.start != REMOVED}
@@ -75,12 +71,9 @@ class BoundaryMotions:
         return self._last is not None
 
     def begin(self, node: Node) -> Node:
-        """Return the keyframe from which to search, after motions away from the given one.
+        """Return the keyframe from which to search, after motions away from the given one; InputError without any.
 
         Robots deliver what they carry, and leave parts that they are too near to for a free motion.
-
-        Raises:
-            InputError: no motion delivers a part.
         """
         near = [k for k, part in enumerate(node.held) if part is None and self._line(node, k, node.configurations[k])]
         loaded = [k for k in range(len(node.held)) if node.load(k) is not None]
@@ -94,14 +87,9 @@ class BoundaryMotions:
         raise InputError(f"{self.graph.cell.robots[robot].name} cannot begin: {why}; move it away first")
 
     def end_at(self, node: Node | None, insert: Sequence[int]) -> None:
-        """End plans at a keyframe.
+        """End plans at a keyframe, None where their last action ends; InputError if a robot is too near to move.
 
-        Args:
-            node: the keyframe; None: plans end where their last action does.
-            insert: robots whose part is inserted first when the assembly goes on; others bring theirs back.
-
-        Raises:
-            InputError: a robot is too near to something to move.
+        Some robots insert their part first when the assembly goes on; others bring theirs back.
         """
         graph, self._last, self._insert = self.graph, node, tuple(insert)
         if node is None:

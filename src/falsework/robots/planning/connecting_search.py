@@ -32,13 +32,7 @@ class ConnectingSearch:
         self._left = 0
 
     def path(self, task: Task, start: States, solvable: Set[bytes], forbidden: Set[bytes]) -> States | None:
-        """Return the states from a stable one to the last before a solvable one, all of them stable; None without any.
-
-        Args:
-            start: a stable state, shape (parts,).
-            solvable: keys of the states to reach.
-            forbidden: keys of states that no path may contain.
-        """
+        """Return the stable states from one to the last before a solvable one; None without a path."""
         refused = set(forbidden)
         while (path := self._unverified_path(task, start, solvable, refused)) is not None:
             # Holds rarely fail, and most searches reach nothing: holds are checked only on a path that was found.

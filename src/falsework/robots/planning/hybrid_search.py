@@ -134,11 +134,7 @@ class HybridSearch:
         return self.failed(root, "not_found", limit)
 
     def depth_first_search(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
-        """Return the edges of a plan with a stable replay by one depth-first search; None after too many dead ends.
-
-        Args:
-            rng: random generator that perturbs the order of actions.
-        """
+        """Return the edges of a plan with a stable replay by one depth-first search; None after too many dead ends."""
         chain: list[Edge] = []
         nodes, options = [root], [self.options(root, rng)]
         # Causes of the dead ends after each keyframe: indices of earlier edges.
@@ -206,10 +202,9 @@ class HybridSearch:
         return 0
 
     def _keyframes_before_failure(self, root: Node, chain: list[Edge]) -> int | None:
-        """Replay a plan with motions and forbid the state in which the structure collapses.
+        """Replay a plan with motions and forbid the state in which the structure collapses; None if it succeeds.
 
-        Returns:
-            The number of keyframes before that state, 0 if there is no other path; None if the replay succeeds.
+        The result is the number of keyframes before that state, 0 if there is no other path.
         """
         route = route_along(root, chain)
         row = self.solvability.falls(route)

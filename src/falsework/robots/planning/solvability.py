@@ -59,12 +59,7 @@ class SolvabilityCheck:
         seed: int = 0,
         joint: JointHolds | None = None,
     ) -> None:
-        """Create a check in which only the target is known to be solvable.
-
-        Args:
-            guide: action heuristic of the search for the first plan; by default parts with much support go in first.
-            seed: seed of that search.
-        """
+        """Know only the target to be solvable; by default the guide lets parts with much support go in first."""
         self.joint = joint
         self.oracle = oracle if joint is None else HoldingOracle(oracle, joint)
         self._acceptance = Acceptance(oracle.replayer)
@@ -130,19 +125,14 @@ class SolvabilityCheck:
     def falls(self, route: Route) -> int | None:
         """Return the first state in assembly order in which the replay of a route collapses; None if it succeeds.
 
-        It must come to rest with the reserve of the oracle, and under the true friction. Always None under the
-        criterion `equilibrium`, which has no history.
+        It must come to rest with the reserve of the oracle, and under the true friction; `equilibrium` has no history.
         """
         return self._acceptance.falls_at(route.states[::-1])
 
     def forbid(self, route: Route, row: int) -> int | None:
         """Forbid the state in which the replay of a route collapses, and all states that continue only through it.
 
-        Args:
-            row: index of that state in assembly order.
-
-        Returns:
-            Index of the forbidden state in assembly order; None for a route without states between its ends.
+        `row` and the result are indices in assembly order; None for a route without states between its ends.
         """
         barred = barred_row(row, len(route.states))
         if barred is not None:
@@ -155,11 +145,7 @@ class SolvabilityCheck:
         return state.tobytes() in self._solvable
 
     def reroute(self, state: States) -> bool:
-        """Find a path from a state to the target that avoids excluded holds; return whether there is one.
-
-        Args:
-            state: stable, shape (parts,).
-        """
+        """Find a path from a stable state to the target that avoids excluded holds; return whether there is one."""
         self._prune()
         if self.stays(state):
             return True

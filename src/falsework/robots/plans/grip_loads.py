@@ -93,10 +93,7 @@ def grip_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[GripLoad
 
 
 def _borne(plan: Plan, assembly: Assembly) -> list[dict[int, Array]]:
-    """Return for each state the wrench that a robot bears on each held part, about its centre of mass, shape (6,).
-
-    States that are not proven stable have none.
-    """
+    """Return for each stable state the wrench that a robot bears on each held part, about its centre of mass, (6,)."""
     states, settings = plan.states, StabilitySettings(criterion=plan.claim.criterion)
     if settings.criterion == "equilibrium":
         found = StabilityOracle(assembly, settings).margins(states, ("held",))
@@ -112,10 +109,7 @@ def _borne(plan: Plan, assembly: Assembly) -> list[dict[int, Array]]:
 
 
 def overloads(loads: list[GripLoad], plan: RobotPlan, cell: Cell) -> list[PlanProblem]:
-    """Return the loads beyond the force or moment that a gripper bears, as far as the cell gives them.
-
-    A hold without a load, since its state is not stable, is a problem where the gripper has limits.
-    """
+    """Return the loads beyond the force or moment that a gripper bears, and holds whose load is unknown there."""
     problems, known = [], {(load.keyframe, load.robot) for load in loads if not load.presses}
     for number, frame in enumerate(plan.keyframes):
         for robot, part in enumerate(frame.held):

@@ -45,20 +45,13 @@ def longest_motion(model: RobotModel, speed: float) -> float:
     """Return the longest duration of a motion that is checked or exported, seconds.
 
     It follows from the arm, so that neither memory nor time of a check grows with the numbers in a file.
-
-    Args:
-        speed: share of its velocity limits that motions may use.
     """
     needed = (model.upper - model.lower) / model.velocity + 2 * model.velocity / model.acceleration
     return _PAUSE + _SLOWEST * float(needed.max()) / speed
 
 
 def check_limits(trajectory: Trajectory, model: RobotModel, speed: float) -> LimitReport:
-    """Check the limits of a motion at its knots, its exact peaks of speed and acceleration, and its duration.
-
-    Args:
-        speed: share of the velocity limits that motions may use; of acceleration limits its square.
-    """
+    """Check the limits of a motion at its knots, its exact peaks of speed and acceleration, and its duration."""
     # Of plans that are no file: readers refuse such numbers.
     times = trajectory.times
     numbers = (times, trajectory.positions, trajectory.velocities)
@@ -97,13 +90,9 @@ def first_limit_fault(plan: RobotPlan, cell: Cell) -> str:
 
 
 def line_fault(tools: Array, longest: float) -> str:
-    """Return why tool poses along a motion are not on a short straight line; empty if they are.
+    """Return why tool poses, shape (samples, 4, 4), are not on a short straight line, metres; empty if they are.
 
     On a line the tool moves in one direction only and does not turn.
-
-    Args:
-        tools: poses along the motion, shape (samples, 4, 4).
-        longest: largest length, metres.
     """
     at = tools[:, :3, 3] - tools[0, :3, 3]
     length = float(np.linalg.norm(at[-1]))

@@ -104,8 +104,7 @@ def press_fault(plan: RobotPlan, step: int) -> str:
 def timed_presses(plan: RobotPlan, assembly: Assembly, cell: Cell, graph: TemporalPlanGraph) -> tuple[TimedPress, ...]:
     """Return the presses of a plan in the order of its steps; none for disassembly, in which robots do not press.
 
-    Raises:
-        PlanError: the plan is for another structure or cell, or its presses cannot be carried out.
+    PlanError if the plan is for another structure or cell, or its presses cannot be carried out.
     """
     if not has_presses(plan):
         return ()

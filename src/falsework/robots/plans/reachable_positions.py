@@ -41,11 +41,7 @@ class ReachablePositions:
     """Positions of all arms that can coincide under the schedule of a plan."""
 
     def __init__(self, plan: RobotPlan) -> None:
-        """Compute the least progress of every arm when each motion begins.
-
-        Raises:
-            PlanError: the plan has no schedule.
-        """
+        """Compute the least progress of every arm when each motion begins; PlanError without a schedule."""
         graph = plan.schedule
         if graph is None:
             raise PlanError("the robot plan has no schedule whose delays could be checked; plan again, or schedule it")
@@ -99,10 +95,7 @@ class ReachablePositions:
                 yield Overlap(a, b, (low, a.high), (side, b.high))
 
     def out_of_order(self) -> list[tuple[int, str]]:
-        """Return the nodes that a delay can bring before what they must follow, and what that is.
-
-        Motions of an arm must follow each other, and so must the states of the structure.
-        """
+        """Return the nodes that a delay can bring before what they must follow, motion or state, and what that is."""
         found = []
         for nodes in self._own:
             for before, after in pairwise(nodes):
@@ -138,12 +131,7 @@ class ReachablePositions:
         return found
 
     def contains(self, starts: Array, factor: Array) -> bool:
-        """Return whether an execution passes through reachable positions only.
-
-        Args:
-            starts: start time of each node, shape (nodes,).
-            factor: factor on the duration of each motion, shape (nodes,).
-        """
+        """Return whether an execution with start times and factors of durations passes only through these positions."""
         ends = starts + factor * self.graph.durations
         for robot, own in enumerate(self._own):
             if not own:

@@ -265,10 +265,7 @@ class RobotPlan(Displayed):
         return self.seconds if self.schedule is None else self.schedule.makespan
 
     def grip_of(self, robot: int, part: int) -> Array | None:
-        """Return the configuration in which a robot holds a part at its place, shape (joints,); None if it never does.
-
-        Of several, the last in the order of disassembly, in which it leaves.
-        """
+        """Return the configuration in which a robot holds a part last before it leaves; None if it never does."""
         frames = self.keyframes if self.direction is Direction.ASSEMBLY else self.keyframes[::-1]
         return next((frame.configurations[robot] for frame in frames if frame.held[robot] == part), None)
 
@@ -336,13 +333,9 @@ class RobotPlan(Displayed):
         self.check_cell(cell)
 
     def cell_place(self, file: Path | str) -> str:
-        """Return the cell that the plan names, for `load_cell`: a file, seen from that of the plan, or a built-in cell.
+        """Return the cell that a plan in a file names, for `load_cell`: a file as seen from it, or a built-in cell.
 
-        Args:
-            file: file that the plan was read from.
-
-        Raises:
-            PlanError: it names none.
+        PlanError if it names none.
         """
         if self.cell_source is None:
             raise PlanError(f"{file} does not say where its cell is; name it (--cell, or cell= in Python)")

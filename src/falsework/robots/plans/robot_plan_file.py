@@ -118,11 +118,7 @@ def load_robot_plan(path: Path | str) -> RobotPlan:
 
 
 def robot_plan_from_dict(data: Any, source: str = "the robot plan") -> RobotPlan:
-    """Read a robot plan from plain JSON values; `source` is its name in messages.
-
-    Raises:
-        PlanError: as `load_robot_plan`.
-    """
+    """Read a robot plan from plain JSON values as `load_robot_plan`; `source` is its name in messages."""
     return _Reader(data, source).plan()
 
 

@@ -70,11 +70,7 @@ class TemporalPlanGraph:
 
     @cached_property
     def order(self) -> tuple[int, ...]:
-        """Return the nodes so that each comes after all that it waits for.
-
-        Raises:
-            PlanError: a deadlock: motions wait for each other in a cycle.
-        """
+        """Nodes so that each comes after all that it waits for; PlanError if motions wait for each other in a cycle."""
         waits = np.bincount([edge.after for edge in self.edges], minlength=len(self.nodes))
         ready = [index for index in range(len(self.nodes)) if not waits[index]]
         found = []

@@ -93,11 +93,7 @@ def schedule_of(plan: RobotPlan) -> TemporalPlanGraph:
 
 
 def event_times(plan: RobotPlan, graph: TemporalPlanGraph, stretch: ArrayLike | None = None) -> Array:
-    """Return the time of the event of each step, at which its state is reached, seconds, shape (steps,).
-
-    Args:
-        stretch: as for `TemporalPlanGraph.starts`.
-    """
+    """Return the time of the event of each step, at which its state is reached, seconds, shape (steps,)."""
     factor = np.ones(len(graph.nodes)) if stretch is None else np.asarray(stretch, dtype=np.float64)
     starts = graph.starts(stretch)
     ends = starts + factor * graph.durations
@@ -180,12 +176,9 @@ class ArmActivity:
 
 
 def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array | None = None) -> Iterator[ArmActivity]:
-    """Yield the activity of each arm at an instant of the schedule of a plan.
+    """Yield the activity of each arm at an instant, seconds, of a schedule with start times as of its graph.
 
-    Args:
-        starts: start time of each node, as `TemporalPlanGraph.starts` returns it.
-        moment: seconds from the start of the schedule.
-        factor: factor on the duration of each motion, shape (nodes,); 1 by default.
+    The durations of motions have factors, shape (nodes,); 1 by default.
     """
     graph = plan.schedule
     assert graph is not None

@@ -54,11 +54,7 @@ def schedule_plan(
 
 
 def import_ortools():
-    """Return the CP-SAT module of OR-Tools.
-
-    Raises:
-        DependencyError: not installed; the message names the extra.
-    """
+    """Return the CP-SAT module of OR-Tools; DependencyError without it."""
     try:
         from ortools.sat.python import cp_model
     except ImportError:
@@ -74,11 +70,7 @@ def solve(
     choices: Sequence[Choice],
     robots: int,
 ) -> TemporalPlanGraph:
-    """Return the temporal plan graph of a schedule with the least makespan found, from the order of the plan on.
-
-    Raises:
-        DependencyError: OR-Tools is missing.
-    """
+    """Return the temporal plan graph of a schedule with the least makespan found, from the order of the plan on."""
     cp = import_ortools()
     model = cp.CpModel()
     horizon = round(sum(node.seconds for node in nodes) * _TICKS) + len(nodes)
