@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import CellError, DependencyError, InputError
 from falsework.robots.cells.cell_model import (
@@ -30,8 +29,7 @@ from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.cells.validate import check_cell
 from falsework.robots.model.cell import Cell, Gripper, Margins, Obstacle, Placement
 from falsework.robots.model.shapes import block, cylinder, move
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 AnyCell = Cell | str | Path
 """Cell as it is, or what `load_cell` takes."""

@@ -7,14 +7,13 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
 from falsework.errors import CellError
 from falsework.robots.model.cell import Margins, Signals
 from falsework.robots.model.shapes import pose
+from falsework.utils.arrays import Array
 from falsework.utils.models import FileModel, model_schema, read_model
 
-Array = NDArray[np.float64]
 Kind = TypeVar("Kind")
 
 FORMAT = "falsework.cell/1"

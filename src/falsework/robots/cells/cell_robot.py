@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import CellError
 from falsework.robots.cells.cell_model import Place, RobotEntry, pose_of
@@ -18,8 +17,7 @@ from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
 from falsework.robots.model.cell import CellRobot, Gripper, Signals
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 PLACE_TURNS = 8
 """Rotations about the vertical in which a part may be put down at a drop-off pose."""

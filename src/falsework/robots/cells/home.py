@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
@@ -15,8 +15,7 @@ from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Scene
 from falsework.robots.motion.near_pairs import NearPair, near_pairs
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _SAMPLES = 4000
 """Random configurations that are tried."""

@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import CellError, DependencyError
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _KINDS = ("position", "velocity", "acceleration")
 _UNUSED = ("jerk", "deceleration", "effort")

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.errors import CellError
@@ -23,7 +22,6 @@ from falsework.robots.model.builtin_robots import BUILTIN
 from falsework.robots.model.cell import Cell, CellRobot, maker_of
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 
-Array = NDArray[np.float64]
 GripperKind = Literal["suction", "jaw"]
 
 DISTANCE = 0.62

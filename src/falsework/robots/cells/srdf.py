@@ -8,11 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import CellError
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
 Element = ElementTree.Element
 
 

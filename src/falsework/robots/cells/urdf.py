@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import CellError, DependencyError
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -35,10 +34,9 @@ from falsework.robots.model.cell import CellRobot, Gripper
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
 from falsework.robots.model.shapes import move
 from falsework.robots.model.simplify import outer_hull
+from falsework.utils.arrays import Array
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.xml_text import read_xml_text
-
-Array = NDArray[np.float64]
 
 COLLISION_SAMPLES = 1000
 """Random configurations in which pairs of links are tested where no SRDF lists the pairs to ignore."""

@@ -16,8 +16,7 @@ from falsework.errors import CellError, InputError
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.robots.model.shapes import cylinder, move
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _MESHES = (".stl", ".obj", ".dae", ".ply", ".off", ".glb", ".gltf")
 """Formats of meshes: archives among those that the library reads unpack to any size."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import CellError
 from falsework.robots.cells.home import home_faults, proposal_text
@@ -12,8 +11,7 @@ from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import Pieces, move
 from falsework.robots.motion.near_pairs import millimetres, separation
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 BASE_DEPTH = 0.002
 """Largest penetration of a base into the surface below it, metres."""

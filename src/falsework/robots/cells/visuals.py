@@ -18,8 +18,8 @@ from falsework.robots.cells.urdf_meshes import colored_meshes, hull_mesh
 from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Pieces, move
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
 Color = tuple[float, float, float]
 
 MOST_TRIANGLES = 12_000

@@ -33,8 +33,8 @@ from falsework.robots.plans.presses import press_fault
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.search.plans.plan_report import PlanReport
 from falsework.search.problem.task import Direction
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 

@@ -12,7 +12,6 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
@@ -21,8 +20,6 @@ from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.reachable_positions import ReachablePositions
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import Segment
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

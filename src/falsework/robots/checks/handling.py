@@ -8,7 +8,6 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.robots.checks.grips import GripChecker
 from falsework.robots.model.cell import LONGEST_APPROACH, LONGEST_WITHDRAWAL, Cell
@@ -17,8 +16,7 @@ from falsework.robots.plans.loads import load_of, lying_motions
 from falsework.robots.plans.motion_limits import line_fault
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.task import Direction
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _PLACE_DISTANCE = 0.001
 """Largest distance of a tool frame from a place of the cell, metres."""

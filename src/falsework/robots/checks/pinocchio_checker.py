@@ -23,8 +23,7 @@ from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import inverse_pose
 from falsework.robots.plans.loads import Load
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 WORLD = 0
 """Index of Pinocchio's fixed joint."""

@@ -13,8 +13,7 @@ from falsework.robots.model.shapes import inverse_pose, move
 from falsework.robots.plans.loads import Load, lying_motions
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.task import Direction
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _NEAR = 0.001
 """Largest distance of a part from the floor, and from where its robot has it, metres."""

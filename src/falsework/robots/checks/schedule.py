@@ -15,8 +15,7 @@ from falsework.robots.plans.loads import Load
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import ArmActivity, activities_at, event_times
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 INTERVAL = 0.01
 """Longest time between two samples, seconds."""

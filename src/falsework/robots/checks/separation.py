@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.robots.checks.pinocchio_checker import (
     WORLD,
@@ -21,8 +20,7 @@ from falsework.robots.checks.pinocchio_checker import (
     import_pinocchio,
 )
 from falsework.robots.plans.robot_plan import Trajectory
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 NEAREST = 2e-4
 """Distance above which bodies can be proven to keep apart, metres."""

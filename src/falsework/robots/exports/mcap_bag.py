@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import DependencyError
@@ -35,8 +34,6 @@ from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import schedule_of
 from falsework.search.problem.task import Direction
 from falsework.utils.files.output_file import write_whole
-
-Array = NDArray[np.float64]
 
 _ADD, _REMOVE = 0, 1
 _WORLD = "world"

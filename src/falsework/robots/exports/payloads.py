@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.robots.kinematics.forward import flange_pose
@@ -13,8 +12,7 @@ from falsework.robots.model.cell import Cell, Gripper
 from falsework.robots.model.shapes import Pieces, inverse_pose, move
 from falsework.robots.plans.loads import load_of
 from falsework.robots.plans.robot_plan import RobotPlan
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _LEAST_MASS = 0.001
 """Mass of a tool without one, kg: that of `tool0`, since RAPID accepts no zero."""

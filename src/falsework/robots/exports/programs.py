@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.robots.exports.commands import (
@@ -36,8 +35,7 @@ from falsework.robots.plans.presses import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import nodes_of
 from falsework.stability.holds import HoldMode
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 MOST_COUNT = 65535
 """Largest 16-bit count."""

@@ -9,9 +9,8 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
 from falsework.geometry.clearance.sweep import Sweeper, includes_one
 from falsework.geometry.clearance.table import ClearanceTable
+from falsework.utils.arrays import Array
 from falsework.utils.bits import pack, unpack
-
-Array = NDArray[np.float64]
 
 _TILT_DEGREES = (20.0, 50.0, 85.0)
 """Angles to the vertical of the directions that are tried besides straight up, degrees."""

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.robots.model.cell import FLAT_DEGREES
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,7 @@ from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import move, pose
 from falsework.robots.motion.collision_world import CollisionWorld, Scene, grasp_contact
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 GRASPS_PER_PART = 24
 """Grasps of a part that are tried."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, States
 from falsework.robots.interleaving.partial_order import Partial, UnitStep
@@ -15,8 +14,7 @@ from falsework.robots.keyframes.trajectory_assembly import STANDSTILL
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import CellRobot
 from falsework.stability.oracle import StabilityOracle
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _VARIANTS = 2
 """Motions on one way that are planned, each in another scene."""

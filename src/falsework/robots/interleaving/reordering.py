@@ -9,9 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Sequence
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from falsework.assembly.state import States
 from falsework.robots.interleaving.search import OrderSearch
 from falsework.robots.interleaving.work import Work, loads_of
@@ -32,8 +29,7 @@ from falsework.robots.motion.path_planner import plan_free
 from falsework.robots.plans.loads import Load
 from falsework.robots.plans.robot_plan import Trajectory
 from falsework.stability.oracle import StabilityOracle
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 def reorder(

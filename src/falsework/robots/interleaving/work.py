@@ -17,8 +17,7 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.plans.loads import Load, LoadKey
 from falsework.robots.plans.robot_plan import Trajectory
 from falsework.robots.schedule.swept_bodies import SweptBodies
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 Box = tuple[float, float, float, float, float, float]
 """Lower and upper corner of a box whose sides are parallel to the axes, metres."""

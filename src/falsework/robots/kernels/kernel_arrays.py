@@ -13,8 +13,7 @@ from falsework.robots.kernels.collision import Bodies, Chain, Obstacles
 from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Pieces, move
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 GROUP = 6
 """Obstacles per bounding box in the broad phase."""

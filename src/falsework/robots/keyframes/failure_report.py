@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 from msgspec import to_builtins
-from numpy.typing import NDArray
 
 from falsework.assembly.state import describe_step
 from falsework.search.problem.result import Route
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _DOING = {"insert": "inserting", "release": "releasing", "hold": "holding"}
 _SHOWN = 8

@@ -19,8 +19,7 @@ from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Gripper
 from falsework.robots.motion.collision_world import Scene, grasp_contact
 from falsework.robots.motion.motion_cache import MotionCache
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.robots.kernels.coordination import Swept, conflicts
@@ -17,7 +16,6 @@ from falsework.stability.contact.replay import Replayer
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.verdict import Verdicts
 
-Array = NDArray[np.float64]
 Group = tuple[int, ...]
 """Two or three parts, ascending."""
 Usable = Callable[[GraspConfiguration, int, States], bool]

@@ -32,8 +32,7 @@ from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, 
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.near_pairs import NearPair, nearest_pair
 from falsework.robots.motion.path_planner import follow_line
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _MAX_DETOURS = 2
 """Withdrawals of a part that cannot be delivered after which it is put down, to be gripped in another way."""

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
 from falsework.robots.motion.collision_world import Attached, CollisionQuery, Scene
 from falsework.search.problem.result import Route
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _MOST_HAND_OVERS = 2
 """Hand-overs of a part between two removals: to another robot, and back with another grasp."""

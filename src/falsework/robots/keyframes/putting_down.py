@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import islice, product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from shapely import MultiPoint, Point, Polygon
 
@@ -23,8 +22,8 @@ from falsework.robots.model.shapes import inverse_pose, move, move_pieces
 from falsework.robots.motion.collision_world import PUT_DOWN, CollisionQuery, Scene, grasp_contact
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.path_planner import follow_line
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
 Retreat = Callable[[str, int, int, Array, Array, CollisionQuery, CollisionQuery], Array | None]
 
 _MOST_FACES = 6

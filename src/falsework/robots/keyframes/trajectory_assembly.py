@@ -19,8 +19,7 @@ from falsework.robots.plans.robot_record import records_of
 from falsework.search.find import prove_route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 STANDSTILL = 1e-7
 """Length below which a path takes no time, rad or m."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
@@ -14,8 +13,7 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.motion.collision_world import LIFT, NO_CONTACT, CollisionQuery, Scene, withdrawal_contact
 from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.path_planner import follow_line
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _ROOM = 2.0
 """Margin at the end of such a line, in margins of free motions, below which a longer line is tried first: between other

@@ -31,8 +31,8 @@ from falsework.robots.kinematics.forward import link_poses
 from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import inverse_pose
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
 Kind = Literal["spherical", "wrist", "parallel", "general"]
 
 RANDOM_STARTS = 80

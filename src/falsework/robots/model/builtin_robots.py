@@ -12,13 +12,11 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
 from falsework.robots.model.shapes import block, hull, pose
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 BUILTIN: dict[str, dict[str, Any]] = tomllib.loads(
     files("falsework.robots.model").joinpath("arms.toml").read_text(encoding="utf-8")

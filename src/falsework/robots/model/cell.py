@@ -8,12 +8,10 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Pieces, pose
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 GRIP_DISTANCE = 0.005
 """Largest distance of a cup, or of closed jaws, from a part that is held, metres."""

@@ -13,8 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 from falsework.geometry.mesh.collision import inside
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.model.shapes import Pieces, hull
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 MAX_PIECES = 32
 """Largest number of pieces per part; beyond it the cover stays looser than the tolerance."""

@@ -12,8 +12,7 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.model.cell import Placement
 from falsework.robots.model.convex_decomposition import convex_pieces
 from falsework.robots.model.shapes import Pieces, move, move_pieces
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

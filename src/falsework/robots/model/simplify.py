@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from falsework.robots.model.shapes import hull
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 MAX_PLANES = 48
 """Largest number of planes of a simplified hull."""

@@ -26,8 +26,7 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Pieces, inverse_pose, move
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 NO_FLOOR = -1e9
 """Height of the floor of a cell without one, metres: below everything."""

@@ -5,12 +5,10 @@ from __future__ import annotations
 import zlib
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
 from falsework.robots.motion.path_planner import Motion, plan_free
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _CACHED_SCENES = 128
 """Largest number of scenes whose query objects are cached; the oldest is evicted first."""

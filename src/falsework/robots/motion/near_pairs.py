@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
 from falsework.robots.kernels.collision import distance_between
 from falsework.robots.kinematics.forward import place_many
 from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Scene
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 @dataclass(frozen=True)

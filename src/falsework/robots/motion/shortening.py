@@ -8,14 +8,12 @@ Overmars, Creating high-quality paths for motion planning (2007).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.motion.collision_world import CollisionQuery
 from falsework.robots.motion.path_planner import plan_free
 from falsework.robots.motion.timing import time_path
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _TREES = 4
 """Additional pairs of trees that are grown for one motion."""

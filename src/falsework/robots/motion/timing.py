@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from falsework.errors import InputError
 from falsework.robots.kernels.speed_profile import evaluate, fastest
 from falsework.robots.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 JOINT_STEP = 0.0099
 """Neighbouring samples differ by at most this in every joint, rad or m."""

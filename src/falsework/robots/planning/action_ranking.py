@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
@@ -15,8 +14,7 @@ from falsework.robots.keyframes.keyframes import Edge, Node
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Direction
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 class ExecutionHeuristic:

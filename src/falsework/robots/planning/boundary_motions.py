@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.errors import InputError
@@ -27,8 +26,7 @@ from falsework.robots.motion.collision_world import Scene, grasp_contact, withdr
 from falsework.robots.motion.near_pairs import nearest_pair
 from falsework.robots.motion.path_planner import follow_line
 from falsework.search.problem.task import Task
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _SAME_WAY = 1e-4
 """Largest difference of joint values, directions and cosines between a line and one that ends where a robot is."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
@@ -18,8 +18,7 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.model.shapes import inverse_pose
 from falsework.robots.motion.collision_world import Attached
 from falsework.search.problem.task import STAGE, Task
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitDirections) -> Task:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD
@@ -21,9 +20,8 @@ from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.arrays import Array
 from falsework.utils.quantity import format_quantity
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

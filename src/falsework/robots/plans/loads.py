@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.task import Direction
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 LoadKey = tuple[int, bytes, bytes]
 _RIGID = 1e-6

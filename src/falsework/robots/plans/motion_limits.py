@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 STRAIGHT = 0.001
 """Largest distance of the tool from a straight line, metres."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.errors import PlanError
@@ -21,8 +20,7 @@ from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import event_times
 from falsework.search.problem.task import Direction
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, Press
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

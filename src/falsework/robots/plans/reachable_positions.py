@@ -20,8 +20,7 @@ from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import Event, Segment, nodes_of, segments_of
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _INSTANT = 1e-6
 """Times that differ by no more are equal, seconds; the rounding of files is finer."""

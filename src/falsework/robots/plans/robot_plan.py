@@ -17,13 +17,12 @@ from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.plans.robot_record import RobotRecord, record_fault
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
+from falsework.utils.arrays import Array
 from falsework.utils.display.notebook import Displayed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.robots.plans.temporal_graph import TemporalPlanGraph
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,6 @@ from typing import Any, NoReturn
 
 import numpy as np
 from msgspec import convert, to_builtins
-from numpy.typing import NDArray
 
 from falsework.errors import PlanError
 from falsework.robots.plans.loads import step_fault
@@ -28,10 +27,9 @@ from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.task import Direction
+from falsework.utils.arrays import Array
 from falsework.utils.json_file import check_format, read_json, write_json
 from falsework.utils.models import read_model
-
-Array = NDArray[np.float64]
 
 SECOND_FORMAT = "falsework.robot-plan/2"
 """Format whose direction is that of the plan in it; read, no longer written."""

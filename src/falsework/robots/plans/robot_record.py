@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.robots.model.cell import Cell
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _SAME_POSE = 1e-9
 """Entries of poses that differ by no more are equal."""

@@ -13,11 +13,11 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from falsework.errors import InputError, PlanError
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
 Reason = Literal["arm", "state", "part", "volume"]
 
 

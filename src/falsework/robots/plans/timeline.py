@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from falsework.assembly.state import States
 from falsework.robots.plans.loads import Load, load_at_rest, load_of
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
 from falsework.search.problem.task import Direction
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 @dataclass(frozen=True)

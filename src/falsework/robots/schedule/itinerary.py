@@ -14,8 +14,7 @@ from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import Segment, nodes_of, segments_of
 from falsework.robots.schedule.swept_bodies import SweptBodies
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _SAME = 1e-5
 """Joint values that differ by no more are equal, rad or m."""

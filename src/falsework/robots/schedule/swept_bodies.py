@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.robots.kernels.collision import Bodies, Chain
 from falsework.robots.kernels.coordination import SPLIT, Swept, still, sweep
@@ -16,8 +15,7 @@ from falsework.robots.model.shapes import inverse_pose, move_pieces
 from falsework.robots.motion.collision_world import Attached, CollisionWorld, Scene
 from falsework.robots.plans.loads import Load, LoadKey
 from falsework.robots.plans.robot_plan import Trajectory
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 CELL = 0.05
 """Longest duration of a cell, seconds."""
