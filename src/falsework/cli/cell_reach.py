@@ -68,7 +68,7 @@ def report_reach(assembly: Assembly, cell: Cell, propose: Propose, picture: Path
     _say(output, assembly, cell, parts, table)
     _propose(output, proposal)
     if picture is not None:
-        from falsework.robots.grasping.reachability_plot import draw_reach
+        from falsework.robots.grasping.reachability import draw_reach
 
         draw_reach(cell, parts, table, picture)
         output.file(picture)

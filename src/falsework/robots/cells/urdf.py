@@ -16,8 +16,7 @@ import numpy as np
 
 from falsework.errors import CellError, DependencyError
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.robots.cells.joint_limits import JointLimits, read_joint_limits
-from falsework.robots.cells.srdf import excluded_pairs, group_states, read_srdf
+from falsework.robots.cells.moveit_files import JointLimits, excluded_pairs, group_states, read_joint_limits, read_srdf
 from falsework.robots.cells.urdf_meshes import collision_shapes
 from falsework.robots.cells.urdf_review import (
     CellWarning,
@@ -32,8 +31,7 @@ from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain, make
 from falsework.robots.kernels.rrt_connect import check_many
 from falsework.robots.model.cell import CellRobot, Gripper
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
-from falsework.robots.model.shapes import move
-from falsework.robots.model.simplify import outer_hull
+from falsework.robots.model.shapes import move, outer_hull
 from falsework.utils.arrays import Array
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.xml_text import read_xml_text

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from falsework.robots.checks.libraries import import_pinocchio
+from falsework.robots.checks.pinocchio_checker import import_pinocchio
 from falsework.robots.model.robot_model import RobotModel
 from falsework.utils.arrays import Array
 from falsework.utils.files.xml_text import read_xml_text

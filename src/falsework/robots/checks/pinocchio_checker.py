@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from falsework.errors import DependencyError
 from falsework.geometry.mesh.collision import shrink
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.robots.checks.libraries import import_pinocchio
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
@@ -385,3 +385,15 @@ class PinocchioCollisionChecker:
         made.addTriangles(np.ascontiguousarray(faces, dtype=np.int64))
         made.endModel()
         return made
+
+
+def import_pinocchio() -> tuple[Any, Any]:
+    """Return the modules Pinocchio and Coal; DependencyError without them."""
+    try:
+        import coal
+        import pinocchio
+    except ImportError:
+        raise DependencyError(
+            "checking robot plans needs Pinocchio and Coal; install them: pip install 'falsework[robots]'"
+        ) from None
+    return pinocchio, coal
