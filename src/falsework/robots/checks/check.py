@@ -242,12 +242,7 @@ class _Checker:
         return end
 
     def _collisions(
-        self,
-        index: int,
-        order: int,
-        trajectory: Trajectory,
-        present: NDArray[np.bool_],
-        load: Load | None,
+        self, index: int, order: int, trajectory: Trajectory, present: NDArray[np.bool_], load: Load | None
     ) -> None:
         robot, at_place = self.plan.steps[index].robot, order in place_lines(self.plan, index)
         moments, samples = trajectory.dense(self.resolution)
@@ -281,12 +276,7 @@ class _Checker:
 
 
 def check_robot_plan(
-    plan: RobotPlan,
-    assembly: AnyStructure,
-    cell: AnyCell,
-    *,
-    step: float = 0.01,
-    progress: Progress | None = None,
+    plan: RobotPlan, assembly: AnyStructure, cell: AnyCell, *, step: float = 0.01, progress: Progress | None = None
 ) -> CheckReport:
     """Check all motions of a plan with Pinocchio (kinematics) and Coal (collisions).
 

@@ -13,12 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from falsework.robots.checks.pinocchio_checker import (
-    WORLD,
-    CollisionBody,
-    PinocchioCollisionChecker,
-    import_pinocchio,
-)
+from falsework.robots.checks.pinocchio_checker import WORLD, CollisionBody, PinocchioCollisionChecker, import_pinocchio
 from falsework.robots.plans.robot_plan import Trajectory
 from falsework.utils.arrays import Array
 

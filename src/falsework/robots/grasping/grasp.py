@@ -67,13 +67,7 @@ class Grasp:
 
 
 def grasps(
-    assembly: Assembly,
-    parts: PartShapes,
-    part: int,
-    present: ArrayLike,
-    robot: CellRobot,
-    *,
-    limit: int = 64,
+    assembly: Assembly, parts: PartShapes, part: int, present: ArrayLike, robot: CellRobot, *, limit: int = 64
 ) -> list[Grasp]:
     """Return grasps of a part among the present parts, a mask or a state, best first; the arm is not considered.
 

@@ -65,12 +65,7 @@ class GraspConfigurations:
         return self._places[robot]
 
     def best(
-        self,
-        grips: list[GraspConfiguration],
-        robot: int,
-        scene: Scene,
-        held: tuple[int | None, ...],
-        count: int,
+        self, grips: list[GraspConfiguration], robot: int, scene: Scene, held: tuple[int | None, ...], count: int
     ) -> list[GraspConfiguration]:
         """Return the grasps to try, best first: near the robot's configuration, and away from other arms."""
         if not grips:

@@ -167,9 +167,7 @@ class HoldingOracle(Oracle):
 
 
 def _compatible(
-    usable: Sequence[Mask],
-    keys: Sequence[tuple[int, int]],
-    clear: dict[tuple[tuple[int, int], tuple[int, int]], Mask],
+    usable: Sequence[Mask], keys: Sequence[tuple[int, int]], clear: dict[tuple[tuple[int, int], tuple[int, int]], Mask]
 ) -> list[int] | None:
     """Return one grasp for each arm and part, of which no two collide; None if there are none."""
     if not usable:

@@ -211,12 +211,7 @@ class KeyframeGraph:
         return sorted(free, key=lambda robot: float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2])))
 
     def holds(
-        self,
-        node: Node,
-        part: int,
-        robot: int,
-        lasting: bool = True,
-        grips: list[GraspConfiguration] | None = None,
+        self, node: Node, part: int, robot: int, lasting: bool = True, grips: list[GraspConfiguration] | None = None
     ) -> Iterator[Edge]:
         """Yield edges on which a robot that holds nothing holds a part, with some grasps, all by default.
 

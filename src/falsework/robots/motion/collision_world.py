@@ -294,18 +294,10 @@ class CollisionWorld:
         entry = self.cell.robots[robot]
         flange = link_poses(entry.model, configuration, entry.base)[-1] @ entry.model.flange
         placed = [move(flange, piece) for piece in entry.gripper.pieces]
-        return min(
-            (float(distance_between(a, b)) for a in placed for b in self.parts.pieces[part]),
-            default=np.inf,
-        )
+        return min((float(distance_between(a, b)) for a in placed for b in self.parts.pieces[part]), default=np.inf)
 
     def view(
-        self,
-        scene: Scene,
-        robot: int,
-        *,
-        contact: Contact = NO_CONTACT,
-        margin: float | None = None,
+        self, scene: Scene, robot: int, *, contact: Contact = NO_CONTACT, margin: float | None = None
     ) -> CollisionQuery:
         """Prepare collision queries for one moving robot in a static scene.
 

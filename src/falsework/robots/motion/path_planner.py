@@ -67,14 +67,7 @@ class Motion:
         return self.path is not None
 
 
-def plan_free(
-    view: CollisionQuery,
-    start: ArrayLike,
-    goal: ArrayLike,
-    *,
-    seed: int = 0,
-    nodes: int = 4000,
-) -> Motion:
+def plan_free(view: CollisionQuery, start: ArrayLike, goal: ArrayLike, *, seed: int = 0, nodes: int = 4000) -> Motion:
     """Return a path from one configuration to another that keeps the margin of the view everywhere.
 
     The straight edge is tried first, then RRT-Connect, then the path is shortened by shortcuts. Every edge is

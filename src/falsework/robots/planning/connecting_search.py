@@ -70,13 +70,7 @@ class ConnectingSearch:
         return None
 
     def _stable_few(
-        self,
-        task: Task,
-        before: States,
-        judged: States,
-        after: States,
-        actions: NDArray[np.intp],
-        refused: Set[bytes],
+        self, task: Task, before: States, judged: States, after: States, actions: NDArray[np.intp], refused: Set[bytes]
     ) -> NDArray[np.intp]:
         """Return the most promising successors: few held, then the guide's score; after removals only stable ones."""
         removal = actions >= task.part_count

@@ -159,9 +159,7 @@ def _concurrent(
     lines, kind = settings.keyframes, "together"
     shortest = min(lines.approaches)
     short = replace(
-        lines,
-        approaches=tuple(sorted(lines.approaches)),
-        withdrawals=tuple(sorted({shortest, *lines.withdrawals})),
+        lines, approaches=tuple(sorted(lines.approaches)), withdrawals=tuple(sorted({shortest, *lines.withdrawals}))
     )
     first = Deadline(_SHARE * clock.left if clock.limited else None)
     result = search(replace(settings, keyframes=short), graph, first)

@@ -24,11 +24,7 @@ _SEED = 1
 
 
 def schedule_plan(
-    plan: RobotPlan,
-    assembly: AnyStructure,
-    cell: AnyCell,
-    *,
-    parts: PartShapes | None = None,
+    plan: RobotPlan, assembly: AnyStructure, cell: AnyCell, *, parts: PartShapes | None = None
 ) -> RobotPlan:
     """Return a robot plan with a schedule in which its arms move at the same time.
 
@@ -65,10 +61,7 @@ def import_ortools():
 
 
 def solve(
-    nodes: Sequence[MotionNode],
-    fixed: Sequence[Precedence],
-    choices: Sequence[Choice],
-    robots: int,
+    nodes: Sequence[MotionNode], fixed: Sequence[Precedence], choices: Sequence[Choice], robots: int
 ) -> TemporalPlanGraph:
     """Return the temporal plan graph of a schedule with the least makespan found, from the order of the plan on."""
     cp = import_ortools()
