@@ -110,7 +110,6 @@ def check_record(report: CheckReport) -> dict[str, Any]:
     delays = report.delays
     return {
         "samples": report.samples,
-        "timed_samples": report.timed_samples,
         "delays": None
         if delays is None
         else {
@@ -149,9 +148,8 @@ def check_texts(name: str, report: CheckReport, states: int | None) -> list[str]
     """
     stable = "" if states is None else f", all {states} states are stable"
     links = ", ".join(f"{robot} as {shapes}" for robot, shapes in report.links.items())
-    timed = f" and at {report.timed_samples} moments of its schedule" if report.timed_samples else ""
     found = [
-        f"{name}: no collision in {report.samples} configurations of {report.trajectories} motions{timed} (links of "
+        f"{name}: no collision in {report.samples} configurations of {report.trajectories} motions (links of "
         f"{links}), all within limits{stable}"
     ]
     if report.delays is not None:

@@ -18,12 +18,12 @@ from falsework.robots import Cell, Precedence, RobotPlan, schedule_plan, simulat
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.checks.delays import check_delays
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
-from falsework.robots.checks.schedule import check_schedule
 from falsework.robots.checks.separation import BodyPath, SeparationProver
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.plans.reachable_positions import Overlap, ReachablePositions
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import Segment
+from tests.robots.plans.sampled_schedule import check_schedule
 
 
 @pytest.fixture(scope="module")

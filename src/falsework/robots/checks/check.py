@@ -22,7 +22,6 @@ from falsework.robots.checks.grips import GripChecker
 from falsework.robots.checks.handling import HandlingChecker, place_lines
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.checks.put_down import put_down_faults
-from falsework.robots.checks.schedule import check_schedule
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.plans.grip_loads import GripLoad, grip_loads, overloads
@@ -69,8 +68,6 @@ class CheckReport:
     built-in arm."""
     seconds: float
     """Duration of the check."""
-    timed_samples: int = 0
-    """Number of instants of the schedule at which everything that moves then was checked."""
     delays: DelayReport | None = None
     """Check of the schedule under any delays; None without a schedule, or where the check had stopped before."""
     loads: tuple[GripLoad, ...] | None = None
@@ -283,11 +280,10 @@ def check_robot_plan(
     Parts are their meshes, and so are the links of arms from URDF files; links of built-in arms, grippers and obstacles
     are the convex pieces that they are described by.
 
-    Each step moves one robot. All that moves is checked against all that is fixed, with these
-    exceptions and no others. A schedule is then checked as a whole: at every instant all moving bodies against all
-    others, parts carried by other robots included, and the order of the states; and all positions that any delays can
-    lead to, as `check_delays` describes. In a hand-over the second robot must hold the part before the first leaves it;
-    that is part of the order, whatever the delays.
+    Each step moves one robot. All that moves is checked against all that is fixed, with these exceptions and no others.
+    A schedule is then checked as a whole: all positions that any delays, or none, can lead to, parts carried by other
+    robots included, and the order of the states, as `check_delays` describes. In a hand-over the second robot must hold
+    the part before the first leaves it; that is part of the order, whatever the delays.
 
     - neighbouring links, and the pairs that the robot description excludes;
     - a gripper and the last two links of its arm, and a part in a gripper and the last link and the gripper;
@@ -338,11 +334,10 @@ def check_robot_plan(
         if any(robot.gripper.has_limits for robot in cell.robots):
             loads = tuple(grip_loads(plan, assembly, cell))
             checker.problems += overloads(list(loads), plan, cell)
-    timed, delays = 0, None
+    delays = None
     if plan.schedule is not None and bounded and not checker.full():
-        found, timed = check_schedule(plan, cell, checker.judge, step=step)
         delays = check_delays(plan, checker.judge, most=_MAX_PROBLEMS)
-        checker.problems += [*found, *delays.problems]
+        checker.problems += delays.problems
     return CheckReport(
         tuple(checker.problems),
         checker.samples,
@@ -354,7 +349,6 @@ def check_robot_plan(
         checker.judge.slack,
         {robot.name: "convex pieces" if robot.model.meshes is None else "meshes" for robot in cell.robots},
         time.perf_counter() - began,
-        timed,
         delays,
         loads,
         None if plan.schedule is None else plan.schedule.busiest,

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from falsework.geometry.paths.gjk import OUTER
 from falsework.robots.kernels.collision import place_frames
 from falsework.robots.kernels.kernel_arrays import make_chain, turns
 from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel
-from falsework.utils.arrays import Array
 from falsework.utils.kernels import njit
+
+Array = NDArray[np.float64]
 
 
 def link_poses(model: RobotModel, configurations: ArrayLike, base: Array | None = None) -> Array:
     """Return the poses of all links, shape (joints + 1, 4, 4), or (batch, joints + 1, 4, 4).
 
     Args:
+        model: the arm.
+        configurations: joint values.
         base: pose of the base link in the world, shape (4, 4); by default the identity.
     """
     values = np.ascontiguousarray(np.atleast_2d(configurations), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Verification of a schedule: all arms at every instant, checked by Pinocchio and Coal."""
+"""Schedules, nominal or delayed, checked at sampled instants: what the proof for any delays is compared with."""
 
 from __future__ import annotations
 
