@@ -82,7 +82,7 @@ def report_reach(assembly: Assembly, cell: Cell, propose: Propose, picture: Path
 
 def _say(output: Output, assembly: Assembly, cell: Cell, parts: PartShapes, table: ReachTable) -> None:
     """Print one row per part."""
-    from falsework.robots.cells.home import missing_homes
+    from falsework.robots.cells.validate import missing_homes
     from falsework.robots.grasping.reachability import Reachability
 
     shown: list[tuple[str, ...]] = []

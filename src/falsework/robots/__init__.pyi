@@ -1,8 +1,8 @@
 from falsework.robots.cells.cell_file import builtin_cells as builtin_cells
-from falsework.robots.cells.home import propose_home as propose_home
 from falsework.robots.cells.urdf import load_urdf as load_urdf
 from falsework.robots.cells.urdf_review import CellWarning as CellWarning
 from falsework.robots.cells.validate import check_cell as check_cell
+from falsework.robots.cells.validate import propose_home as propose_home
 from falsework.robots.exports.export import export_plan as export_plan
 from falsework.robots.grasping.reachability import propose_bases as propose_bases
 from falsework.robots.grasping.reachability import reach_table as reach_table

@@ -16,9 +16,8 @@ from falsework import Assembly
 from falsework.errors import PlanError
 from falsework.robots import Cell, Precedence, RobotPlan, schedule_plan, simulate
 from falsework.robots.checks.check import check_robot_plan
-from falsework.robots.checks.delays import check_delays
+from falsework.robots.checks.delays import BodyPath, SeparationProver, check_delays
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
-from falsework.robots.checks.separation import BodyPath, SeparationProver
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.plans.reachable_positions import Overlap, ReachablePositions
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph

@@ -22,8 +22,7 @@ from falsework.robots.keyframes.trajectory_assembly import make_robot_plan
 from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.planning.initial_keyframe import task_in_cell
 from falsework.robots.planning.solvability import SolvabilityCheck
-from falsework.robots.schedule.conflicts import choices, fixed_precedences
-from falsework.robots.schedule.itinerary import Itineraries
+from falsework.robots.schedule.conflicts import Itineraries, choices, fixed_precedences
 from falsework.robots.schedule.solver import solve
 
 

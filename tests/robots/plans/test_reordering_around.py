@@ -15,7 +15,7 @@ from falsework import Assembly, Direction, Task, plan_robots
 from falsework.assembly import HELD, INSTALLED
 from falsework.robots import Cell, HybridSettings, KeyframeGraph, RobotPlan, schedule_plan, simulate
 from falsework.robots.checks.check import check_robot_plan
-from falsework.robots.interleaving.next_steps import grippers_allow
+from falsework.robots.interleaving.orders import grippers_allow
 from falsework.robots.interleaving.reordering import follow, lies_free, reorder, views
 from falsework.robots.keyframes.keyframes import Edge, Node
 from falsework.robots.motion.collision_world import CollisionQuery

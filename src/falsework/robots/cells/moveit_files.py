@@ -15,6 +15,10 @@ from falsework.errors import CellError, DependencyError
 from falsework.utils.arrays import Array
 
 Element = ElementTree.Element
+_KINDS = ("position", "velocity", "acceleration")
+_UNUSED = ("jerk", "deceleration", "effort")
+_TAGS = {"!degrees": math.pi / 180, "!radians": 1.0}
+"""Units that ROS packages write before an angle."""
 
 
 def read_srdf(srdf: Path) -> Element:
@@ -88,12 +92,6 @@ def excluded_pairs(
 def enabled_pairs(root: Element) -> set[frozenset[str]]:
     """Return the pairs of links that an SRDF lets be checked, whatever else it says of them."""
     return {frozenset((entry.get("link1", ""), entry.get("link2", ""))) for entry in root.iter("enable_collisions")}
-
-
-_KINDS = ("position", "velocity", "acceleration")
-_UNUSED = ("jerk", "deceleration", "effort")
-_TAGS = {"!degrees": math.pi / 180, "!radians": 1.0}
-"""Units that ROS packages write before an angle."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,8 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.errors import CellError
 from falsework.robots.cells.cell_file import FORMAT, parse_cell
-from falsework.robots.cells.home import has_home, home_faults, home_text, with_homes
 from falsework.robots.cells.urdf_review import CellWarning
-from falsework.robots.cells.validate import no_parts
+from falsework.robots.cells.validate import has_home, home_faults, home_text, no_parts, with_homes
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.builtin_robots import BUILTIN
 from falsework.robots.model.cell import Cell, CellRobot, maker_of

@@ -19,16 +19,14 @@ from falsework.robots.cells.validate import check_bases
 from falsework.robots.checks.delays import DelayReport, check_delays
 from falsework.robots.checks.descriptions import description_fault
 from falsework.robots.checks.grips import GripChecker
-from falsework.robots.checks.handling import HandlingChecker, place_lines
+from falsework.robots.checks.handling import HandlingChecker, place_lines, put_down_faults
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
-from falsework.robots.checks.put_down import put_down_faults
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.plans.grip_loads import GripLoad, grip_loads, overloads
 from falsework.robots.plans.loads import Load, load_of, loads_at, loads_beside, step_fault
 from falsework.robots.plans.motion_limits import OUTSIDE, check_limits
 from falsework.robots.plans.plan_problem import PlanProblem
-from falsework.robots.plans.presses import press_fault
+from falsework.robots.plans.robot_forces import GripLoad, grip_loads, overloads, press_fault
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.search.plans.plan_report import PlanReport
 from falsework.search.problem.task import Direction

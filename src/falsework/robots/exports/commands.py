@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from falsework.robots.plans.loads import lying_motions
-from falsework.robots.plans.presses import TimedPress
+from falsework.robots.plans.robot_forces import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of, schedule_of

@@ -20,9 +20,8 @@ from falsework.robots.exports.ros2 import lost_schedule, ros2_goals, ros2_messag
 from falsework.robots.exports.tables import csv_tables
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.plans.grip_loads import GripLoad
 from falsework.robots.plans.motion_limits import first_limit_fault
-from falsework.robots.plans.presses import TimedPress, has_presses, timed_presses
+from falsework.robots.plans.robot_forces import GripLoad, TimedPress, has_presses, timed_presses
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import schedule_of
 from falsework.utils.files.output_file import write_whole

@@ -29,7 +29,7 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import inverse_pose, move
 from falsework.robots.plans.loads import Load, load_of, loads_at
-from falsework.robots.plans.presses import TimedPress, flange_of
+from falsework.robots.plans.robot_forces import TimedPress, flange_of
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.timeline import schedule_of
 from falsework.search.problem.task import Direction

@@ -19,7 +19,7 @@ from falsework.robots.exports.commands import (
     commands_of,
     events_of,
 )
-from falsework.robots.plans.presses import TimedPress
+from falsework.robots.plans.robot_forces import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
 from falsework.robots.plans.robot_plan_file import rounded
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from falsework.robots.plans.presses import TimedPress
+from falsework.robots.plans.robot_forces import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan
 
 

@@ -19,8 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from falsework.assembly.state import States
-from falsework.robots.interleaving.next_steps import NextSteps
-from falsework.robots.interleaving.partial_order import Partial, UnitStep, beginning, expected, extended
+from falsework.robots.interleaving.orders import NextSteps, Partial, UnitStep, beginning, expected, extended
 from falsework.robots.interleaving.work import Unit, Work
 from falsework.robots.keyframes.keyframes import Edge, Node, state_after
 from falsework.search.plans.plan_replay import Acceptance

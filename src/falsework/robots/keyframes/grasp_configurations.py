@@ -18,7 +18,7 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Gripper
 from falsework.robots.motion.collision_world import Scene, grasp_contact
-from falsework.robots.motion.motion_cache import MotionCache
+from falsework.robots.motion.path_planner import MotionCache
 from falsework.utils.arrays import Array
 
 

@@ -29,9 +29,8 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Scene, grasp_contact
-from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.near_pairs import NearPair, nearest_pair
-from falsework.robots.motion.path_planner import follow_line
+from falsework.robots.motion.path_planner import MotionCache, follow_line
 from falsework.utils.arrays import Array
 
 _MAX_DETOURS = 2

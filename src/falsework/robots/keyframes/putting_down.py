@@ -20,8 +20,7 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.shapes import inverse_pose, move, move_pieces
 from falsework.robots.motion.collision_world import PUT_DOWN, CollisionQuery, Scene, grasp_contact
-from falsework.robots.motion.motion_cache import MotionCache
-from falsework.robots.motion.path_planner import follow_line
+from falsework.robots.motion.path_planner import MotionCache, follow_line
 from falsework.utils.arrays import Array
 
 Retreat = Callable[[str, int, int, Array, Array, CollisionQuery, CollisionQuery], Array | None]

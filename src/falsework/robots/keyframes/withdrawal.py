@@ -11,8 +11,7 @@ from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
 from falsework.robots.keyframes.keyframes import PathSegment
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.motion.collision_world import LIFT, NO_CONTACT, CollisionQuery, Scene, withdrawal_contact
-from falsework.robots.motion.motion_cache import MotionCache
-from falsework.robots.motion.path_planner import follow_line
+from falsework.robots.motion.path_planner import MotionCache, follow_line
 from falsework.utils.arrays import Array
 
 _ROOM = 2.0

@@ -17,6 +17,8 @@ Pieces = tuple[Array, ...]
 
 CYLINDER_SIDES = 12
 """Number of sides of the prism that replaces a cylinder."""
+MAX_PLANES = 48
+"""Largest number of planes of a simplified hull."""
 
 
 def block(low: ArrayLike, high: ArrayLike, **bevels: tuple[float, float, float, float]) -> Array:
@@ -111,10 +113,6 @@ def _frozen(array: Array) -> Array:
     array = np.ascontiguousarray(array)
     array.setflags(write=False)
     return array
-
-
-MAX_PLANES = 48
-"""Largest number of planes of a simplified hull."""
 
 
 def outer_hull(points: ArrayLike, tolerance: float = 0.004, planes: int = MAX_PLANES) -> Array:

@@ -12,8 +12,7 @@ from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
-from falsework.robots.schedule.conflicts import Choice, choices, fixed_precedences
-from falsework.robots.schedule.itinerary import Itineraries
+from falsework.robots.schedule.conflicts import Choice, Itineraries, choices, fixed_precedences
 
 _TICKS = 10_000
 """Time units of the solver per second."""
