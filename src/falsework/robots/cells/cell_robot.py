@@ -17,6 +17,7 @@ from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
 from falsework.robots.model.cell import CellRobot, Gripper, Signals
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
+from falsework.robots.model.shapes import looking_down
 from falsework.utils.arrays import Array
 
 PLACE_TURNS = 8
@@ -56,7 +57,7 @@ def read_robot(
             raise
         faults.append(f"{error} (robot {entry.name} is shown in another one)")
     turns = [2 * np.pi * turn / PLACE_TURNS for turn in range(PLACE_TURNS)]
-    places = [base @ _down(np.array(put.position), turn) for put in entry.places for turn in turns]
+    places = [base @ looking_down(put.position, turn) for put in entry.places for turn in turns]
     given = entry.signals
     signals = Signals(grip=given.grip, closed=bool(given.closed), seconds=given.seconds, address=given.address)
     gripper = grippers[entry.gripper]
@@ -68,7 +69,7 @@ def _model(entry: RobotEntry, place: Place, folder: Path) -> RobotModel:
     name = entry.model
     srdf, limits = (None if given is None else str(folder / given) for given in (entry.srdf, entry.joint_limits))
     if name in BUILTIN:
-        return _builtin(name)
+        return builtin_robot(name)
     if not name.lower().endswith((".urdf", ".xml")):
         known = ", ".join(sorted(BUILTIN))
         raise place.fail("model", f"is {name!r}; give the path of a URDF file or one of {known}")
@@ -77,11 +78,6 @@ def _model(entry: RobotEntry, place: Place, folder: Path) -> RobotModel:
         return _from_file(str(folder / name), entry.base_link, entry.tip_link, srdf, limits, changed)
     except CellError as error:
         raise CellError(f"{place.source}: {place.name('model')}: {error}") from error
-
-
-@lru_cache(maxsize=16)
-def _builtin(name: str) -> RobotModel:
-    return builtin_robot(name)
 
 
 @lru_cache(maxsize=16)
@@ -150,11 +146,3 @@ def _home(given: list[float] | dict[str, float] | str | None, place: Place, mode
             f"{high:.4g}",
         )
     return np.array(values)
-
-
-def _down(position: Array, turn: float) -> Array:
-    """Return a tool frame whose z points down, rotated about the vertical."""
-    made = np.eye(4)
-    made[:3, :3] = [[np.cos(turn), np.sin(turn), 0], [np.sin(turn), -np.cos(turn), 0], [0, 0, -1]]
-    made[:3, 3] = position
-    return made

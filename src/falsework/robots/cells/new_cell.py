@@ -20,6 +20,7 @@ from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.builtin_robots import BUILTIN
 from falsework.robots.model.cell import Cell, CellRobot, maker_of
 from falsework.robots.model.part_shapes import PartShapes, place_parts
+from falsework.robots.model.shapes import looking_down
 
 GripperKind = Literal["suction", "jaw"]
 
@@ -183,9 +184,7 @@ def _places(robot: CellRobot) -> list[tuple[float, float, float]]:
     for side in (-1.0, 1.0):
         for share in _PLACES:
             at = (0.1 * robot.model.reach, side * share * robot.model.reach, 0.3 * robot.model.reach)
-            down = np.diag([1.0, -1.0, -1.0, 1.0])
-            down[:3, 3] = at
-            if len(inverse(robot, (robot.base @ down)[None])[0]):
+            if len(inverse(robot, (robot.base @ looking_down(at))[None])[0]):
                 found.append(at)
                 break
     return found

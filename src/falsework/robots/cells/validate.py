@@ -15,7 +15,7 @@ from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.model.shapes import Pieces, move
+from falsework.robots.model.shapes import Pieces, looking_down, move
 from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Scene
 from falsework.robots.motion.near_pairs import NearPair, millimetres, near_pairs, separation
 from falsework.utils.arrays import Array
@@ -88,15 +88,9 @@ def _in_front(cell: Cell, view: CollisionQuery, robot: int) -> Array | None:
     """Return a free configuration with the tool in front of the base and pointing down; None without one."""
     entry = cell.robots[robot]
     model = entry.model
-    tools = []
-    for ahead in _AHEAD:
-        for height in _HEIGHTS:
-            for turn in range(_TURNS):
-                angle = 2 * np.pi * turn / _TURNS
-                at = np.eye(4)
-                at[:3, :3] = [[np.cos(angle), np.sin(angle), 0], [np.sin(angle), -np.cos(angle), 0], [0, 0, -1]]
-                at[:3, 3] = (ahead * model.reach, 0.0, height * model.reach)
-                tools.append(entry.base @ at)
+    at = [(ahead * model.reach, 0.0, height * model.reach) for ahead in _AHEAD for height in _HEIGHTS]
+    turns = 2 * np.pi * np.arange(_TURNS) / _TURNS
+    tools = [entry.base @ looking_down(place, turn) for place in at for turn in turns]
     solutions = _rounded(model, np.concatenate(inverse(entry, np.array(tools))))
     free = solutions[model.within_limits(solutions)]
     free = free[~view.collides(free)] if len(free) else free

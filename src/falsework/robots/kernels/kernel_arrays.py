@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -19,12 +18,8 @@ GROUP = 6
 """Obstacles per bounding box in the broad phase."""
 
 
-@dataclass(frozen=True, eq=False)
-class Carried:
-    """Load of a robot: pieces in the frame of its flange."""
-
-    part: int
-    pieces: Pieces
+Carried = tuple[int, Pieces]
+"""Part that a robot carries, and its pieces in the frame of the flange."""
 
 
 @lru_cache(maxsize=64)
@@ -64,8 +59,8 @@ def make_bodies(
     bare, names, kinds = _arm_bodies(robot)
     if carried is None:
         return bare, list(names), list(kinds)
-    joints = robot.model.joints
-    load = _packed(robot.model, [joints] * len(carried.pieces), _mounted(robot.model, carried.pieces))
+    joints, (part, pieces) = robot.model.joints, carried
+    load = _packed(robot.model, [joints] * len(pieces), _mounted(robot.model, pieces))
     bodies = Bodies(
         np.append(bare.frame, load.frame),
         np.append(bare.start[:-1], bare.start[-1] + load.start),
@@ -74,11 +69,11 @@ def make_bodies(
         np.append(bare.radius, load.radius),
         np.concatenate([bare.sweep, load.sweep]),
     )
-    name = f"part {part_names[carried.part]}"
+    name = f"part {part_names[part]}"
     return (
         bodies,
-        [*names, *[name] * len(carried.pieces)],
-        [*kinds, *[joints + 2] * len(carried.pieces)],
+        [*names, *[name] * len(pieces)],
+        [*kinds, *[joints + 2] * len(pieces)],
     )
 
 

@@ -8,6 +8,7 @@ fittings are not included: add obstacles or a wider margin for a real cell.
 from __future__ import annotations
 
 import tomllib
+from functools import cache
 from importlib.resources import files
 from typing import Any
 
@@ -26,6 +27,7 @@ _FLANGES = {"x": np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0
 """Flange frames whose z axis, outwards, is an axis of the last link."""
 
 
+@cache
 def builtin_robot(name: str) -> RobotModel:
     """Return an arm by name; the InputError for another name lists the available ones."""
     if name not in BUILTIN:

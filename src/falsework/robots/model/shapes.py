@@ -99,6 +99,13 @@ def pose(position: ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Array:
     return _frozen(made)
 
 
+def looking_down(position: ArrayLike, turn: float = 0.0) -> Array:
+    """Return a frame whose z points down, with its x rotated about the vertical by `turn` radians. Shape (4, 4)."""
+    made = np.array(pose(position, turn))
+    made[:3, 1:3] *= -1
+    return made
+
+
 def inverse_pose(given: Array) -> Array:
     """Return the inverse of a rigid pose, shape (..., 4, 4)."""
     made = np.zeros_like(given)

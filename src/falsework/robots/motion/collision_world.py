@@ -259,7 +259,7 @@ class CollisionWorld:
         if held is None:
             return None
         pose = self.cell.robots[robot].gripper.tool @ held.tool_from_part
-        return Carried(held.part, tuple(move(pose, piece) for piece in self.parts.pieces[held.part]))
+        return held.part, tuple(move(pose, piece) for piece in self.parts.pieces[held.part])
 
     def robot_pieces(self, robot: int, scene: Scene) -> list[tuple[str, int, Array]]:
         """Return all moving pieces of a robot in the world: name, link (gripper joints + 1, part + 2), vertices."""
@@ -285,8 +285,8 @@ class CollisionWorld:
         found += [(name, entry.model.joints + 1, move(flange, piece)) for piece in entry.gripper.pieces]
         held = self.carried(robot, scene)
         if held is not None:
-            name = f"part {self.parts.names[held.part]}"
-            found += [(name, entry.model.joints + 2, move(flange, piece)) for piece in held.pieces]
+            name = f"part {self.parts.names[held[0]]}"
+            found += [(name, entry.model.joints + 2, move(flange, piece)) for piece in held[1]]
         return found
 
     def grip_distance(self, robot: int, configuration: ArrayLike, part: int) -> float:
