@@ -203,7 +203,7 @@ def test_no_point_moves_farther_than_its_bound(scheduled: RobotPlan, judge: Pino
             for k, shape in enumerate(path.shapes):
                 corners = shape.center + shape.radius * rng.normal(size=(8, 3)) / 3
                 corners = corners[np.linalg.norm(corners - shape.center, axis=1) <= shape.radius]
-                ends = [corners @ at.poses[k].getRotation().T + at.poses[k].getTranslation() for at in (one, other)]
+                ends = [corners @ at[k].getRotation().T + at[k].getTranslation() for _, at in (one, other)]
                 assert (np.linalg.norm(ends[1] - ends[0], axis=1) <= bound[k] + 1e-9).all()
 
 

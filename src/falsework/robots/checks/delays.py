@@ -47,16 +47,6 @@ class Shape:
     radius: float
 
 
-@dataclass(frozen=True, eq=False)
-class PlacedBodies:
-    """Bodies at one position of a path."""
-
-    centers: Array
-    """Centres of the spheres around them, shape (bodies, 3)."""
-    poses: list[Any]
-    """Transforms of Coal."""
-
-
 class BodyPath:
     """Bodies along a motion, or at rest, placed by Pinocchio.
 
@@ -86,7 +76,7 @@ class BodyPath:
             levers = np.array([_levers(judge, robot, *given) for given in zip(bodies, shapes, strict=True)])
             steps = trajectory.travel(self._times) @ levers.T
             self._moved = np.concatenate([self._moved, np.cumsum(steps, axis=0)])
-        self._placed: dict[float, PlacedBodies] = {}
+        self._placed: dict[float, tuple[Array, list[Any]]] = {}
 
     def position(self, share: float) -> float:
         """Return the position at a share of the duration."""
@@ -103,8 +93,8 @@ class BodyPath:
             return self._moved[low]
         return self._moved[low] + (position - low) * (self._moved[low + 1] - self._moved[low])
 
-    def place(self, position: float) -> PlacedBodies:
-        """Return the bodies at a position."""
+    def place(self, position: float) -> tuple[Array, list[Any]]:
+        """Return the bodies at a position: centres of their spheres, shape (bodies, 3), and transforms of Coal."""
         if position not in self._placed:
             low = int(position)
             values = self._samples[low]
@@ -113,9 +103,7 @@ class BodyPath:
             poses = self._judge.frames(self._robot, values, self._joints) @ self._frames
             centers = np.einsum("bij,bj->bi", poses[:, :3, :3], self._centers) + poses[:, :3, 3]
             coal = import_pinocchio()[1]
-            self._placed[position] = PlacedBodies(
-                centers, [coal.Transform3s(pose[:3, :3], pose[:3, 3]) for pose in poses]
-            )
+            self._placed[position] = centers, [coal.Transform3s(pose[:3, :3], pose[:3, 3]) for pose in poses]
         return self._placed[position]
 
 
@@ -162,13 +150,13 @@ class SeparationProver:
             at, there = one.moved(a), other.moved(b)
             mine = np.maximum(one.moved(high) - at, at - one.moved(low))[first]
             theirs = np.maximum(other.moved(top) - there, there - other.moved(bottom))[second]
-            here, where = one.place(a), other.place(b)
-            apart = np.linalg.norm(here.centers[first] - where.centers[second], axis=1)
+            (centers, here), (others, where) = one.place(a), other.place(b)
+            apart = np.linalg.norm(centers[first] - others[second], axis=1)
             keep = mine + theirs + _ACCURACY
             unproven = []
             for k in np.flatnonzero(apart - one.radii[first] - other.radii[second] <= keep).tolist():
                 i, j = int(first[k]), int(second[k])
-                gap = self._gap(one.shapes[i], here.poses[i], other.shapes[j], where.poses[j], keep[k])
+                gap = self._gap(one.shapes[i], here[i], other.shapes[j], where[j], keep[k])
                 if gap > keep[k]:
                     continue
                 if gap <= 0 or keep[k] <= NEAREST / 2:
