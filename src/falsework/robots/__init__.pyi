@@ -18,9 +18,9 @@ from falsework.robots.planning.hybrid_result import HybridSettings as HybridSett
 from falsework.robots.plans.robot_plan import Keyframe as Keyframe
 from falsework.robots.plans.robot_plan import RobotPlan as RobotPlan
 from falsework.robots.plans.robot_plan import RobotStep as RobotStep
-from falsework.robots.plans.robot_plan import Trajectory as Trajectory
 from falsework.robots.plans.temporal_graph import Precedence as Precedence
 from falsework.robots.plans.timeline import interruption as interruption
 from falsework.robots.plans.timeline import nodes_of as nodes_of
+from falsework.robots.plans.trajectory import Trajectory as Trajectory
 from falsework.robots.schedule.simulation import simulate as simulate
 from falsework.robots.schedule.solver import schedule_plan as schedule_plan

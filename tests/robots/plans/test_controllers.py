@@ -38,7 +38,7 @@ def renamed(cell: Cell, name: str, **changes: Any) -> Cell:
 def planned_for(plan: RobotPlan, cell: Cell) -> RobotPlan:
     """The plan as if it were for another cell."""
     from falsework.robots.model.cell import cell_identity
-    from falsework.robots.plans.robot_record import records_of
+    from falsework.robots.plans.robot_plan import records_of
 
     return replace(plan, robots=records_of(cell), cell_identity=cell_identity(cell))
 

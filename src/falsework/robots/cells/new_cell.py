@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Literal
 
@@ -30,38 +31,6 @@ CLEAR = 0.2
 """Distance of a base from the structure, and width that it needs, as shares of the longest reach."""
 _PLACES = (0.50, 0.42, 0.34, 0.26)
 """Distances of places beside an arm that are tried, as shares of its reach."""
-_GRIPPERS = {
-    "suction": """[grippers.cup]                      # measure yours
-kind = "suction"
-payload = 5.0
-mass = 1.0
-# center_of_mass = [0.0, 0.0, 0.05] # of the gripper, in the frame of the flange; programs need it
-# inertia = [0.001, 0.001, 0.0005]  # about that point
-cup = 0.02                          # radius
-# force = 60.0                      # largest force on a held part
-tool = { position = [0.0, 0.0, 0.12] }
-shapes = [
-    { cylinder = { radius = 0.03, low = 0.0, high = 0.05 } },
-    { cylinder = { radius = 0.018, low = 0.05, high = 0.119 } },
-]
-""",
-    "jaw": """[grippers.jaw]                      # measure yours
-kind = "jaw"
-payload = 3.0
-mass = 1.0
-# center_of_mass = [0.0, 0.0, 0.05] # of the gripper, in the frame of the flange; programs need it
-# inertia = [0.001, 0.001, 0.0005]  # about that point
-opening = 0.08                      # largest
-depth = 0.03                        # length of the jaws that touches a part
-# force = 60.0                      # largest force on a held part
-tool = { position = [0.0, 0.0, 0.14] }
-shapes = [
-    { box = { low = [-0.06, -0.03, 0.0], high = [0.06, 0.03, 0.09] } },
-    { box = { low = [0.041, -0.01, 0.09], high = [0.055, 0.01, 0.139] } },
-    { box = { low = [-0.055, -0.01, 0.09], high = [-0.041, 0.01, 0.139] } },
-]
-""",
-}
 
 
 @dataclass(frozen=True)
@@ -125,6 +94,7 @@ def _text(
     cell: Cell | None = None,
 ) -> str:
     names = [arm.name for arm in arms]
+    grippers = files("falsework.robots.cells").joinpath("new_grippers.txt").read_text(encoding="utf-8")
     lines = [
         "# Lengths in metres, angles in degrees, masses in kilograms. Look at it while you edit: falsework view",
         f'format = "{FORMAT}"',
@@ -136,7 +106,7 @@ def _text(
         "position = [0.0, 0.0, 0.0]",
         "scale = 1.0",
         "",
-        _GRIPPERS[gripper],
+        grippers.split("\n\n")[gripper == "jaw"].rstrip("\n") + "\n",
     ]
     for number, (arm, (x, y, yaw)) in enumerate(zip(arms, bases, strict=True)):
         lines += [

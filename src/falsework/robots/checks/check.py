@@ -24,10 +24,10 @@ from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.plans.loads import Load, load_of, loads_at, loads_beside, step_fault
-from falsework.robots.plans.motion_limits import OUTSIDE, check_limits
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_forces import GripLoad, grip_loads, overloads, press_fault
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.trajectory import OUTSIDE, Trajectory, check_limits
 from falsework.search.plans.plan_report import PlanReport
 from falsework.search.problem.task import Direction
 from falsework.utils.arrays import Array

@@ -23,8 +23,9 @@ from falsework.assembly.state import REMOVED
 from falsework.robots.checks.pinocchio_checker import WORLD, CollisionBody, PinocchioCollisionChecker, import_pinocchio
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.reachable_positions import ReachablePositions
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import Segment
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.utils.arrays import Array
 
 NEAREST = 2e-4

@@ -17,8 +17,8 @@ from falsework.robots.checks.grips import GripChecker
 from falsework.robots.model.cell import LONGEST_APPROACH, LONGEST_WITHDRAWAL, Cell
 from falsework.robots.model.shapes import inverse_pose, move
 from falsework.robots.plans.loads import Load, load_of, lying_motions
-from falsework.robots.plans.motion_limits import line_fault
 from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.trajectory import line_fault
 from falsework.search.problem.task import Direction
 from falsework.utils.arrays import Array
 

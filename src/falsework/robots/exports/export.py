@@ -20,10 +20,10 @@ from falsework.robots.exports.ros2 import lost_schedule, ros2_goals, ros2_messag
 from falsework.robots.exports.tables import csv_tables
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.plans.motion_limits import first_limit_fault
 from falsework.robots.plans.robot_forces import GripLoad, TimedPress, has_presses, timed_presses
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import schedule_of
+from falsework.robots.plans.trajectory import check_limits
 from falsework.utils.files.output_file import write_whole
 
 Format = Literal["ros2-json", "ros2-yaml", "ros2-goals", "csv", "rapid", "urscript", "mcap"]
@@ -89,7 +89,7 @@ def export_plan(
     if cell is not None:
         cell = as_cell(cell)
         plan.check_cell(cell)
-        if fault := first_limit_fault(plan, cell):
+        if fault := _limit_fault(plan, cell):
             raise PlanError(f"the robot plan cannot be exported for {cell.name}: {fault}; plan again")
     presses = _presses(plan, structure, cell, form)
     language = next((language for language in MAKERS if language == form), None)
@@ -154,3 +154,12 @@ def _presses(plan: RobotPlan, structure: AnyStructure | None, cell: Cell | None,
         if fault := load.fault(plan, cell):
             raise PlanError(f"the robot plan cannot be exported for {cell.name}: {fault}; plan again")
     return presses
+
+
+def _limit_fault(plan: RobotPlan, cell: Cell) -> str:
+    """Return the first fault that `check_limits` finds in a plan, with its step and robot; empty if there is none."""
+    for step, robot, trajectory in plan.moves():
+        faults = check_limits(trajectory, cell.robots[robot].model, cell.speed).faults
+        if faults:
+            return f"step {step + 1}, {cell.robots[robot].name}: {faults[0]}"
+    return ""

@@ -30,8 +30,9 @@ from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import inverse_pose, move
 from falsework.robots.plans.loads import Load, load_of, loads_at
 from falsework.robots.plans.robot_forces import TimedPress, flange_of
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import schedule_of
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.problem.task import Direction
 from falsework.utils.files.output_file import write_whole
 

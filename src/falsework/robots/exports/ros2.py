@@ -20,8 +20,9 @@ from falsework.robots.exports.commands import (
     events_of,
 )
 from falsework.robots.plans.robot_forces import TimedPress
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import rounded
+from falsework.robots.plans.trajectory import Trajectory
 
 GOALS_FORMAT = "falsework.ros2-goals/1"
 ONE_AFTER_THE_OTHER = ("ros2-json", "ros2-yaml", "csv")

@@ -27,7 +27,7 @@ from falsework.robots.motion.collision_world import (
 )
 from falsework.robots.motion.path_planner import plan_free
 from falsework.robots.plans.loads import Load
-from falsework.robots.plans.robot_plan import Trajectory
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.stability.oracle import StabilityOracle
 from falsework.utils.arrays import Array
 

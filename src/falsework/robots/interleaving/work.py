@@ -15,7 +15,7 @@ from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.keyframes.trajectory_assembly import timed_leg
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.plans.loads import Load, LoadKey
-from falsework.robots.plans.robot_plan import Trajectory
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.robots.schedule.swept_bodies import SweptBodies
 from falsework.utils.arrays import Array
 

@@ -14,8 +14,8 @@ from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment, route_
 from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.motion.timing import time_path
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
-from falsework.robots.plans.robot_record import records_of
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, records_of
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.find import prove_route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle

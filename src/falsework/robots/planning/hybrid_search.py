@@ -27,7 +27,8 @@ from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeu
 from falsework.robots.planning.boundary_motions import BoundaryMotions
 from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
 from falsework.robots.planning.solvability import MAX_FALLEN_REPLAYS, SolvabilityCheck
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.robots.schedule.solver import schedule_plan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide, MemoizedGuide

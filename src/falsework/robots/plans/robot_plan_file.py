@@ -12,7 +12,7 @@ from msgspec import convert, to_builtins
 
 from falsework.errors import PlanError
 from falsework.robots.plans.loads import step_fault
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep
 from falsework.robots.plans.robot_plan_model import (
     FORMAT,
     KeyframeEntry,
@@ -22,9 +22,9 @@ from falsework.robots.plans.robot_plan_model import (
     ScheduleEntry,
     TrajectoryEntry,
 )
-from falsework.robots.plans.robot_record import RobotRecord
 from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.task import Direction
 from falsework.utils.arrays import Array

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.state import States
 from falsework.robots.plans.loads import Load, load_at_rest, load_of
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.problem.task import Direction
 from falsework.utils.arrays import Array
 

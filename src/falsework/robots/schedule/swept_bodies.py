@@ -14,7 +14,7 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import inverse_pose, move_pieces
 from falsework.robots.motion.collision_world import Attached, CollisionWorld, Scene
 from falsework.robots.plans.loads import Load, LoadKey
-from falsework.robots.plans.robot_plan import Trajectory
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.utils.arrays import Array
 
 CELL = 0.05
