@@ -206,8 +206,8 @@ def _robots(plan: Plan, assembly: Assembly, scratch: Path) -> Iterator[tuple[str
     from falsework.robots import Keyframe, RobotPlan, RobotStep, Trajectory
     from falsework.robots.cells.cell_file import parse_cell
     from falsework.robots.model.cell import cell_identity
+    from falsework.robots.plans.robot_plan import records_of
     from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
-    from falsework.robots.plans.robot_record import records_of
 
     yield "cell", Kind(CELL.encode(), "cell.toml", partial(load_cell, check=False), {})
     yield from _descriptions()

@@ -16,7 +16,7 @@ from falsework.cli.main import main
 from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
 from falsework.robots import Keyframe, Precedence, RobotPlan, RobotStep, Trajectory, nodes_of
-from falsework.robots.plans.robot_record import RobotRecord
+from falsework.robots.plans.robot_plan import RobotRecord
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import bars_of
 from falsework.search.plans.plan_file import plan_from_dict

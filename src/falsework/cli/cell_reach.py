@@ -62,7 +62,7 @@ def report_reach(assembly: Assembly, cell: Cell, propose: Propose, picture: Path
     _say(output, assembly, cell, parts, table)
     _propose(output, proposal)
     if picture is not None:
-        from falsework.robots.grasping.reachability_plot import draw_reach
+        from falsework.robots.grasping.reachability import draw_reach
 
         draw_reach(cell, parts, table, picture)
         output.file(picture)
@@ -76,7 +76,7 @@ def report_reach(assembly: Assembly, cell: Cell, propose: Propose, picture: Path
 
 def _say(output: Output, assembly: Assembly, cell: Cell, parts: PartShapes, table: ReachTable) -> None:
     """Print one row per part."""
-    from falsework.robots.cells.home import missing_homes
+    from falsework.robots.cells.validate import missing_homes
     from falsework.robots.grasping.reachability import Reachability
 
     shown: list[tuple[str, ...]] = []

@@ -265,6 +265,7 @@ class MakeReplan(Command):
         from falsework.replanning.request import Request
         from falsework.search.problem.task import Direction
 
+        parts = self.rules.parts(assembly)
         return Request(
             None if self.state is None else parse_state(self.state, "--state", assembly),
             plan=None if step is None else plan,
@@ -272,7 +273,8 @@ class MakeReplan(Command):
             target=None if self.target is None else parse_state(self.target, "--target", assembly),
             direction=None if self.order == "auto" else Direction(self.order),
             robots=robots,
-            **self.rules.parts(assembly),
+            missing=parts["missing"],
+            fixed=parts["fixed"],
             alternatives=self.alternatives,
             seed=self.seed,
             deadline=self.deadline,

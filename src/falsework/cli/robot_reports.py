@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.robots.checks.check import CheckReport
     from falsework.robots.model.cell import Cell
-    from falsework.robots.plans.grip_loads import GripLoad
     from falsework.robots.plans.plan_problem import PlanProblem
+    from falsework.robots.plans.robot_forces import GripLoad
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.robots.schedule.simulation import SimulationReport
 
@@ -119,9 +119,8 @@ def check_texts(name: str, report: CheckReport, states: int | None) -> list[str]
     """
     stable = "" if states is None else f", all {states} states are stable"
     links = ", ".join(f"{robot} as {shapes}" for robot, shapes in report.links.items())
-    timed = f" and at {report.timed_samples} moments of its schedule" if report.timed_samples else ""
     found = [
-        f"{name}: no collision in {report.samples} configurations of {report.trajectories} motions{timed} (links of "
+        f"{name}: no collision in {report.samples} configurations of {report.trajectories} motions (links of "
         f"{links}), all within limits{stable}"
     ]
     if report.delays is not None:
@@ -220,7 +219,7 @@ def unverified(plan: RobotPlan, report: CheckReport, *, states: bool) -> list[st
 
 def overloads_of(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[PlanProblem]:
     """Return the holds of a plan that take more than a gripper bears; nothing is computed for a cell without limits."""
-    from falsework.robots.plans.grip_loads import grip_loads, overloads
+    from falsework.robots.plans.robot_forces import grip_loads, overloads
 
     if not any(robot.gripper.has_limits for robot in cell.robots):
         return []
@@ -229,7 +228,7 @@ def overloads_of(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[PlanPr
 
 def holds_record(loads: list[GripLoad], plan: RobotPlan, cell: Cell) -> list[dict[str, Any]]:
     """Return the largest force and moment that each robot bears for a part that it holds."""
-    from falsework.robots.plans.grip_loads import heaviest
+    from falsework.robots.plans.robot_forces import heaviest
 
     records, names = [], plan.plan.part_names
     for number, robot in enumerate(cell.robots):

@@ -80,7 +80,7 @@ class CheckRobots(Command):
         """Load, compare, verify."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.checks.check import check_robot_plan
-        from falsework.robots.plans.grip_loads import grip_loads, overloads
+        from falsework.robots.plans.robot_forces import grip_loads, overloads
         from falsework.robots.plans.robot_plan import acts
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.robots.schedule.simulation import simulate

@@ -56,7 +56,7 @@ class ExportRobots(Command):
         """Load and write."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.exports.export import export_notes, export_plan
-        from falsework.robots.plans.presses import has_presses
+        from falsework.robots.plans.robot_forces import has_presses
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.search.plans.plan_source import structure_of_plan
 

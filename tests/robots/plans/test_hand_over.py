@@ -20,13 +20,13 @@ from falsework.robots import Cell, RobotPlan, export_plan, nodes_of
 from falsework.robots.checks.check import CheckReport, check_robot_plan
 from falsework.robots.exports.commands import Begin, Grip, PublishCount, Wait, commands_of
 from falsework.robots.model.cell import cell_identity
+from falsework.robots.plans.robot_plan import records_of
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
     robot_plan_from_dict,
     robot_plan_to_dict,
     save_robot_plan,
 )
-from falsework.robots.plans.robot_record import records_of
 from falsework.robots.plans.timeline import arm_shares, bars_of, event_times
 from falsework.search.plans.plan_check import validate_plan
 from falsework.viewer.arms import Arms

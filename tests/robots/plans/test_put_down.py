@@ -21,8 +21,8 @@ from falsework.errors import PlanError
 from falsework.robots import Cell, HybridSettings, KeyframeGraph, Obstacle, RobotPlan, RobotStep, export_plan
 from falsework.robots.checks.check import CheckReport, check_robot_plan
 from falsework.robots.checks.delays import check_delays
+from falsework.robots.checks.handling import unrest
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
-from falsework.robots.checks.put_down import unrest
 from falsework.robots.exports.commands import Grip, events_of
 from falsework.robots.kernels.coordination import conflicts, still
 from falsework.robots.keyframes.putting_down import downwards
@@ -42,8 +42,7 @@ from falsework.robots.plans.robot_plan_file import (
 )
 from falsework.robots.plans.robot_plan_model import robot_plan_schema
 from falsework.robots.plans.timeline import activities_at, bars_of, event_times
-from falsework.robots.schedule.conflicts import choices
-from falsework.robots.schedule.itinerary import Itineraries
+from falsework.robots.schedule.conflicts import Itineraries, choices
 from falsework.robots.schedule.swept_bodies import SweptBodies
 from falsework.search.plans.plan_check import validate_plan
 from falsework.viewer.arms import Arms

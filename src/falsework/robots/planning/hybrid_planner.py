@@ -160,9 +160,7 @@ def _keeping_reserve(
 ) -> HybridResult:
     """Return the result of a search with the reserve, or where it finds no order of the parts, of one without.
 
-    Args:
-        search: finds a plan with an oracle, within some seconds.
-        assembly, cell, stability, deadline: as in `plan_robots`; the deadline is that of both searches together.
+    The deadline, seconds, is that of both searches together.
     """
     clock = Deadline(deadline)
     result = search(StabilityOracle(assembly, stability_in(cell, assembly, stability)), deadline)
@@ -182,9 +180,7 @@ def _concurrent(
     lines, kind = settings.keyframes, "together"
     shortest = min(lines.approaches)
     short = replace(
-        lines,
-        approaches=tuple(sorted(lines.approaches)),
-        withdrawals=tuple(sorted({shortest, *lines.withdrawals})),
+        lines, approaches=tuple(sorted(lines.approaches)), withdrawals=tuple(sorted({shortest, *lines.withdrawals}))
     )
     first = Deadline(_SHARE * clock.left if clock.limited else None)
     result = search(replace(settings, keyframes=short), graph, first)

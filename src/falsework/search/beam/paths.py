@@ -127,7 +127,8 @@ class BeamPaths:
         row, level = 0, len(self._levels) - 1
         if self._replayer is None or self._history(level, row) is None:
             return None
-        most, steps = (0.0, -1), list[StepCertificate]()
+        most: tuple[float, int] = (0.0, -1)
+        steps: list[StepCertificate] = []
         for number in range(level, -1, -1):
             moved, part, step = self._known_steps[number][row]
             most = max(most, (moved, part))
@@ -135,7 +136,7 @@ class BeamPaths:
             row = int(self._levels[number].parent[row])
         steps.reverse()
         known = all(len(step.displacement) for step in steps)
-        return *most, None, tuple(step.presses for step in steps), tuple(steps) if known else ()
+        return most[0], most[1], None, tuple(step.presses for step in steps), tuple(steps) if known else ()
 
     def _history(self, level: int, row: int) -> History | None:
         """Return the history of a state of a level; None where the way to it does not stand."""

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -270,11 +271,8 @@ class Replayer:
         given = [tuple(some) for some in presses]
         if history is not None:
             given[0] = history.presses
-        arrays = displacement, springs, torn, age
-        histories = tuple(
-            History(*(array[row] for array in arrays), float(moved[row]), int(part[row]), given[row], track[row])
-            for row in range(reached)
-        )
+        rows = zip(displacement, springs, torn, age, moved.tolist(), part.tolist(), given, track, strict=False)
+        histories = tuple(History(*row) for row in islice(rows, reached))
         done = tuple(history.presses for history in histories)
         return Replay(result, moved, part, residual, self._size, histories, done)
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
-from falsework.robots.cells.home import home_text, propose_home
+from falsework.robots.cells.validate import home_text, propose_home
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.utils.files.printable import printable
 from falsework.viewer.cells.cell_model import CellModel, build_cell_model
