@@ -12,9 +12,9 @@ A row is a structure, by the name of a real one (FALSEWORK_DATA, else the folder
 built-in one or by its path, and a number of robots. `table3`: greedy success on the
 test states of five searches (`draws.py`), all of them or `--states` of each, with their distance to the states learned
 from, and `paper` where the paper has the row; `--data width64` learns from the paper's data alone. Runs whose records
-are in the file of `--out` are skipped, those in the folder of `--keep` are resumed. `table4`: a
-goal-conditioned policy, a goal-blind one, or both (`--goals`). `table5`: `gat`, `transformer`, `resmlp` and `mlp` with
-the same budget. `transfer`: a policy of the bottle evaluated on the dog.
+are in the file of `--out` are skipped, those in the folder of `--keep` are resumed. `table4`: a goal-conditioned
+policy, a goal-blind one, or both (`--goals`), on two draws of unseen pairs. `table5`: `gat`, `transformer`, `resmlp`
+and `mlp` with the same budget. `transfer`: a policy of the bottle evaluated on the dog.
 `solvable`: how many states of a small structure are solvable, and how many of them no run may learn from.
 `minutes` is the total budget, `seconds` the time used; data are included but for `table3`, evaluation is not. Rows
 are independent: run them as processes of their own, each with its CUDA_VISIBLE_DEVICES.
@@ -44,8 +44,11 @@ from falsework.learn import Environment, Policy, PolicySettings, TrainSettings, 
 from falsework.learn.config.policy import recommended
 from falsework.learn.config.train import METHODS, Criterion, from_dict, to_dict
 from falsework.learn.data.dataset import Dataset, build_dataset, search_states, training_task
+from falsework.learn.data.goal_dataset import GoalDataSettings, SearchStates, build_goal_dataset
+from falsework.learn.data.goal_pairs import Pairs
 from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.networks.autocast import Network
+from falsework.learn.training.checkpoint import SEARCHED
 from falsework.learn.training.evaluate import GoalBlindPolicy, measure_success, sample
 from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.train import TrainResult
@@ -72,6 +75,8 @@ TABLE_3: dict[str, tuple[float, float, float, float]] = {
 """For each row the paper's success in training and test in %, its hours, and the minutes of a run here."""
 EVERYTHING = 1 << 14
 """Width of a search that finds all states of a small structure."""
+SECOND_DRAW = 5000
+"""Seed of the searches from which a second set of unseen pairs is drawn."""
 SMALL = 20
 """Number of parts up to which every test draw has a run of its own."""
 
@@ -160,9 +165,14 @@ def evaluated(
         narrow = replace(filled, data="width64")
         pairs = find_pairs(RunContext(assembly, narrow, tensor_oracle(oracle, device), device))
         seen = sample(np.arange(len(pairs.train)), len(pairs.test))
+        known = [pairs.graph.states]
+        if result.folder is not None and (result.folder / SEARCHED).exists():
+            known.append(SearchStates.load(result.folder / SEARCHED, pairs.task).more)
+        other = second_draw(assembly, settings, tensor_oracle(oracle, device), str(device), np.concatenate(known))
         sets: Any = {
             "train": (pairs.train.states[seen], pairs.train.targets[seen]),
             "test": (pairs.test.states, pairs.test.targets),
+            "second": (other.states, other.targets),
         }
         network = GoalBlindPolicy(network) if one_state else network
     else:
@@ -180,6 +190,15 @@ def evaluated(
             found[name]["steps"] = record.spread(environment.rules.steps_left(*tensors).tolist())
     everything = "all states" if sets["test"][1] is None else "all unseen pairs"
     return {**found, "evaluated": f"at most {options.states} of each set" if options.states else everything}
+
+
+def second_draw(assembly: Any, settings: TrainSettings, oracle: TensorOracle, device: str, known: Any) -> Pairs:
+    """Return unseen pairs of other searches than those of training; neither state is among the known ones."""
+    task = training_task(assembly, settings.robots, settings.removable_only_if_clear)
+    drawn = GoalDataSettings(seed=SECOND_DRAW)
+    pairs = build_goal_dataset(assembly, task, drawn, oracle=oracle, device=device).test
+    index = StateIndex(np.unique(known, axis=0))
+    return pairs[(index.find(pairs.states) < 0) & (index.find(pairs.targets) < 0)]
 
 
 def protocol(assembly: Any, settings: TrainSettings, oracle: TensorOracle, device: str) -> Dataset:
@@ -209,7 +228,8 @@ def line(
         clear=settings.removable_only_if_clear,
         phases=[phase.algorithm for phase in settings.phases],
         ppo={
-            name: getattr(filled.phases[-1], name, None) for name in ("rollouts", "anywhere", "explored", "imitation")
+            name: getattr(filled.phases[-1], name, None)
+            for name in ("starts", "rollouts", "epochs", "anywhere", "explored", "imitation")
         },
         policy=result.policy.settings.kind,
         goal_conditioned=settings.policy.goal_conditioned,
@@ -292,11 +312,10 @@ def table4(options: argparse.Namespace) -> None:
             for two in {"both": (True, False), "yes": (True,), "no": (False,)}[options.goals]:
                 kind = recommended(assembly.part_count, goal_conditioned=two, kind=options.policy or None)
                 settings = settings_of(options, name, robots, seed, policy=kind)
-                label = f"{name}:{robots} {'two states' if two else 'one state'} seed {seed}"
+                label = f"{name}:{robots} {'two states' if two else 'one state'} seed {seed} {options.label}"
                 result = run(options, name, assembly, settings, label)
-                line(
-                    "table4", name, settings, result, evaluated(options, result, settings, assembly, one_state=not two)
-                )
+                found = evaluated(options, result, settings, assembly, one_state=not two)
+                line("table4", name, settings, result, found, label=options.label)
 
 
 def table5(options: argparse.Namespace) -> None:
@@ -371,7 +390,7 @@ def main() -> None:
     parser.add_argument(
         "--tests", nargs="*", type=int, default=[], help="numbers of the test draws of small structures; default: all"
     )
-    parser.add_argument("--label", default="", help="name of a variant in the records of table3")
+    parser.add_argument("--label", default="", help="name of a variant in the records of table3 and table4")
     parser.add_argument("--goals", choices=("both", "yes", "no"), default="both", help="which policies table4 trains")
     parser.add_argument("--search", action="store_true", help="search where the policy fails")
     parser.add_argument("--keep", default="", help="folder for the runs; existing ones are resumed")
