@@ -2,12 +2,14 @@
 
     python benchmarks/general.py make --folder out/general --minutes 9 --processes 15 --device cuda
     python benchmarks/general.py data --folder out/general --minutes 30 --processes 2
+    python benchmarks/general.py reinforce --folder out/general --minutes 9 --total 9 --device cuda
     python benchmarks/general.py evaluate --folder out/general --processes 15 --minutes 9
     python benchmarks/general.py card --folder out/general --out benchmarks/results/general.jsonl
 
 `make` generates structures on the processor while it trains on the data so far; repeat the same command until it says
 that training is done. Once some training is done, the processes roll the policy out: what succeeds becomes data, and
-states from which it fails come first. `data` does the first half alone. `evaluate` tests on structures that are not
+states from which it fails come first. `data` does the first half alone. `reinforce` goes
+on with rollouts on those structures from which the policy fails most. `evaluate` tests on structures that are not
 trained on, and stops in time; repeat it until no case is left. `card` summarises the evaluation by groups.
 
 The folder holds `data-*.npz`, `validation.npz`, a run that other commands take (`run.json`, `weights.safetensors`), a
@@ -22,7 +24,8 @@ import os
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
@@ -34,7 +37,7 @@ from experiments.general_cases import CASES, evaluate_case
 from experiments.structure_generator import generated
 from record import report, spread, write_to
 
-from falsework import load_policy
+from falsework import Assembly, load_policy
 from falsework.errors import FalseworkError, InputError
 from falsework.learn import PolicySettings
 from falsework.learn.data.labelled_states import (
@@ -46,6 +49,7 @@ from falsework.learn.data.labelled_states import (
 )
 from falsework.learn.data.structure_batches import StructureBatches
 from falsework.learn.training.general import GeneralSettings, GeneralTraining
+from falsework.learn.training.general_ppo import GeneralPpo, GeneralPpoSettings, Playground
 from falsework.utils.tensors import choose_device
 
 PER_FILE = 1000
@@ -56,6 +60,8 @@ REPORT_EVERY = 30.0
 """Seconds of training between two looks at the data."""
 SAVE_EVERY, RESERVE = 120.0, 20.0
 """Seconds between two times that all data are written, and for the last time at the end of a call."""
+REINFORCED = 16
+"""Validation structures, and states of each, that show what reinforcement does."""
 IMPROVE_AFTER = 0.3
 """Share of the training after which the policy is rolled out."""
 
@@ -64,14 +70,14 @@ IMPROVE_AFTER = 0.3
 class Options:
     """What to do, and for how long."""
 
-    what: tyro.conf.Positional[Literal["make", "data", "evaluate", "card"]]
+    what: tyro.conf.Positional[Literal["make", "data", "reinforce", "evaluate", "card"]]
     """Command."""
     folder: Path = Path("out/general")
     """Folder of data, checkpoint and results."""
     minutes: float = 9.0
     """Time of this call, start included."""
     total: float = 60.0
-    """For `make`: minutes of training in all calls together, over which the learning rate falls."""
+    """For `make` and `reinforce`: minutes of training in all calls together, over which the learning rate falls."""
     processes: int = 1
     """Processes that generate or evaluate."""
     structures: int = 4000
@@ -286,6 +292,56 @@ def make(options: Options) -> None:
     print(f"training is {'done' if training.progress >= 1.0 else f'{100 * training.progress:.0f} % done'}", flush=True)
 
 
+def reinforce(options: Options) -> None:
+    """Improve the policy by its own rollouts, on the structures of the data; greedy success before and after."""
+    end = time.perf_counter() + 60 * options.minutes
+    device = choose_device(options.device)
+    library = Library.load(options.folder)
+    training = continued(options, device)
+    rng, numbers = np.random.default_rng([options.seed, training.steps]), sorted(library.structures)
+    success = [library.structures[number].success for number in numbers]
+    weight = np.array([0.5 if share is None else 1.05 - share for share in success])
+
+    def draw() -> tuple[Assembly, LabelledStructure]:
+        number = int(rng.choice(numbers, p=weight / weight.sum()))
+        return generated(number).assembly, library.structures[number]
+
+    few = {"together": 2, "kept": 2, "rollouts": 16, "tokens": 1024}
+    settings = GeneralPpoSettings(**({} if device.type == "cuda" else few))
+    valid = sorted(library.validation.items())[: REINFORCED if device.type == "cuda" else 2]
+
+    def validated() -> float:
+        network, found = training.averaged(), []
+        for number, labelled in valid:
+            with suppress(InputError):  # a structure that the solver on this device does not take
+                mine = Playground(generated(number).assembly, labelled, network, 1, device)
+                found.append(mine.greedy(4 * REINFORCED))
+        return float(np.mean(found))
+
+    learner = GeneralPpo(training, settings, draw)
+    batches = StructureBatches(list(library.structures.values()), device)
+    row: dict[str, Any] = {"reinforced": training.reinforced, "validation": validated()}
+    _log(options, row)
+    while training.reinforced < 60 * options.total and (left := end - RESERVE - time.perf_counter()) > 0:
+        begun = time.perf_counter()
+        span = min(REPORT_EVERY, left)
+        done = training.reinforced / (60 * options.total)
+        numbers_now = learner.run(batches, span, (done, min(done + span / (60 * options.total), 1.0)))
+        training.reinforced += time.perf_counter() - begun
+        training.save({"data": _counts(library), "reinforcement": asdict(settings)})
+        _log(options, {"steps": training.steps, "reinforced": training.reinforced, **numbers_now})
+    row = {"reinforced": training.reinforced, "validation": validated()}
+    training.save({"data": _counts(library), "reinforcement": asdict(settings), "greedy": row["validation"]})
+    _log(options, row)
+
+
+def continued(options: Options, device: torch.device) -> GeneralTraining:
+    """Return the training of the folder as it is."""
+    kept = json.loads((options.folder / "run.json").read_text(encoding="utf-8"))["results"]["general"]
+    policy = PolicySettings(**kept.pop("policy"))
+    return GeneralTraining(options.folder, GeneralSettings(policy, **kept), device)
+
+
 def _counts(library: Library) -> dict[str, Any]:
     structures = library.structures.values()
     rolled = [one.success for one in structures if one.success is not None]
@@ -360,7 +416,7 @@ def main() -> None:
     """Run the command."""
     options = tyro.cli(Options, description=__doc__)
     try:
-        {"make": make, "data": data, "evaluate": evaluate, "card": card}[options.what](options)
+        {"make": make, "data": data, "reinforce": reinforce, "evaluate": evaluate, "card": card}[options.what](options)
     except FalseworkError as error:
         raise SystemExit(f"general.py: {error}") from None
 
