@@ -49,7 +49,7 @@ from falsework.learn.data.goal_pairs import Pairs
 from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.networks.autocast import Network
 from falsework.learn.training.checkpoint import SEARCHED
-from falsework.learn.training.evaluate import GoalBlindPolicy, measure_success, sample
+from falsework.learn.training.evaluate import measure_success, sample
 from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.train import TrainResult
 from falsework.learn.training.training_data import find_pairs
@@ -179,7 +179,6 @@ def evaluated(
             "test": (pairs.test.states, pairs.test.targets),
             "second": (other.states, other.targets),
         }
-        network = GoalBlindPolicy(network) if one_state else network
     else:
         data = protocol(assembly, settings, tensor_oracle(oracle, device), str(device))
         sets = {"train": (data.train, None), "test": (data.test, None)}

@@ -17,7 +17,7 @@ from falsework.learn.algorithms.hindsight import relabel  # noqa: E402
 from falsework.learn.algorithms.rollout_storage import Transitions  # noqa: E402
 from falsework.learn.data.goal_pairs import PairSource  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
-from falsework.learn.training.evaluate import GoalBlindPolicy  # noqa: E402
+from falsework.learn.networks.autocast import Network  # noqa: E402
 from falsework.stability import ExactSolver  # noqa: E402
 
 
@@ -92,7 +92,7 @@ def test_a_goal_blind_policy_ignores_the_target(bottle: Assembly, bottle_graph: 
 
     pairs = PairSource(bottle_graph).draw(50, np.random.default_rng(0))
     states, targets, _ = pairs.tensors(environment.device)
-    rollouts = roll_out(environment, GoalBlindPolicy(policy), states, targets)
+    rollouts = roll_out(environment, Network(policy), states, targets)
     assert all(one is None for one in seen)
     kept = targets == 1
     assert (rollouts.last[kept] == 1).all()
