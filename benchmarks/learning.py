@@ -169,13 +169,12 @@ def evaluated(
     if settings.policy.goal_conditioned or one_state:
         narrow = replace(filled, data="width64")
         pairs = find_pairs(RunContext(assembly, narrow, tensor_oracle(oracle, device), device))
-        seen = sample(np.arange(len(pairs.train)), len(pairs.test))
         known = [pairs.graph.states]
         if result.folder is not None and (result.folder / SEARCHED).exists():
             known.append(SearchStates.load(result.folder / SEARCHED, pairs.task).more)
         other = second_draw(assembly, settings, tensor_oracle(oracle, device), str(device), np.concatenate(known))
         sets: Any = {
-            "train": (pairs.train.states[seen], pairs.train.targets[seen]),
+            "train": (pairs.train.states, pairs.train.targets),
             "test": (pairs.test.states, pairs.test.targets),
             "second": (other.states, other.targets),
         }

@@ -90,8 +90,8 @@ def test_a_goal_blind_policy_ignores_the_target(bottle: Assembly, bottle_graph: 
         seen.append(targets)
         return torch.zeros(len(states), 2 * states.shape[1]), torch.zeros(len(states))
 
-    pairs = PairSource(bottle_graph).draw(50, np.random.default_rng(0))
-    states, targets, _ = pairs.tensors(environment.device)
+    pairs = PairSource(bottle_graph).draw(np.random.default_rng(0), 50)
+    states, targets = pairs.tensors(environment.device)
     rollouts = roll_out(environment, Network(policy), states, targets)
     assert all(one is None for one in seen)
     kept = targets == 1

@@ -154,7 +154,7 @@ def find_pairs(run: RunContext, searched: SearchStates | None = None) -> GoalDat
 
 
 def _target_searches(settings: TrainSettings) -> GoalDataSettings:
-    return GoalDataSettings(widths=_widths(settings), pairs=settings.pairs)
+    return GoalDataSettings(widths=_widths(settings))
 
 
 def _keep(run: RunContext, path: Path | None, save: Callable[[Path], None]) -> None:
