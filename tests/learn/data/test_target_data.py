@@ -25,7 +25,7 @@ from falsework.search.problem.hashing import StateIndex  # noqa: E402
 def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
     settings = GoalDataSettings(train_width=4, test_width=12, widths=(20,), test_pairs=100)
     data = build_goal_dataset(bottle, training_task(bottle), settings, device="cpu")
-    assert len(data.train) == 100
+    assert 0 < len(data.train) <= 100
     assert 0 < len(data.test) <= 100
     seen = StateIndex(data.graph.states)
     for states in (data.test.states, data.test.targets):

@@ -91,11 +91,6 @@ class PpoPhase:
     searches, which moves in the direction of assembly find during the training."""
     imitation: float = 0.1
     """Weight of imitating states known to be solvable, or paths to goals, which preserves what imitation learned."""
-    hindsight: float = 0.0
-    """With goals: weight of imitating failed rollouts as successes at states that they passed. Pays where few pairs of
-    start and goal are known, and costs where thousands are (docs/decisions/learning-protocol.md)."""
-    target_divergence: float = 0.0
-    """Kullback-Leibler divergence from the old policy after which an update ends early; 0: never."""
     curriculum: CurriculumSettings = CurriculumSettings()
     """Of `starts="curriculum"`."""
 
@@ -116,7 +111,7 @@ class PpoPhase:
             )
         if not 0 <= self.average < 1:
             raise InputError(f"average is {self.average:g}; give 0 or more, and less than 1")
-        for name in ("weight_decay", "entropy", "entropy_floor", "imitation", "hindsight", "target_divergence"):
+        for name in ("weight_decay", "entropy", "entropy_floor", "imitation"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} is {getattr(self, name):g}; give 0 or more")
 

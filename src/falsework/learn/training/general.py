@@ -131,7 +131,6 @@ class GeneralTraining:
             norm = self.optimizer.step(
                 # Solvable states alone are known, so all values are 1: a beginning for reinforcement, nothing more.
                 loss + 0.05 * (value - 1.0).square().mean(),
-                {"states": batch.states},
                 learning_rate=settings.learning_rate * self._schedule(),
                 average=min(_AVERAGE, (2 + self.steps) / (11 + self.steps)),
             )

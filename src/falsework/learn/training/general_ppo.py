@@ -196,7 +196,7 @@ class GeneralPpo:
             with torch.autocast(training.device.type, torch.bfloat16, enabled=training.device.type == "cuda"):
                 logits, _ = training.network(labelled.graph, labelled.numbers)
             total = total + settings.imitation * policy_loss(logits.float(), labelled)
-            training.optimizer.step(total, {"states": labelled.states}, learning_rate=rate, average=settings.average)
+            training.optimizer.step(total, learning_rate=rate, average=settings.average)
         _, _, entropy, kl, _ = sums.tolist()
         success = float(np.mean([one.success for one in mine]))
         moves = float(sum(len(one) for one in found))
