@@ -34,22 +34,22 @@ import numpy as np
 import torch
 import tyro
 from experiments.general_cases import CASES, evaluate_case
-from experiments.structure_generator import generated
-from record import report, spread, write_to
-
-from falsework import Assembly, load_policy
-from falsework.errors import FalseworkError, InputError
-from falsework.learn import PolicySettings
-from falsework.learn.data.labelled_states import (
+from experiments.general_ppo import GeneralPpo, GeneralPpoSettings, Playground
+from experiments.general_training import GeneralSettings, GeneralTraining
+from experiments.labelled_states import (
     LabelledStructure,
     LabelSettings,
     label_states,
     load_labelled,
     save_labelled,
 )
-from falsework.learn.data.structure_batches import StructureBatches
-from falsework.learn.training.general import GeneralSettings, GeneralTraining
-from falsework.learn.training.general_ppo import GeneralPpo, GeneralPpoSettings, Playground
+from experiments.structure_batches import StructureBatches
+from experiments.structure_generator import generated
+from record import report, spread, write_to
+
+from falsework import Assembly, load_policy
+from falsework.errors import FalseworkError, InputError
+from falsework.learn import PolicySettings
 from falsework.utils.tensors import choose_device
 
 PER_FILE = 1000

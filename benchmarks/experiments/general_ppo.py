@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 import torch
+from experiments.general_training import GeneralTraining, policy_loss
+from experiments.labelled_states import LabelledStructure
+from experiments.structure_batches import StructureBatches
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
@@ -18,14 +21,11 @@ from falsework.learn.algorithms.ppo_loss import ppo_loss
 from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions
 from falsework.learn.algorithms.start_states import MixedStarts
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.data.labelled_states import LabelledStructure
 from falsework.learn.data.solvable_states import SolvableStates
-from falsework.learn.data.structure_batches import StructureBatches
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.local_attention import LocalAttention, LocalAttentionPolicy
 from falsework.learn.training.evaluate import greedy_success
-from falsework.learn.training.general import GeneralTraining, policy_loss
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from experiments.structure_batches import StructureBatch, StructureBatches
 from torch import nn
 
 from falsework.errors import InputError
@@ -18,7 +19,6 @@ from falsework.learn.algorithms.imitation import imitation_loss
 from falsework.learn.algorithms.policy_optimizer import PolicyOptimizer
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.train import TrainSettings, to_dict
-from falsework.learn.data.structure_batches import StructureBatch, StructureBatches
 from falsework.learn.networks.local_attention import LocalAttention
 from falsework.learn.training.checkpoint import CheckpointFile, save_run
 from falsework.utils.quantity import check_seed

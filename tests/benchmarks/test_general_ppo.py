@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from experiments.general_ppo import GeneralPpo, GeneralPpoSettings, Playground
+from experiments.general_training import GeneralSettings, GeneralTraining
+from experiments.labelled_states import LabelledStructure, LabelSettings, label_states
+from experiments.structure_batches import StructureBatches
 
 from falsework import Assembly, load_structure
 from falsework.errors import InputError
 from falsework.learn import PolicySettings
-from falsework.learn.data.labelled_states import LabelledStructure, LabelSettings, label_states
-from falsework.learn.data.structure_batches import StructureBatches
 from falsework.learn.training.checkpoint import CheckpointFile
-from falsework.learn.training.general import GeneralSettings, GeneralTraining
-from falsework.learn.training.general_ppo import GeneralPpo, GeneralPpoSettings, Playground
 
 NAMES = (("arch:blocks=6", 2), ("stack:blocks=5", 1), ("wall:bricks=2,courses=3", 2))
 SETTINGS = GeneralPpoSettings(together=2, kept=3, rollouts=24, tokens=800, steps=8, learning_rate=5e-3)
