@@ -8,9 +8,9 @@
 
 `make` generates structures on the processor while it trains on the data so far; repeat the same command until it says
 that training is done. Once some training is done, the processes roll the policy out: what succeeds becomes data, and
-states from which it fails come first. `data` does the first half alone. `reinforce` goes
-on with rollouts on those structures from which the policy fails most. `evaluate` tests on structures that are not
-trained on, and stops in time; repeat it until no case is left. `card` summarises the evaluation by groups.
+states from which it fails come first. `data` does the first half alone. `reinforce` goes on with reinforcement on the
+structures of the data, first on those where rollouts fail. `evaluate` tests on structures that are not trained on, and
+stops in time; repeat it until no case is left. `card` summarises the evaluation by groups.
 
 The folder holds `data-*.npz`, `validation.npz`, a run that other commands take (`run.json`, `weights.safetensors`), a
 checkpoint, `log.jsonl` and `evaluation.jsonl`.
