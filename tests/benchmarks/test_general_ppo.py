@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -78,7 +79,9 @@ def test_it_goes_on_with_the_weights_of_the_folder(labelled: list[LabelledStruct
 def test_settings_of_older_checkpoints_are_completed(labelled: list[LabelledStructure], tmp_path: Path) -> None:
     """A setting of the network that a version did not have yet has its default."""
     training = made(tmp_path, labelled).training
-    settings = {name: value for name, value in asdict(GENERAL).items() if name not in ("seconds", "steps")}
+    settings: dict[str, Any] = {
+        name: value for name, value in asdict(GENERAL).items() if name not in ("seconds", "steps")
+    }
     settings["policy"] = {name: value for name, value in settings["policy"].items() if name != "options"}
     CheckpointFile(tmp_path).save(training.optimizer.state_dict(), {"settings": settings, "seconds": 3.0})
     assert made(tmp_path, labelled).training.seconds == 3.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -86,13 +88,14 @@ def test_a_goal_blind_policy_ignores_the_target(bottle: Assembly, bottle_graph: 
     environment = Environment(bottle, 2, device="cpu")
     seen = []
 
-    def policy(states, targets=None):
-        seen.append(targets)
-        return torch.zeros(len(states), 2 * states.shape[1]), torch.zeros(len(states))
+    class Blind(torch.nn.Module):
+        def forward(self, states: torch.Tensor, targets: Any = None) -> tuple[torch.Tensor, torch.Tensor]:
+            seen.append(targets)
+            return torch.zeros(len(states), 2 * states.shape[1]), torch.zeros(len(states))
 
     pairs = PairSource(bottle_graph).draw(np.random.default_rng(0), 50)
     states, targets = pairs.tensors(environment.device)
-    rollouts = roll_out(environment, Network(policy), states, targets)
+    rollouts = roll_out(environment, Network(Blind()), states, targets)
     assert all(one is None for one in seen)
     kept = targets == 1
     assert (rollouts.last[kept] == 1).all()
