@@ -6,6 +6,7 @@
     python benchmarks/learning.py table5 --rows bottle-12:2
     python benchmarks/learning.py transfer
     python benchmarks/learning.py searches --searches folder         # all draws of table3, once for many runs
+    python benchmarks/learning.py searches --goals yes --searches folder    # those of table4
     torchrun --nproc-per-node 4 benchmarks/learning.py table3 --rows vault-62:6
 
 A row is a structure, by the name of a real one (FALSEWORK_DATA, else the folder `shared` beside the repository), of a
@@ -48,7 +49,6 @@ from falsework.learn.data.goal_dataset import GoalDataSettings, SearchStates, bu
 from falsework.learn.data.goal_pairs import Pairs
 from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.networks.autocast import Network
-from falsework.learn.training.checkpoint import SEARCHED
 from falsework.learn.training.evaluate import measure_success, sample
 from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.train import TrainResult
@@ -122,7 +122,7 @@ def run(
     assembly: Any,
     settings: TrainSettings,
     label: str,
-    dataset: Dataset | None = None,
+    dataset: Dataset | SearchStates | None = None,
 ) -> TrainResult:
     """Train, with progress on standard error."""
     last = time.perf_counter()
@@ -167,12 +167,10 @@ def evaluated(
     )
     network: Any = Network(result.policy, filled.precision)
     if settings.policy.goal_conditioned or one_state:
-        narrow = replace(filled, data="width64")
-        pairs = find_pairs(RunContext(assembly, narrow, tensor_oracle(oracle, device), device))
-        known = [pairs.graph.states]
-        if result.folder is not None and (result.folder / SEARCHED).exists():
-            known.append(SearchStates.load(result.folder / SEARCHED, pairs.task).more)
-        other = second_draw(assembly, settings, tensor_oracle(oracle, device), str(device), np.concatenate(known))
+        run = RunContext(assembly, filled, tensor_oracle(oracle, device), device)
+        searched, other = goal_searches(options, assembly, settings, device)
+        pairs = find_pairs(run, replace(searched, more=searched.more[:0]))
+        other = second_draw(run, other, np.concatenate([searched.train, searched.more]))
         sets: Any = {
             "train": (pairs.train.states, pairs.train.targets),
             "test": (pairs.test.states, pairs.test.targets),
@@ -182,6 +180,7 @@ def evaluated(
         data = protocol(assembly, settings, tensor_oracle(oracle, device), str(device))
         sets = {"train": (data.train, None), "test": (data.test, None)}
     shards = ProcessGroup.from_torch()
+    environment.exact = sets["test"][1] is None  # of goals, states that a GPU leaves open count as failures
     found = measure_success(environment, network, sets, most=options.states, search=options.search, shards=shards)
     for name, (states, targets) in sets.items():
         rows = sample(np.arange(len(states)), options.states)
@@ -195,11 +194,33 @@ def evaluated(
     return {**found, "evaluated": f"at most {options.states} of each set" if options.states else everything}
 
 
-def second_draw(assembly: Any, settings: TrainSettings, oracle: TensorOracle, device: str, known: Any) -> Pairs:
+def goal_searches(
+    options: argparse.Namespace, assembly: Any, settings: TrainSettings, device: Any
+) -> tuple[SearchStates, SearchStates]:
+    """Return the states of the searches for pairs, and those of a second draw; kept in the folder of --searches."""
+    filled = settings.resolved(assembly.part_count, device.type)
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion=settings.criterion))
+    judge = tensor_oracle(oracle, device)
+    task = training_task(assembly, settings.robots, settings.removable_only_if_clear).judged_by(judge)
+    found = []
+    for seed, widths in ((0, filled.widths if settings.data == "wide" else ()), (SECOND_DRAW, ())):
+        name = f"pairs-{assembly.name}-{settings.robots}-{settings.criterion}-{seed}-{len(widths)}.npz"
+        path = Path(options.searches) / name if options.searches else None
+        if path is not None and path.exists():
+            found.append(SearchStates.load(path, task))
+            continue
+        found.append(SearchStates.find(task, GoalDataSettings(widths=widths, seed=seed), judge, device=device))
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            found[-1].save(path, task)
+    return found[0], found[1]
+
+
+def second_draw(run: RunContext, searched: SearchStates, known: Any) -> Pairs:
     """Return unseen pairs of other searches than those of training; neither state is among the known ones."""
-    task = training_task(assembly, settings.robots, settings.removable_only_if_clear)
     drawn = GoalDataSettings(seed=SECOND_DRAW)
-    pairs = build_goal_dataset(assembly, task, drawn, oracle=oracle, device=device).test
+    device = str(run.device)
+    pairs = build_goal_dataset(run.assembly, run.task, drawn, oracle=run.oracle, device=device, searched=searched).test
     index = StateIndex(np.unique(known, axis=0))
     return pairs[(index.find(pairs.states) < 0) & (index.find(pairs.targets) < 0)]
 
@@ -299,13 +320,16 @@ def finished(out: Path | None, about: dict[str, Any]) -> bool:
 
 
 def searched(options: argparse.Namespace) -> None:
-    """Search for the states of all draws of the rows, into the folder of --searches."""
+    """Search for the states of all draws of the rows, or for pairs, into the folder of --searches."""
     device = choose_device(options.device)
-    for _, assembly, robots, seeds in rows_of(options):
+    for name, assembly, robots, seeds in rows_of(options):
         oracle = tensor_oracle(StabilityOracle(assembly, StabilitySettings(criterion=options.criterion)), device)
         searches = Searches(assembly, robots, options.clear, oracle, device, Path(options.searches or "searches"))
-        for width, seed in searches.all_seeds(seeds):
+        for width, seed in () if options.goals == "yes" else searches.all_seeds(seeds):
             searches.states(width, seed)
+        if options.goals == "yes":
+            kind = recommended(assembly.part_count, goal_conditioned=True)
+            goal_searches(options, assembly, settings_of(options, name, robots, 0, policy=kind), device)
 
 
 def table4(options: argparse.Namespace) -> None:
@@ -316,9 +340,12 @@ def table4(options: argparse.Namespace) -> None:
                 kind = recommended(assembly.part_count, goal_conditioned=two, kind=options.policy or None)
                 settings = settings_of(options, name, robots, seed, policy=kind)
                 label = f"{name}:{robots} {'two states' if two else 'one state'} seed {seed} {options.label}"
-                result = run(options, name, assembly, settings, label)
+                begun = time.perf_counter()
+                searches = goal_searches(options, assembly, settings, choose_device(options.device)) if two else None
+                searched = round(time.perf_counter() - begun, 1)
+                result = run(options, name, assembly, settings, label, searches and searches[0])
                 found = evaluated(options, result, settings, assembly, one_state=not two)
-                line("table4", name, settings, result, found, label=options.label)
+                line("table4", name, settings, result, found, label=options.label, search_seconds=searched)
 
 
 def table5(options: argparse.Namespace) -> None:
@@ -389,12 +416,17 @@ def main() -> None:
     parser.add_argument("--heads", type=int, default=0, help="attention heads; 0 for the default")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--states", type=int, default=0, help="states evaluated of each set; 0 for all")
-    parser.add_argument("--searches", default="", help="folder that keeps the searches of table3")
+    parser.add_argument("--searches", default="", help="folder that keeps the searches of table3 and table4")
     parser.add_argument(
         "--tests", nargs="*", type=int, default=[], help="numbers of the test draws of small structures; default: all"
     )
     parser.add_argument("--label", default="", help="name of a variant in the records of table3 and table4")
-    parser.add_argument("--goals", choices=("both", "yes", "no"), default="both", help="which policies table4 trains")
+    parser.add_argument(
+        "--goals",
+        choices=("both", "yes", "no"),
+        default="both",
+        help="which policies table4 trains; yes: pairs for searches",
+    )
     parser.add_argument("--search", action="store_true", help="search where the policy fails")
     parser.add_argument("--begin", default="", help="run of a policy for any structure, from whose weights to begin")
     parser.add_argument("--keep", default="", help="folder for the runs; existing ones are resumed")

@@ -132,14 +132,14 @@ class SearchStates:
             enough: asked before each lot of further searches, in all processes alike, whether they and those after
                 them can be left out.
         """
-        first = []
+        # A search from the complete structure passes many states that a GPU leaves open, each a wait for the processor.
+        judge, first = without_fallback(oracle), []
         for number, width in enumerate((settings.train_width, settings.test_width)):
             if report is not None:
                 report(f"search {number + 1} of {2 + len(settings.widths)}, width {width}")
             seed, way = settings.seed + number, Direction.DISASSEMBLY
-            first.append(search_states(task, oracle, width, seed, device=device, shards=shards, direction=way)[0])
-        # States to test on are judged to the last one; of those to learn from a few may be missing.
-        judge, together = without_fallback(oracle), _TOGETHER if device.type == "cuda" else _FEW
+            first.append(search_states(task, judge, width, seed, device=device, shards=shards, direction=way)[0])
+        together = _TOGETHER if device.type == "cuda" else _FEW
         more, done, way = [first[0][:0]], 0, Direction.DISASSEMBLY
         while done < len(settings.widths) and not (enough is not None and enough()):
             width = settings.widths[done]
@@ -222,7 +222,7 @@ def build_goal_dataset(
     rng = np.random.default_rng(settings.seed)
     train = PairSource(graph).draw(rng, settings.test_pairs)
     wanted = settings.test_pairs + -(-settings.test_pairs // _VALIDATION)
-    unseen = _unseen(wider, graph.states, wanted, TensorRules(task, where), asked, rng)
+    unseen = _unseen(wider, graph.states, wanted, TensorRules(task, where), without_fallback(asked), rng)
     count = min(settings.test_pairs, len(unseen) - len(unseen) // _VALIDATION)
     test = unseen[:count]
     validation = unseen[count:]

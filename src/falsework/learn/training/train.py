@@ -20,6 +20,7 @@ from falsework.errors import InputError
 from falsework.learn.algorithms.reward import Reward, environment_reward
 from falsework.learn.config.train import TrainSettings
 from falsework.learn.data.dataset import Dataset
+from falsework.learn.data.goal_dataset import SearchStates
 from falsework.learn.networks.custom_policy import PolicyOrClass
 from falsework.learn.training.checkpoint import FILE, check_structure, read_run, settings_of
 from falsework.learn.training.iteration import Callback
@@ -49,7 +50,7 @@ def train(
     resume: bool = False,
     logs: Sequence[str] = ("tensorboard",),
     report: Report | None = None,
-    dataset: Dataset | None = None,
+    dataset: Dataset | SearchStates | None = None,
 ) -> TrainResult:
     """Train a policy for one structure, and write a run that `load_run` reads.
 
@@ -70,7 +71,8 @@ def train(
         resume: continue the run in the folder.
         logs: `tensorboard` and `wandb`.
         report: called with progress messages; notebooks show them if not given.
-        dataset: states to learn from and to test on, in place of those that searches would find.
+        dataset: states to learn from and to test on, in place of those that searches would find; of a policy with goals
+            `SearchStates`.
 
     Raises:
         DependencyError: a package is missing that the device or a log needs.
