@@ -344,6 +344,8 @@ def table4(options: argparse.Namespace) -> None:
                 searches = goal_searches(options, assembly, settings, choose_device(options.device)) if two else None
                 searched = round(time.perf_counter() - begun, 1)
                 result = run(options, name, assembly, settings, label, searches and searches[0])
+                if result.interrupted:
+                    return
                 found = evaluated(options, result, settings, assembly, one_state=not two)
                 line("table4", name, settings, result, found, label=options.label, search_seconds=searched)
 
