@@ -47,13 +47,13 @@ class GeneralPpoSettings:
 
     together: int = 4
     """Structures of an update."""
-    kept: int = 8
+    kept: int = 6
     """Structures that take turns, each with its verdicts in memory."""
     rollouts: int = 512
     """Rollouts of each structure of an update."""
-    tokens: int = 49152
+    tokens: int = 24576
     """Parts of all transitions of a step, of each structure."""
-    steps: int = 12
+    steps: int = 16
     """Steps of the optimizer for an update, at most; what they do not use is dropped."""
     learning_rate: float = 2e-4
     """First learning rate, which falls linearly."""
@@ -128,6 +128,7 @@ class GeneralPpo:
         training: GeneralTraining,
         settings: GeneralPpoSettings,
         draw: Callable[[], tuple[Assembly, LabelledStructure]],
+        seed: int = 0,
     ) -> None:
         """Begin with the weights of the training.
 
@@ -135,11 +136,14 @@ class GeneralPpo:
             training: whose network is improved, and whose folder keeps it.
             settings: of the updates.
             draw: returns a structure and its labelled states, another one each time; called when one is needed.
+            seed: of rollouts, on top of that of the training.
         """
         self.training, self.settings, self._draw = training, settings, draw
         self._active: list[Playground] = []
-        self._rng = np.random.default_rng([training.settings.seed, training.steps])
-        self._generator = torch.Generator(training.device).manual_seed(training.settings.seed * 7919 + training.steps)
+        self._rng = np.random.default_rng([training.settings.seed, training.steps, seed])
+        self._generator = torch.Generator(training.device).manual_seed(
+            (training.settings.seed + 31 * seed) * 7919 + training.steps
+        )
 
     def run(self, batches: StructureBatches, seconds: float, progress: tuple[float, float]) -> dict[str, float]:
         """Update for a time.
