@@ -30,6 +30,9 @@ METHODS: dict[Method, tuple[Phase, ...]] = {
 _EVALUATE_EVERY = 25.0
 """Seconds between two evaluations."""
 
+_FORMER = ("hindsight", "target_divergence")
+"""Settings of PPO in the files of earlier versions, which were off."""
+
 T = TypeVar("T")
 
 
@@ -205,4 +208,5 @@ def _read_phase(value: Any, name: str) -> Phase:
     algorithm = value.get("algorithm") if isinstance(value, Mapping) else None
     if algorithm not in ("imitation", "ppo"):
         raise InputError(f"{name} has a phase of the algorithm {algorithm!r}; choose imitation or ppo")
-    return from_dict(ImitationPhase if algorithm == "imitation" else PpoPhase, value)
+    known = {name: one for name, one in value.items() if name not in _FORMER}
+    return from_dict(ImitationPhase if algorithm == "imitation" else PpoPhase, known)
