@@ -12,7 +12,6 @@ from falsework.errors import InputError
 from falsework.search.beam.backjumping import WIDENING, BackjumpingBeam, BackjumpingSettings
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.level_search import Beams
-from falsework.search.beam.settings import AHEAD
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.search import Search
@@ -154,7 +153,5 @@ def start(
     if name.startswith(TOGETHER):
         return TogetherBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
     settings = BackjumpingSettings(direction, portfolio.narrowest, seed)
-    if name == EDGES and task.holds_keep_stable:
-        settings = replace(settings, lookahead=AHEAD)  # few, so that it keeps to its rows
     alone = replace(task, allow_regrasp=False, together=None)
     return BackjumpingBeam(alone, oracle, settings, guide=guide, beams=beams)
