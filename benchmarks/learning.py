@@ -38,7 +38,7 @@ from baselines.uniform import UniformPolicy
 from draws import Searches, success_on_draws, test_seeds
 from states import find
 
-from falsework import StabilityOracle, StabilitySettings, load_policy, load_structure, train
+from falsework import StabilityOracle, StabilitySettings, load_structure, train
 from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn import Environment, Policy, PolicySettings, TrainSettings, roll_out, transfer
@@ -136,16 +136,12 @@ def run(
     folder = None
     if options.keep:
         folder = Path(options.keep) / label.replace(":", "-").replace(" ", "-").replace("/", "-")
-    begin = None
-    if options.begin:
-        equilibrium = settings.criterion == "equilibrium"
-        begin = load_policy(options.begin, "cpu", assembly=assembly).of_task(settings.robots, equilibrium=equilibrium)
     source = {"path": str(Path(find(name)).resolve())} if find(name) != name else {"built_in": name}
     return train(
         assembly,
         settings,
         folder=folder,
-        policy=begin,
+        begin=options.begin or None,
         source=source,
         device=options.device,
         resume=folder is not None and (folder / "run.json").exists(),
@@ -430,7 +426,7 @@ def main() -> None:
         help="which policies table4 trains; yes: pairs for searches",
     )
     parser.add_argument("--search", action="store_true", help="search where the policy fails")
-    parser.add_argument("--begin", default="", help="run of a policy for any structure, from whose weights to begin")
+    parser.add_argument("--begin", default="", help="run whose weights and network to begin with")
     parser.add_argument("--keep", default="", help="folder for the runs; existing ones are resumed")
     parser.add_argument("--out", type=Path, help="file to which the records are appended")
     parser.add_argument("--quiet", action="store_true", help="no progress on standard error")

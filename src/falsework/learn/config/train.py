@@ -11,11 +11,11 @@ from falsework.errors import InputError
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.import_path import is_import_path
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.ppo import REINFORCEMENT, PpoPhase
+from falsework.learn.config.ppo import FINE_TUNING, REINFORCEMENT, PpoPhase
 from falsework.utils.quantity import check_seed
 
 Phase = ImitationPhase | PpoPhase
-Method = Literal["default", "reinforcement"]
+Method = Literal["default", "reinforcement", "fine-tuning"]
 Data = Literal["wide", "width64"]
 Criterion = Literal["contact", "equilibrium"]
 """As `falsework.stability.verdict.Criterion`, which would load more than the command line needs to show its help."""
@@ -24,6 +24,7 @@ METHODS: dict[Method, tuple[Phase, ...]] = {
     # More imitation overfits the states of the searches, which makes the fine-tuning slower and worse.
     "default": (ImitationPhase(until=0.5, steps=1000), PpoPhase()),
     "reinforcement": (REINFORCEMENT,),
+    "fine-tuning": (FINE_TUNING,),
 }
 """Presets of `TrainSettings.phases` by the name that `falsework train --method` takes."""
 

@@ -136,7 +136,7 @@ def unsolved_at_random(
         rules: of disassembly, on the device where verdicts are computed.
         oracle: verdicts.
         known: verdicts that earlier calls learned; this one adds its own.
-        tries: rollouts of each pair, at most; the first that succeeds is the last.
+        tries: rollouts of each pair; one, and the others together if it fails.
         seed: of the actions.
 
     Returns:
@@ -145,8 +145,11 @@ def unsolved_at_random(
     generator = torch.Generator(rules.device).manual_seed(seed)
     starts, targets = pairs.tensors(rules.device)
     left = torch.arange(len(pairs), device=rules.device)
-    for _ in range(tries):
-        left = left[~_solved_at_random(starts[left], targets[left], rules, oracle, known, generator)]
+    # Most pairs are solved early or never, and a GPU takes as long for many rollouts as for one.
+    for repeated in (1, tries - 1):
+        rows = left.repeat(repeated)
+        solved = _solved_at_random(starts[rows], targets[rows], rules, oracle, known, generator)
+        left = left[~solved.view(repeated, len(left)).any(dim=0)]
     unsolved = np.zeros(len(pairs), dtype=bool)
     unsolved[left.cpu().numpy()] = True
     return unsolved

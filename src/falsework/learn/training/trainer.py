@@ -26,6 +26,7 @@ from falsework.learn.env.environment import Environment
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.custom_policy import why_not_again
 from falsework.learn.networks.factory import describe, make_policy
+from falsework.learn.networks.policy import Policy
 from falsework.learn.training.budget import TrainingBudget
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, save_run, write_run
 from falsework.learn.training.evaluate import Sets, Success, greedy_success, throughput
@@ -66,6 +67,7 @@ class Trainer:
         device: torch.device,
         shards: ProcessGroup,
         plugins: Plugins = Plugins(),
+        begin: Policy | None = None,
     ) -> None:
         self.plugins = plugins
         self.assembly, self.settings, self.folder = assembly, settings, folder
@@ -102,6 +104,10 @@ class Trainer:
         )
         self.solved = SolvableStates(self.environment.rules)
         self.policy = make_policy(assembly, settings.policy, device, settings.seed, given=plugins.policy)
+        if begin is not None:
+            self.policy.load_state_dict(begin.state_dict())
+        if not settings.policy.custom:
+            self.policy.of_task(settings.robots, equilibrium=settings.criterion == "equilibrium")
         self.exported = deepcopy(self.policy)
         """Weights that are evaluated, and in the end saved."""
         same_weights(self.policy, shards)
