@@ -7,13 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from experiments.general_training import GeneralSettings, GeneralTraining
+from experiments.labelled_states import LabelSettings, label_states
+from experiments.structure_batches import StructureBatches
 
 from falsework import load_structure
 from falsework.learn import PolicySettings
-from falsework.learn.data.labelled_states import LabelSettings, label_states
-from falsework.learn.data.structure_batches import StructureBatches
 from falsework.learn.training import checkpoint
-from falsework.learn.training.general import GeneralSettings, GeneralTraining
 
 ARCH = "arch:blocks=4"
 

@@ -33,6 +33,7 @@ class Train(JudgingCommand):
     """
 
     rare: ClassVar[tuple[str, ...]] = (
+        "begin",
         "goal_conditioned",
         "removable_only_if_clear",
         "reward",
@@ -59,9 +60,13 @@ class Train(JudgingCommand):
     """Optimizer steps in place of a time limit, for a reproducible run."""
     resume: bool = False
     """Resume the run in the folder; of the other options only --minutes, --steps, --device and --log apply."""
-    method: Method = "default"
+    begin: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
+    """Run whose weights and network to begin with: of this structure, of another one (`transformer`, `gat`), or of a
+    policy for any structure."""
+    method: Annotated[Method | None, arg(help_behavior_hint="(default: `default`; `fine-tuning` with --begin)")] = None
     """Preset: a short imitation of searches and then PPO from many rollouts (`default`), or PPO from scratch with a
-    curriculum of start states (`reinforcement`), which does better where few states are known (`--data width64`)."""
+    curriculum of start states (`reinforcement`), which does better where few states are known (`--data width64`);
+    with `--begin` PPO from all of them (`fine-tuning`)."""
     policy: Annotated[
         str | None, arg(metavar="KIND", help_behavior_hint="(default: resmlp; transformer above 20 parts)")
     ] = None
@@ -99,7 +104,7 @@ class Train(JudgingCommand):
                 raise InputError(f"{name} {given} leaves no time to learn; give more than 0")
         assembly = self.structure.load()
         settings = TrainSettings(
-            phases=METHODS[self.method],
+            phases=METHODS[self.method or ("fine-tuning" if self.begin else "default")],
             robots=self.robots,
             policy=recommended(assembly.part_count, goal_conditioned=self.goal_conditioned, kind=self.policy),
             reward=self.reward or "",
@@ -121,6 +126,7 @@ class Train(JudgingCommand):
                 assembly,
                 settings,
                 folder=self.out,
+                begin=self.begin,
                 source=self.structure.source(self.out / "run.json"),
                 device=self.device,
                 resume=self.resume,

@@ -53,7 +53,7 @@ def collect_training_data(
     run: RunContext,
     *,
     kept: bool = False,
-    dataset: Dataset | None = None,
+    dataset: Dataset | SearchStates | None = None,
     enough: Callable[[], bool] | None = None,
 ) -> TrainingData:
     """Search for states, or read those that an earlier session found.
@@ -61,7 +61,7 @@ def collect_training_data(
     Args:
         run: training run; states are kept in its folder.
         kept: read them if they are there.
-        dataset: states to use instead.
+        dataset: states to use instead; those of goals are `SearchStates`.
         enough: called between searches for goals; true if no time is left for more, alike in all processes.
 
     Raises:
@@ -74,6 +74,8 @@ def collect_training_data(
         path = None if run.folder is None else run.folder / SEARCHED
         if kept and path is not None and path.exists():
             searched = SearchStates.load(path, run.task)
+        elif isinstance(dataset, SearchStates):
+            searched = dataset
         else:
             searches = _target_searches(settings)
             searched = SearchStates.find(
@@ -103,7 +105,7 @@ def collect_training_data(
         data, fresh = load_dataset(path, assembly), False
     else:
         data, fresh = dataset, True
-        if data is None:
+        if not isinstance(data, Dataset):
             searches = DataSettings(widths=_widths(settings))
             data = build_dataset(
                 assembly,
@@ -154,7 +156,7 @@ def find_pairs(run: RunContext, searched: SearchStates | None = None) -> GoalDat
 
 
 def _target_searches(settings: TrainSettings) -> GoalDataSettings:
-    return GoalDataSettings(widths=_widths(settings), pairs=settings.pairs)
+    return GoalDataSettings(widths=_widths(settings))
 
 
 def _keep(run: RunContext, path: Path | None, save: Callable[[Path], None]) -> None:

@@ -7,12 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-
-from falsework import Direction, StabilityOracle, StabilitySettings, load_policy, load_structure
-from falsework.errors import InputError
-from falsework.learn import Environment, PolicySettings, load_run, make_policy, roll_out
-from falsework.learn.data.dataset import training_task
-from falsework.learn.data.labelled_states import (
+from experiments.general_training import GeneralSettings, GeneralTraining
+from experiments.labelled_states import (
     LabelledStructure,
     LabelSettings,
     label_states,
@@ -20,8 +16,12 @@ from falsework.learn.data.labelled_states import (
     load_labelled,
     save_labelled,
 )
-from falsework.learn.data.structure_batches import StructureBatches
-from falsework.learn.training.general import GeneralSettings, GeneralTraining
+from experiments.structure_batches import StructureBatches
+
+from falsework import Direction, StabilityOracle, StabilitySettings, load_policy, load_structure
+from falsework.errors import InputError
+from falsework.learn import Environment, PolicySettings, load_run, make_policy, roll_out
+from falsework.learn.data.dataset import training_task
 from falsework.search import TensorRules
 
 QUICK = LabelSettings(width=8, searches=1, rollouts=8, most=64)

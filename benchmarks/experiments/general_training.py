@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from experiments.structure_batches import StructureBatch, StructureBatches
 from torch import nn
 
 from falsework.errors import InputError
@@ -18,7 +19,6 @@ from falsework.learn.algorithms.imitation import imitation_loss
 from falsework.learn.algorithms.policy_optimizer import PolicyOptimizer
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.train import TrainSettings, to_dict
-from falsework.learn.data.structure_batches import StructureBatch, StructureBatches
 from falsework.learn.networks.local_attention import LocalAttention
 from falsework.learn.training.checkpoint import CheckpointFile, save_run
 from falsework.utils.quantity import check_seed
@@ -79,23 +79,23 @@ class GeneralTraining:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
             self.network = LocalAttention(settings.policy.resolved()).to(self.device)
-        self._optimizer = PolicyOptimizer(
+        self.optimizer = PolicyOptimizer(
             self.network, learning_rate=settings.learning_rate, weight_decay=0.01, only_matrices=True, betas=(0.9, 0.98)
         )
-        self.seconds = 0.0
-        """Time trained so far."""
+        self.seconds = self.reinforced = 0.0
+        """Time trained so far, by imitation and by reinforcement."""
         self._file = CheckpointFile(self.folder)
         if self._file.exists():
             tensors, state = self._file.load()
-            if state.get("settings") != self._fixed():
+            if _completed(state.get("settings", {})) != self._fixed():
                 raise InputError(f"{self._file.path} was trained with other settings; give those, or another folder")
-            self._optimizer.load_state_dict({name: tensor.to(self.device) for name, tensor in tensors.items()})
-            self.seconds = float(state["seconds"])
+            self.optimizer.load_state_dict({name: tensor.to(self.device) for name, tensor in tensors.items()})
+            self.seconds, self.reinforced = float(state["seconds"]), float(state.get("reinforced", 0.0))
 
     @property
     def steps(self) -> int:
         """Steps of the optimizer taken."""
-        return self._optimizer.steps
+        return self.optimizer.steps
 
     @property
     def progress(self) -> float:
@@ -128,10 +128,9 @@ class GeneralTraining:
             with torch.autocast(self.device.type, torch.bfloat16, enabled=gpu):
                 logits, value = self.network(batch.graph, batch.numbers)
             loss = policy_loss(logits, batch)
-            norm = self._optimizer.step(
+            norm = self.optimizer.step(
                 # Solvable states alone are known, so all values are 1: a beginning for reinforcement, nothing more.
                 loss + 0.05 * (value - 1.0).square().mean(),
-                {"states": batch.states},
                 learning_rate=settings.learning_rate * self._schedule(),
                 average=min(_AVERAGE, (2 + self.steps) / (11 + self.steps)),
             )
@@ -140,7 +139,7 @@ class GeneralTraining:
             if gpu and count % 20 == 0:
                 torch.cuda.synchronize(self.device)
             self.seconds = before + time.perf_counter() - begun
-        self._optimizer.check()
+        self.optimizer.check()
         self.network.eval()
         names = ("loss", "share", "gradient_norm")
         return dict(zip(names, (sums / max(count, 1)).tolist(), strict=True))
@@ -161,7 +160,7 @@ class GeneralTraining:
         """Return a network with the moving average of the weights."""
         network = LocalAttention(self.settings.policy.resolved()).to(self.device)
         network.load_state_dict(self.network.state_dict())
-        self._optimizer.export_policy(network)
+        self.optimizer.export_policy(network)
         return network.eval()
 
     def save(self, results: Mapping[str, Any] | None = None) -> None:
@@ -170,8 +169,9 @@ class GeneralTraining:
         Args:
             results: JSON values about data and success, kept in `run.json`.
         """
-        tensors = self._optimizer.state_dict()
-        note = self._file.save(tensors, {"settings": self._fixed(), "seconds": self.seconds})
+        tensors = self.optimizer.state_dict()
+        times = {"seconds": self.seconds, "reinforced": self.reinforced}
+        note = self._file.save(tensors, {"settings": self._fixed(), **times})
         if note:
             raise InputError(note)
         settings = TrainSettings(policy=self.settings.policy, seed=self.settings.seed)
@@ -181,7 +181,7 @@ class GeneralTraining:
             "policy": {**asdict(self.settings.policy.resolved()), "parameters": _count(self.network)},
             "results": {
                 "general": asdict(self.settings),
-                "seconds": self.seconds,
+                **times,
                 "steps": self.steps,
                 **(results or {}),
             },
@@ -198,6 +198,11 @@ class GeneralTraining:
         return rise * (
             _FINAL_LEARNING_RATE + (1 - _FINAL_LEARNING_RATE) * 0.5 * (1 + math.cos(math.pi * self.progress))
         )
+
+
+def _completed(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings of a checkpoint with the defaults of those that older versions did not have."""
+    return {**settings, "policy": {**asdict(PolicySettings("local")), **settings.get("policy", {})}}
 
 
 def policy_loss(logits: torch.Tensor, batch: StructureBatch) -> torch.Tensor:

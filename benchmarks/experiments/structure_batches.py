@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from experiments.labelled_states import LabelledStructure, legal_actions
 from torch import Tensor
 
 from falsework.errors import InputError
-from falsework.learn.data.labelled_states import LabelledStructure, legal_actions
 from falsework.learn.networks.contact_graph import PAIR_FEATURES, PART_FEATURES
 from falsework.learn.networks.local_attention import GraphTensors, conditions
 from falsework.utils.tensors import put
