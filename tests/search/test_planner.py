@@ -21,10 +21,11 @@ from falsework import (
 )
 from falsework.errors import InputError
 from falsework.search import SearchProgress, SupportGuide
+from falsework.search.beam.backjumping import BackjumpingBeam
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_check import validate_plan, validate_proofs
 from falsework.search.problem.result import insertion_steps
-from falsework.search.strategies import EDGES, EVERYWHERE, Portfolio
+from falsework.search.strategies import EDGES, EVERYWHERE, Portfolio, Turn
 
 
 def insertions(route: tuple[tuple[int, ...], ...], parts: tuple[int, ...]) -> tuple[int, ...]:
@@ -94,28 +95,26 @@ def test_resuming_changes_nothing(rules: Any, tmp_path: Path, seed: int, alterna
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_resuming_strategies_that_take_turns_changes_nothing(
-    rules: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
-) -> None:
-    monkeypatch.setattr("falsework.search.strategies._FIRST_SHARE", 0.125)
+def test_resuming_strategies_that_take_turns_changes_nothing(rules: Any, tmp_path: Path, seed: int) -> None:
+    settings = PlannerSettings(patience=0.01)
     oracle, _ = rules.random(seed, 8)
     row = np.stack([np.arange(7), np.arange(1, 8)], axis=1)
     task = Task.from_rules(rules.ground(8), 2, contacts=row)
-    expected = Planner(task, oracle).run()
-    planner, path = Planner(task, oracle), tmp_path / "planner.npz"
+    expected = Planner(task, oracle, settings).run()
+    planner, path = Planner(task, oracle, settings), tmp_path / "planner.npz"
     while True:
         calls = iter(range(3))
         result = planner.run(stop=lambda calls=calls: next(calls, None) is None)
         if not result.interrupted:
             break
         planner.save(path)
-        planner = Planner.load(path, task, oracle)
+        planner = Planner.load(path, task, oracle, settings)
     assert result.outcome is expected.outcome
     assert result.found == (rules.enumeration(task, oracle).count() > 0)
     assert result.counters == expected.counters
 
 
-def test_each_strategy_has_twice_as_many_verdicts_in_each_round() -> None:
+def test_turns_end_where_a_search_gets_no_farther_for_twice_as_many_verdicts_in_each_round(rules: Any) -> None:
     def portfolio(
         stage: str = "plan", parts: int = 100, *, edges: bool = False, allow_regrasp: bool = False, **how: Any
     ):
@@ -124,16 +123,24 @@ def test_each_strategy_has_twice_as_many_verdicts_in_each_round() -> None:
 
     both = portfolio()
     assert both.names == (Direction.ASSEMBLY, Direction.DISASSEMBLY)
-    turns = np.diff([0, *(both.allowance(number) for number in range(4))])
-    assert turns[0] > 0
-    assert (turns[1:] == 2 * turns[:-1]).all()
-    assert portfolio(parts=200).allowance(0) == 2 * both.allowance(0)
+    for number in range(4):
+        most = 50 * 2**number
+        assert [both.is_over(number, Turn(owed=owed)) for owed in (most - 1, most)] == [False, True]
+        assert not portfolio(parts=200).is_over(number, Turn(owed=most))
     assert portfolio(edges=True).names == (EDGES, *both.names)
     backwards = {"directions": (Direction.DISASSEMBLY,)}
     assert portfolio(edges=True, **backwards) == portfolio(**backwards)
     others = portfolio("alternatives", edges=True)
     assert others.names == (Direction.DISASSEMBLY, Direction.ASSEMBLY)
-    assert others.allowance(0) == np.inf
+    assert not others.is_over(0, Turn(owed=1e9))
+    search = BackjumpingBeam(Task.from_rules(rules.ground(4), 2), rules.blocks(4))
+    turn = Turn(asked=-10)
+    turn.note(search, 1)
+    assert (turn.asked, turn.level, turn.owed) == (0, 0, 10.0)
+    search.step()
+    turn.note(search, 1)  # a new level makes up for some of them
+    assert 0 < turn.owed - search.asked < 10
+    assert turn.level == 1
     assert portfolio("postpone", width=2).widest == 2
     assert EVERYWHERE in portfolio(allow_regrasp=True).names
 
@@ -321,3 +328,19 @@ def test_a_rule_that_does_not_exist_is_named() -> None:
         find_plans("arch:blocks=3", robot=2)  # type: ignore[call-arg]
     with pytest.raises(InputError, match=r"find_plans takes no 'xyz'$"):
         find_plans("arch:blocks=3", xyz=2)  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"width": 0}, "a beam of width 0 keeps nothing"),
+        ({"directions": ()}, "no direction to search in"),
+        ({"alternatives": 0}, "0 alternatives is not a number of plans"),
+        ({"judge": True, "alternatives": 2}, "the judge takes minutes for alternatives"),
+        ({"patience": 0.0}, "the patience of a search must be above 0"),
+        ({"bound_after": -1.0}, "the seconds before a bound not below 0"),
+    ],
+)
+def test_settings_that_allow_no_search(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        PlannerSettings(**wrong)

@@ -12,7 +12,6 @@ from falsework.errors import InputError
 from falsework.search.beam.backjumping import WIDENING, BackjumpingBeam, BackjumpingSettings
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.level_search import Beams
-from falsework.search.beam.settings import AHEAD
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.search import Search
@@ -31,9 +30,26 @@ EVERYWHERE = "everywhere"
 TOGETHER = "together-"
 """Before the name of a direction: beam in which steps may move several parts, at last without a limit."""
 
-_FIRST_SHARE = 8
-"""Verdicts for each part of the structure that each strategy may ask for in the first round, and twice as many in each
-further one. Searches without dead ends take half as many."""
+_LEVEL_WORTH = 4
+"""Verdicts for each state kept at a level that the search for it may cost: some two to three times what it costs where
+no beam dies."""
+
+
+@dataclass
+class Turn:
+    """What a strategy asked for in its turn and how far it got, since the strategy began."""
+
+    asked: int = 0
+    level: int = 0
+    """Farthest level."""
+    owed: float = 0.0
+    """Verdicts of this turn that new levels do not make up for."""
+
+    def note(self, search: Search, width: int) -> None:
+        """Note how far the search of the strategy is now, whose beams began with some width."""
+        worth = _LEVEL_WORTH * width * max(search.level - self.level, 0)
+        self.owed = max(self.owed + search.asked - self.asked - worth, 0.0)
+        self.asked, self.level = search.asked, max(search.level, self.level)
 
 
 @dataclass(frozen=True)
@@ -46,20 +62,13 @@ class Portfolio:
     """Width of beams to begin with."""
     widest: int
     """Width up to which they restart."""
-    share: int | None = None
-    """Verdicts of the first turn of each; each further turn has twice as many. None: until it gives up."""
+    patience: float = np.inf
+    """Verdicts of the first turn of each that new levels do not make up for, over the width of beams to begin with;
+    each further turn has twice as many."""
 
-    def allowance(self, round: int) -> float:
-        """Return the verdicts that a strategy may ask for up to and with a round, counted from 0."""
-        return np.inf if self.share is None else self.share * (2.0 ** (round + 1) - 1.0)
-
-    def is_over(self, round: int, name: str, search: Search) -> bool:
-        """Return whether the turn of a strategy in a round is over.
-
-        The first turn of the beam of free edges ends at its first dead end too: where edges have to be closed first, it
-        hardly comes to one, and most shells need not.
-        """
-        return (round == 0 and name == EDGES and search.dead_ends > 0) or search.asked >= self.allowance(round)
+    def is_over(self, round: int, turn: Turn) -> bool:
+        """Return whether the turn of a strategy in a round, counted from 0, is over."""
+        return turn.owed >= self.patience * self.narrowest * 2.0**round
 
     @classmethod
     def from_settings(
@@ -76,8 +85,7 @@ class Portfolio:
         """
         if wide:
             narrow = cls.from_settings(settings, stage, task, edges=edges)
-            share = None if narrow.share is None else narrow.widest * narrow.share
-            return replace(narrow, narrowest=narrow.widest, share=share)
+            return replace(narrow, narrowest=narrow.widest)
         names = [direction.value for direction in settings.directions]
         if stage == "postpone":
             return cls(tuple(names), 1, min(WIDENING, settings.width))
@@ -87,16 +95,16 @@ class Portfolio:
             # One state a level leaves no choice.
             narrowest, widest = (min(width, settings.width) for width in (WIDENING, WIDENING**2))
             return cls(tuple(names), narrowest, widest)
-        share = _FIRST_SHARE * task.part_count
+        patience = settings.patience * task.part_count
         if regrasps(task, settings):
             again = [REGRASP + name for name in names]
             once = names[:1] if (STAGE[task.target] >= STAGE[task.start]).all() else []
-            return cls((again[0], EVERYWHERE, *again[1:], *once), 1, settings.width, share)
+            return cls((again[0], EVERYWHERE, *again[1:], *once), 1, settings.width, patience)
         if moves_together(task, settings):  # plans that move one part at a time come first, as they are simpler
             names += [TOGETHER + name for name in names]
         if edges and Direction.ASSEMBLY in settings.directions:
             names.insert(0, EDGES)
-        return cls(tuple(names), 1, settings.width, share)
+        return cls(tuple(names), 1, settings.width, patience)
 
 
 def regrasps(task: Task, settings: PlannerSettings) -> bool:
@@ -154,7 +162,5 @@ def start(
     if name.startswith(TOGETHER):
         return TogetherBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
     settings = BackjumpingSettings(direction, portfolio.narrowest, seed)
-    if name == EDGES and task.holds_keep_stable:
-        settings = replace(settings, lookahead=AHEAD)  # few, so that it keeps to its rows
     alone = replace(task, allow_regrasp=False, together=None)
     return BackjumpingBeam(alone, oracle, settings, guide=guide, beams=beams)

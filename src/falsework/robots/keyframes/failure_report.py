@@ -13,6 +13,7 @@ from msgspec import to_builtins
 from falsework.assembly.state import describe_step
 from falsework.search.problem.result import Route
 from falsework.utils.arrays import Array
+from falsework.utils.quantity import listed
 
 _DOING = {"insert": "inserting", "release": "releasing", "hold": "holding"}
 _SHOWN = 8
@@ -149,8 +150,7 @@ def explain(
     else:
         pieces.append(f"the search reached step {reached} of {steps}")
     if unreachable:
-        listed = ", ".join(names[part] for part in unreachable[:8]) + (", ..." if len(unreachable) > 8 else "")
-        pieces.append(f"no robot can hold {listed}")
+        pieces.append(f"no robot can hold {listed([names[part] for part in unreachable])}")
     if hopeless is not None:
         kind, part = hopeless
         pieces.append(f"most failures there: {kind} {names[part]}")

@@ -61,6 +61,11 @@ class Search(ABC):
         """Verdicts requested so far, earlier runs included."""
         return self.judge.asked
 
+    @property
+    def level(self) -> int:
+        """Step at which the search is."""
+        return self._place()[0]
+
     @abstractmethod
     def step(self) -> bool:
         """Take the next step; False if it led nowhere. An interruption leaves the search as it was before."""
