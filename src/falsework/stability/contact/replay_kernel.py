@@ -193,8 +193,8 @@ def settle_step(
         torn: contact points whose tensile strength was exceeded, shape (points,); changed in place.
         set_share: share of its full strength that each contact point has reached, shape (points,), or (0,) if all.
         track: out: displacement in each increment, m and rad, shape (increments, parts, 6); zero before.
-        guess: of the displacement in each increment, m and rad, shape (increments, parts, 6): before the last one
-            only the parts near the change come to rest, with the others moved by it; (0, parts, 6) without a guess.
+        guess: of the displacement in each increment, from which it begins, m and rad, shape (increments, parts, 6), or
+            (0, parts, 6): each begins from that of the one before.
 
     Returns:
         `RESTS`, `MOVES_AWAY`, `OVERLOADS` or `OPEN`; residual; iterations; the part that moved most, or whose robot
@@ -262,9 +262,6 @@ def settle_step(
             structure, contact_structure, moving, work, contact, springs, torn, set_share, missing, share
         )
         left = 2 if result == RESTS else 1  # from where the near parts came to rest, then from before
-        if left == 2 and k < count and len(guess) and work.pulled[0] == 0.0:
-            evaluate(structure, work, contact, pairs, contact.displacement, contact.trial, contact.residual)
-            left = 0
         while left > 0:
             if left == 1:
                 contact.displacement[:] = 0.0
