@@ -23,7 +23,8 @@ and `delayed` random runs of it are simulated.
 `--delays`: each seed is planned with robots that move at the same time, and its schedule checked under any delays, in
 the order of disassembly and reversed: `overlaps` pairs of motions and rests of two arms that can coincide, `early`
 pairs of a motion and a part that stands only because of a delay, `ranges` and `distances` of the proofs. `delayed`
-random runs are simulated. `removed` waits for another arm are left out, one at a time; without `unsafe` of them the proof fails.
+random runs are simulated. `removed` waits for another arm are left out, one at a time; without `unsafe` of them the
+proof fails.
 `--support`: each seed is planned twice, without and with parts that are released and held again.
 `--midway`: each seed is planned, then planned again from three of its keyframes at which a part is held, as after a
 disruption: `fresh` from structure and cell alone, `kept` with the keyframe graph and the verdicts of the first plan.
