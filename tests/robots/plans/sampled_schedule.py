@@ -11,11 +11,11 @@ from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker, PreparedQuery
 from falsework.robots.model.cell import Cell
+from falsework.robots.model.shapes import Array
 from falsework.robots.plans.loads import Load
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import ArmActivity, activities_at, event_times
-from falsework.utils.arrays import Array
 
 INTERVAL = 0.01
 """Longest time between two samples, seconds."""

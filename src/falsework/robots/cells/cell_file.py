@@ -28,8 +28,7 @@ from falsework.robots.cells.cell_robot import read_robot
 from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.cells.validate import check_cell
 from falsework.robots.model.cell import Cell, Gripper, Margins, Obstacle, Placement
-from falsework.robots.model.shapes import block, cylinder, move
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array, block, cylinder, move
 
 AnyCell = Cell | str | Path
 """Cell as it is, or what `load_cell` takes."""

@@ -10,8 +10,7 @@ from msgspec import Meta
 
 from falsework.errors import CellError
 from falsework.robots.model.cell import Margins, Signals
-from falsework.robots.model.shapes import pose
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array, pose
 from falsework.utils.models import FileModel, model_schema, read_model
 
 Kind = TypeVar("Kind")

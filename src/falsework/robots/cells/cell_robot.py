@@ -17,8 +17,7 @@ from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
 from falsework.robots.model.cell import CellRobot, Gripper, Signals
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
-from falsework.robots.model.shapes import looking_down
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array, looking_down
 
 PLACE_TURNS = 8
 """Rotations about the vertical in which a part may be put down at a drop-off pose."""

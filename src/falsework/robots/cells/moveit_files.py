@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from falsework.errors import CellError, DependencyError
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array
 
 Element = ElementTree.Element
 _KINDS = ("position", "velocity", "acceleration")

@@ -31,8 +31,7 @@ from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain, make
 from falsework.robots.kernels.rrt_connect import check_many
 from falsework.robots.model.cell import CellRobot, Gripper
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
-from falsework.robots.model.shapes import move, outer_hull
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array, move, outer_hull
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.xml_text import read_xml_text
 

@@ -15,8 +15,7 @@ from scipy.spatial import ConvexHull
 from falsework.errors import CellError, InputError
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
-from falsework.robots.model.shapes import cylinder, move
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array, cylinder, move
 
 _MESHES = (".stl", ".obj", ".dae", ".ply", ".off", ".glb", ".gltf")
 """Formats of meshes: archives among those that the library reads unpack to any size."""

@@ -15,10 +15,9 @@ from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.model.shapes import Pieces, looking_down, move
+from falsework.robots.model.shapes import Array, Pieces, looking_down, move
 from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Scene
 from falsework.robots.motion.near_pairs import NearPair, millimetres, near_pairs, separation
-from falsework.utils.arrays import Array
 
 _SAMPLES = 4000
 """Random configurations that are tried."""

@@ -17,8 +17,7 @@ from falsework.robots.cells.urdf import carrier_of, parse_urdf
 from falsework.robots.cells.urdf_meshes import colored_meshes, hull_mesh
 from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.model.shapes import Pieces, move
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array, Pieces, move
 
 Color = tuple[float, float, float]
 

@@ -23,6 +23,7 @@ from falsework.robots.checks.handling import HandlingChecker, place_lines, put_d
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
+from falsework.robots.model.shapes import Array
 from falsework.robots.plans.loads import Load, load_of, loads_at, loads_beside, step_fault
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_forces import GripLoad, grip_loads, overloads, press_fault
@@ -30,7 +31,6 @@ from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.trajectory import OUTSIDE, Trajectory, check_limits
 from falsework.search.plans.plan_report import PlanReport
 from falsework.search.problem.task import Direction
-from falsework.utils.arrays import Array
 
 Progress = Callable[[int, int], None]
 

@@ -21,12 +21,12 @@ import numpy as np
 
 from falsework.assembly.state import REMOVED
 from falsework.robots.checks.pinocchio_checker import WORLD, CollisionBody, PinocchioCollisionChecker, import_pinocchio
+from falsework.robots.model.shapes import Array
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.reachable_positions import ReachablePositions
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import Segment
 from falsework.robots.plans.trajectory import Trajectory
-from falsework.utils.arrays import Array
 
 NEAREST = 2e-4
 """Distance above which bodies can be proven to keep apart, metres."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from falsework.robots.checks.pinocchio_checker import import_pinocchio
 from falsework.robots.model.robot_model import RobotModel
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array
 from falsework.utils.files.xml_text import read_xml_text
 
 _SAMPLES = 8

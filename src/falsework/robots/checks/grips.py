@@ -6,7 +6,7 @@ import numpy as np
 
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.model.cell import GRIP_DEPTH, GRIP_DISTANCE, GRIP_TILT, Cell, Gripper
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array
 
 _RINGS = ((0.0, 1), (0.5, 8), (1.0, 16))
 """Points of a cup at which the surface is measured: shares of its radius, and their numbers."""

@@ -15,12 +15,11 @@ from shapely import MultiPoint, Point, Polygon
 
 from falsework.robots.checks.grips import GripChecker
 from falsework.robots.model.cell import LONGEST_APPROACH, LONGEST_WITHDRAWAL, Cell
-from falsework.robots.model.shapes import inverse_pose, move
+from falsework.robots.model.shapes import Array, inverse_pose, move
 from falsework.robots.plans.loads import Load, load_of, lying_motions
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.trajectory import line_fault
 from falsework.search.problem.task import Direction
-from falsework.utils.arrays import Array
 
 _PLACE_DISTANCE = 0.001
 """Largest distance of a tool frame from a place of the cell, metres."""

@@ -21,9 +21,8 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.model.shapes import inverse_pose
+from falsework.robots.model.shapes import Array, inverse_pose
 from falsework.robots.plans.loads import Load
-from falsework.utils.arrays import Array
 
 WORLD = 0
 """Index of Pinocchio's fixed joint."""

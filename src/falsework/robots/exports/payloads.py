@@ -9,10 +9,9 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.cell import Cell, Gripper
-from falsework.robots.model.shapes import Pieces, inverse_pose, move
+from falsework.robots.model.shapes import Array, Pieces, inverse_pose, move
 from falsework.robots.plans.loads import load_of
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.utils.arrays import Array
 
 _LEAST_MASS = 0.001
 """Mass of a tool without one, kg: that of `tool0`, since RAPID accepts no zero."""

@@ -31,12 +31,12 @@ from falsework.robots.exports.controller import (
 )
 from falsework.robots.exports.payloads import PartLoads, ToolLoad, in_tool, rapid_load, together, tool_load, ur_payload
 from falsework.robots.model.cell import Cell, CellRobot
+from falsework.robots.model.shapes import Array
 from falsework.robots.plans.robot_forces import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import nodes_of
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.stability.holds import HoldMode
-from falsework.utils.arrays import Array
 
 MOST_COUNT = 65535
 """Largest 16-bit count."""

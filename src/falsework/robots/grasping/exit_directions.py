@@ -9,7 +9,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
 from falsework.geometry.clearance.sweep import Sweeper, includes_one
 from falsework.geometry.clearance.table import ClearanceTable
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array
 from falsework.utils.bits import pack, unpack
 
 _TILT_DEGREES = (20.0, 50.0, 85.0)

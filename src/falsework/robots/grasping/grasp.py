@@ -19,7 +19,7 @@ from falsework.robots.kernels.kernel_arrays import bounds_of, make_obstacles
 from falsework.robots.kernels.rrt_connect import check_many
 from falsework.robots.model.cell import GRIP_TILT, CellRobot, Gripper
 from falsework.robots.model.part_shapes import PartShapes
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array
 
 SUCTION_TURNS = 8
 """Rotations about the normal of a face at which a suction grasp is tried."""

@@ -9,7 +9,7 @@ import shapely
 
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.robots.model.cell import FLAT_DEGREES
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array
 
 
 @dataclass(frozen=True, eq=False)

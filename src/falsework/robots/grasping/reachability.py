@@ -19,9 +19,8 @@ from falsework.robots.grasping.grasp import Grasp, grasps
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import PartShapes
-from falsework.robots.model.shapes import move, pose
+from falsework.robots.model.shapes import Array, move, pose
 from falsework.robots.motion.collision_world import CollisionWorld, Scene, grasp_contact
-from falsework.utils.arrays import Array
 
 GRASPS_PER_PART = 24
 """Grasps of a part that are tried."""

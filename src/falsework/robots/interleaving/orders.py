@@ -14,8 +14,8 @@ from falsework.robots.keyframes.keyframes import Edge, Node, state_after
 from falsework.robots.keyframes.trajectory_assembly import STANDSTILL
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import CellRobot
+from falsework.robots.model.shapes import Array
 from falsework.stability.oracle import StabilityOracle
-from falsework.utils.arrays import Array
 
 _Value = TypeVar("_Value")
 

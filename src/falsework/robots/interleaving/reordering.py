@@ -15,7 +15,7 @@ from falsework.robots.interleaving.work import Work, loads_of
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.model.shapes import inverse_pose
+from falsework.robots.model.shapes import Array, inverse_pose
 from falsework.robots.motion.collision_world import (
     LIFT,
     NO_CONTACT,
@@ -29,7 +29,6 @@ from falsework.robots.motion.path_planner import plan_free
 from falsework.robots.plans.loads import Load
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.stability.oracle import StabilityOracle
-from falsework.utils.arrays import Array
 
 
 def reorder(

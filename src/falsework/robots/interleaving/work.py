@@ -14,10 +14,10 @@ from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.keyframes.trajectory_assembly import timed_leg
 from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.model.shapes import Array
 from falsework.robots.plans.loads import Load, LoadKey
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.robots.schedule.swept_bodies import SweptBodies
-from falsework.utils.arrays import Array
 
 Box = tuple[float, float, float, float, float, float]
 """Lower and upper corner of a box whose sides are parallel to the axes, metres."""

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from falsework.robots.kernels.collision import Bodies, Chain, Obstacles
 from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.model.shapes import Pieces, move
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array, Pieces, move
 
 GROUP = 6
 """Obstacles per bounding box in the broad phase."""

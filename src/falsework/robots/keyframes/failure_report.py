@@ -11,8 +11,8 @@ import numpy as np
 from msgspec import to_builtins
 
 from falsework.assembly.state import describe_step
+from falsework.robots.model.shapes import Array
 from falsework.search.problem.result import Route
-from falsework.utils.arrays import Array
 from falsework.utils.quantity import listed
 
 _DOING = {"insert": "inserting", "release": "releasing", "hold": "holding"}

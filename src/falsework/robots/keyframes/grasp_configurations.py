@@ -17,9 +17,9 @@ from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Gripper
+from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import Scene, grasp_contact
 from falsework.robots.motion.path_planner import MotionCache
-from falsework.utils.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

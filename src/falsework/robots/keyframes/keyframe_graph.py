@@ -28,10 +28,10 @@ from falsework.robots.keyframes.withdrawal import Withdrawal
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
+from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Scene, grasp_contact
 from falsework.robots.motion.near_pairs import NearPair, nearest_pair
 from falsework.robots.motion.path_planner import MotionCache, follow_line
-from falsework.utils.arrays import Array
 
 _MAX_DETOURS = 2
 """Withdrawals of a part that cannot be delivered after which it is put down, to be gripped in another way."""

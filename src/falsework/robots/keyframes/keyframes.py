@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
+from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import Attached, CollisionQuery, Scene
 from falsework.search.problem.result import Route
-from falsework.utils.arrays import Array
 
 _MOST_HAND_OVERS = 2
 """Hand-overs of a part between two removals: to another robot, and back with another grasp."""

@@ -18,10 +18,9 @@ from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
 from falsework.robots.keyframes.keyframes import PathSegment
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
-from falsework.robots.model.shapes import inverse_pose, move, move_pieces
+from falsework.robots.model.shapes import Array, inverse_pose, move, move_pieces
 from falsework.robots.motion.collision_world import PUT_DOWN, CollisionQuery, Scene, grasp_contact
 from falsework.robots.motion.path_planner import MotionCache, follow_line
-from falsework.utils.arrays import Array
 
 Retreat = Callable[[str, int, int, Array, Array, CollisionQuery, CollisionQuery], Array | None]
 

@@ -13,13 +13,13 @@ from falsework.robots.kernels.speed_profile import thin
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment, route_along
 from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.model.robot_model import RobotModel
+from falsework.robots.model.shapes import Array
 from falsework.robots.motion.timing import time_path
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, records_of
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.find import prove_route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle
-from falsework.utils.arrays import Array
 
 STANDSTILL = 1e-7
 """Length below which a path takes no time, rad or m."""

@@ -10,9 +10,9 @@ from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
 from falsework.robots.keyframes.keyframes import PathSegment
 from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import LIFT, NO_CONTACT, CollisionQuery, Scene, withdrawal_contact
 from falsework.robots.motion.path_planner import MotionCache, follow_line
-from falsework.utils.arrays import Array
 
 _ROOM = 2.0
 """Margin at the end of such a line, in margins of free motions, below which a longer line is tried first: between other

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.robots.model.shapes import inverse_pose
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array, inverse_pose
 
 Owner = NDArray[np.int64]
 

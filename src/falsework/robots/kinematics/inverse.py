@@ -30,8 +30,7 @@ from falsework.robots.kinematics.analytic_ik import Screws, solve_parallel, solv
 from falsework.robots.kinematics.forward import link_poses
 from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.model.shapes import inverse_pose
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array, inverse_pose
 
 Kind = Literal["spherical", "wrist", "parallel", "general"]
 

@@ -16,8 +16,7 @@ import numpy as np
 
 from falsework.errors import InputError
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
-from falsework.robots.model.shapes import block, hull, pose
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array, block, hull, pose
 
 BUILTIN: dict[str, dict[str, Any]] = tomllib.loads(
     files("falsework.robots.model").joinpath("arms.toml").read_text(encoding="utf-8")

@@ -10,8 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.model.shapes import Pieces, pose
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array, Pieces, pose
 
 GRIP_DISTANCE = 0.005
 """Largest distance of a cup, or of closed jaws, from a part that is held, metres."""

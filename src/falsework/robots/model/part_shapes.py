@@ -19,8 +19,7 @@ from falsework.assembly.model import Assembly
 from falsework.geometry.mesh.collision import inside
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.model.cell import Placement
-from falsework.robots.model.shapes import Pieces, hull, move, move_pieces
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array, Pieces, hull, move, move_pieces
 
 MAX_PIECES = 32
 """Largest number of pieces per part; beyond it the cover stays looser than the tolerance."""

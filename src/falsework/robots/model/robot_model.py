@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.robots.model.shapes import Pieces
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array, Pieces
 
 ACCELERATION_TIME = 0.5
 """Time in which a joint reaches full speed if its description gives no acceleration limit, s."""

@@ -6,12 +6,12 @@ A piece is the convex hull of its vertices, an array of shape (vertices, 3) in m
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from falsework.errors import InputError
-from falsework.utils.arrays import Array
 
+Array = NDArray[np.float64]
 Pieces = tuple[Array, ...]
 """Convex pieces that together cover one body."""
 

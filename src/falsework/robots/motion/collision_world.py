@@ -25,8 +25,7 @@ from falsework.robots.kinematics.forward import link_poses
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.model.shapes import Pieces, inverse_pose, move
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array, Pieces, inverse_pose, move
 
 NO_FLOOR = -1e9
 """Height of the floor of a cell without one, metres: below everything."""

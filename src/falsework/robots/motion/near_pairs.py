@@ -10,8 +10,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from falsework.robots.kernels.collision import distance_between
 from falsework.robots.kinematics.forward import place_many
+from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Scene
-from falsework.utils.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from falsework.robots.kernels.numeric_ik import reach_poses
 from falsework.robots.kernels.rrt_connect import INTERVALS, grow, shorten
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import tail_of
+from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
-from falsework.utils.arrays import Array
 
 LONGEST_EDGE = 1.0
 """Longest edge of a tree, rad in joint space."""

@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.robots.model.robot_model import RobotModel
+from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import CollisionQuery
 from falsework.robots.motion.path_planner import plan_free
 from falsework.robots.motion.timing import time_path
-from falsework.utils.arrays import Array
 
 _TREES = 4
 """Additional pairs of trees that are grown for one motion."""

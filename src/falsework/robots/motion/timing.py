@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from falsework.errors import InputError
 from falsework.robots.kernels.speed_profile import evaluate, fastest
 from falsework.robots.model.robot_model import RobotModel
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array
 
 JOINT_STEP = 0.0099
 """Neighbouring samples differ by at most this in every joint, rad or m."""

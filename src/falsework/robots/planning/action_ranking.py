@@ -11,10 +11,10 @@ import numpy as np
 from falsework.assembly.state import HELD, Mask, States
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node
+from falsework.robots.model.shapes import Array
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Direction
-from falsework.utils.arrays import Array
 
 
 class ExecutionHeuristic:

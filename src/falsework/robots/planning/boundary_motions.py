@@ -22,11 +22,11 @@ from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import CarriedLoad, Edge, Node, PathSegment, accept_all
 from falsework.robots.keyframes.trajectory_assembly import STANDSTILL
 from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import Scene, grasp_contact, withdrawal_contact
 from falsework.robots.motion.near_pairs import nearest_pair
 from falsework.robots.motion.path_planner import follow_line
 from falsework.search.problem.task import Task
-from falsework.utils.arrays import Array
 
 _SAME_WAY = 1e-4
 """Largest difference of joint values, directions and cosines between a line and one that ends where a robot is."""

@@ -15,10 +15,9 @@ from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import CarriedLoad, Node
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
-from falsework.robots.model.shapes import inverse_pose
+from falsework.robots.model.shapes import Array, inverse_pose
 from falsework.robots.motion.collision_world import Attached
 from falsework.search.problem.task import STAGE, Task
-from falsework.utils.arrays import Array
 
 
 def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitDirections) -> Task:

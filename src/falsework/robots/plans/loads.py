@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from falsework.assembly.state import HELD, REMOVED
+from falsework.robots.model.shapes import Array
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.task import Direction
-from falsework.utils.arrays import Array
 
 LoadKey = tuple[int, bytes, bytes]
 _RIGID = 1e-6

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
+from falsework.robots.model.shapes import Array
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import Event, Segment, nodes_of, segments_of
-from falsework.utils.arrays import Array
 
 _INSTANT = 1e-6
 """Times that differ by no more are equal, seconds; the rounding of files is finer."""

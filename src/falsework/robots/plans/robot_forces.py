@@ -15,7 +15,7 @@ from falsework.errors import PlanError
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.cell_holds import CellScale
-from falsework.robots.model.shapes import inverse_pose, move
+from falsework.robots.model.shapes import Array, inverse_pose, move
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_plan import RobotPlan, acts
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
@@ -27,7 +27,6 @@ from falsework.stability.contact.replay import Replayer
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, Press
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
-from falsework.utils.arrays import Array
 from falsework.utils.quantity import format_quantity
 
 

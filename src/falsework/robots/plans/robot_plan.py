@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, States
 from falsework.errors import PlanError
 from falsework.robots.model.cell import Cell, cell_identity
+from falsework.robots.model.shapes import Array
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
-from falsework.utils.arrays import Array
 from falsework.utils.display.notebook import Displayed
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import convert, to_builtins
 
 from falsework.errors import PlanError
+from falsework.robots.model.shapes import Array
 from falsework.robots.plans.loads import step_fault
 from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep
 from falsework.robots.plans.robot_plan_model import (
@@ -27,7 +28,6 @@ from falsework.robots.plans.timeline import nodes_of
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.task import Direction
-from falsework.utils.arrays import Array
 from falsework.utils.json_file import check_format, read_json, write_json
 from falsework.utils.models import read_model
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.errors import InputError, PlanError
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array
 
 Reason = Literal["arm", "state", "part", "volume"]
 

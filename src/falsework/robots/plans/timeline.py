@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.state import States
+from falsework.robots.model.shapes import Array
 from falsework.robots.plans.loads import Load, load_at_rest, load_of
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.problem.task import Direction
-from falsework.utils.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from falsework.robots.model.robot_model import RobotModel
-from falsework.utils.arrays import Array
+from falsework.robots.model.shapes import Array
 
 STRAIGHT = 0.001
 """Largest distance of the tool from a straight line, metres."""

@@ -19,13 +19,13 @@ from scipy import ndimage
 
 from falsework.assembly.state import REMOVED
 from falsework.robots.kernels.coordination import Swept, conflicts
+from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import Precedence
 from falsework.robots.plans.timeline import Segment, nodes_of, segments_of
 from falsework.robots.schedule.swept_bodies import SweptBodies
 from falsework.search.problem.task import Direction
-from falsework.utils.arrays import Array
 
 _SAME = 1e-5
 """Joint values that differ by no more are equal, rad or m."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from falsework.errors import InputError, PlanError
+from falsework.robots.model.shapes import Array
 from falsework.robots.plans.reachable_positions import ReachablePositions
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.utils.arrays import Array
 from falsework.utils.quantity import check_seed
 
 

@@ -11,11 +11,10 @@ from falsework.robots.kernels.collision import Bodies, Chain
 from falsework.robots.kernels.coordination import SPLIT, Swept, still, sweep
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.model.shapes import inverse_pose, move_pieces
+from falsework.robots.model.shapes import Array, inverse_pose, move_pieces
 from falsework.robots.motion.collision_world import Attached, CollisionWorld, Scene
 from falsework.robots.plans.loads import Load, LoadKey
 from falsework.robots.plans.trajectory import Trajectory
-from falsework.utils.arrays import Array
 
 CELL = 0.05
 """Longest duration of a cell, seconds."""
