@@ -39,7 +39,6 @@ from draws import Searches, success_on_draws, test_seeds
 from states import find
 
 from falsework import StabilityOracle, StabilitySettings, load_structure, train
-from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn import Environment, Policy, PolicySettings, TrainSettings, roll_out, transfer
 from falsework.learn.config.policy import recommended
@@ -47,6 +46,7 @@ from falsework.learn.config.train import METHODS, Criterion, from_dict, to_dict
 from falsework.learn.data.dataset import Dataset, build_dataset, search_states, training_task
 from falsework.learn.data.goal_dataset import GoalDataSettings, SearchStates, build_goal_dataset
 from falsework.learn.data.goal_pairs import Pairs
+from falsework.learn.data.symmetry import symmetries
 from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.networks.autocast import Network
 from falsework.learn.training.evaluate import measure_success, sample

@@ -64,7 +64,7 @@ def test_what_is_missing_is_said(
         (("evaluate", run), "is a policy for any structure; name the structure"),
         (("plan", ARCH, "--guide", "general"), "this installation has no policy for any structure; make one"),
         (("plan", ARCH, "--guide", tmp_path / "no"), "there is no folder"),
-        (("plan", ARCH, "--guide", run, "--robots", "auto"), "--guide takes neither"),
+        (("plan", ARCH, "--guide", run, "--robots", "auto"), "--robots auto takes no --guide yet"),
         (("replan", run, "--policy", run), "is a policy for any structure; name the structure"),
     ):
         answer = falsework(*command)

@@ -124,7 +124,7 @@ def test_turns_end_where_a_search_gets_no_farther_for_twice_as_many_verdicts_in_
     both = portfolio()
     assert both.names == (Direction.ASSEMBLY, Direction.DISASSEMBLY)
     for number in range(4):
-        most = 50 * 2**number
+        most = 200 * 2**number
         assert [both.is_over(number, Turn(owed=owed)) for owed in (most - 1, most)] == [False, True]
         assert not portfolio(parts=200).is_over(number, Turn(owed=most))
     assert portfolio(edges=True).names == (EDGES, *both.names)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
+from falsework.cli.command import UNSET, DeviceOption, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import refuse_unstable
 from falsework.errors import InputError
@@ -29,7 +29,7 @@ class Train(JudgingCommand):
     The policy imitates the actions that searches found, then improves by its own rollouts. The weights with the highest
     success on a validation set are kept, and training ends when it no longer rises. The result is a folder, the run,
     with weights, configuration and logs. An interrupted training is continued by the same command with --resume.
-    Under torchrun several processes share the work.
+    Under torchrun several processes share the work. Exit code 1 if the time was up before the first step.
     """
 
     rare: ClassVar[tuple[str, ...]] = (
@@ -85,8 +85,7 @@ class Train(JudgingCommand):
     """Training data: wide searches, or the paper's training set alone."""
     seed: int = 0
     """Random seed of weights, batches and rollouts."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Device; `auto` takes a GPU if there is one."""
+    device: DeviceOption = "auto"
     log: tuple[Literal["tensorboard", "wandb"], ...] = ("tensorboard",)
     """Loggers in addition to progress.jsonl in the folder."""
 
@@ -153,4 +152,4 @@ class Train(JudgingCommand):
         if result.interrupted:
             output.note(f"interrupted; falsework train ... --out {self.out} --resume continues")
             return Exit.INTERRUPTED
-        return Exit.DONE
+        return Exit.DONE if result.steps else output.outcome("untrained")

@@ -31,7 +31,7 @@ from falsework.search.problem.result import (
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
-from falsework.search.strategies import EDGES, Portfolio, Turn, moves_together, regrasps, start
+from falsework.search.strategies import EDGES, TOGETHER, Portfolio, Turn, regrasps, start
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
@@ -70,10 +70,9 @@ class Planner:
             beams: of the backend to search with, see `falsework.search.backend.beams_on`.
 
         Raises:
-            InputError: a judge or alternatives, where parts are held again, or alternatives, where steps may move
-                several.
+            InputError: a judge or alternatives, where parts are held again.
         """
-        self.regrasps, self.together = regrasps(task, settings), moves_together(task, settings)
+        self.regrasps, self.together = regrasps(task, settings), task.together is not None
         """Whether plans may hold parts again, and whether steps may move several parts."""
         self.task = task.judged_by(oracle)
         self.settings = settings
@@ -287,8 +286,8 @@ class Planner:
     def _test(self, beam: Search, result: SearchResult, stop: Stop | None) -> None:
         """Test the route found, and go on to the next search, or leave the state out in which it fails."""
         route = result.routes[0]
-        if self._stage == "alternatives" and isinstance(beam, BackjumpingBeam):
-            self.states = np.concatenate([self.states, beam.search.states()])
+        if self._stage == "alternatives":
+            self.states = np.concatenate([self.states, beam.states()])
         if not self.tests.passes(route, beam.replay_summary(), stop):
             self._falls += 1
             if self._falls < _MOST_FALLS:
@@ -311,7 +310,8 @@ class Planner:
         decided = result.outcome is Outcome.PROVED_IMPOSSIBLE and not len(self.tests.forbidden)
         if self.regrasps or self.together:
             # Beams in which parts are held once, or move alone, prove nothing; even without a proof, nothing is left.
-            decided = self._beams[self._left[self._turn]].examined_all
+            name = self._left[self._turn]
+            decided = self._beams[name].examined_all and not (self.regrasps and name.startswith(TOGETHER))
             if not decided:
                 result = replace(result, outcome=Outcome.NOT_FOUND)
         over = self._give_up() or decided

@@ -23,7 +23,7 @@ class PlannerSettings:
     """Number of requested plans."""
     seed: int = 0
     """Same seed, same machine, same result."""
-    patience: float = 0.5
+    patience: float = 2.0
     """Verdicts for each part of the structure that each strategy may ask for in its first turn without getting farther,
     and twice as many in each further one."""
     bound_after: float = 10.0

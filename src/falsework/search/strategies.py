@@ -87,11 +87,12 @@ class Portfolio:
             narrow = cls.from_settings(settings, stage, task, edges=edges)
             return replace(narrow, narrowest=narrow.widest)
         names = [direction.value for direction in settings.directions]
+        sets = [TOGETHER + name for name in names] if task.together is not None else []
         if stage == "postpone":
-            return cls(tuple(names), 1, min(WIDENING, settings.width))
+            return cls((*names, *sets), 1, min(WIDENING, settings.width))
         if stage == "alternatives":
             # Disassembly leaves more freedom in the order of removal than assembly.
-            names.sort(key=lambda name: name != Direction.DISASSEMBLY)
+            names = sorted(sets or names, key=lambda name: direction_of(name) is not Direction.DISASSEMBLY)
             # One state a level leaves no choice.
             narrowest, widest = (min(width, settings.width) for width in (WIDENING, WIDENING**2))
             return cls(tuple(names), narrowest, widest)
@@ -99,9 +100,8 @@ class Portfolio:
         if regrasps(task, settings):
             again = [REGRASP + name for name in names]
             once = names[:1] if (STAGE[task.target] >= STAGE[task.start]).all() else []
-            return cls((again[0], EVERYWHERE, *again[1:], *once), 1, settings.width, patience)
-        if moves_together(task, settings):  # plans that move one part at a time come first, as they are simpler
-            names += [TOGETHER + name for name in names]
+            return cls((again[0], EVERYWHERE, *again[1:], *once, *(sets if once else ())), 1, settings.width, patience)
+        names += sets  # plans that move one part at a time come first, as they are simpler
         if edges and Direction.ASSEMBLY in settings.directions:
             names.insert(0, EDGES)
         return cls(tuple(names), 1, settings.width, patience)
@@ -123,17 +123,6 @@ def regrasps(task: Task, settings: PlannerSettings) -> bool:
         what = "judge yet; leave it out" if settings.judge else "alternatives yet; ask for one plan"
         raise InputError(f"plans with repeated holds have no {what}")
     return True
-
-
-def moves_together(task: Task, settings: PlannerSettings) -> bool:
-    """Return whether steps may move several parts.
-
-    Raises:
-        InputError: they may, and the settings ask for alternatives.
-    """
-    if task.together is not None and settings.alternatives > 1:
-        raise InputError("plans with several parts in one step have no alternatives yet; ask for one plan")
-    return task.together is not None
 
 
 def direction_of(name: str) -> Direction:
@@ -160,7 +149,9 @@ def start(
         assert guide is not None
         return RegraspBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
     if name.startswith(TOGETHER):
-        return TogetherBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
+        return TogetherBeam(
+            replace(task, allow_regrasp=False), oracle, direction, guide=guide, width=portfolio.narrowest
+        )
     settings = BackjumpingSettings(direction, portfolio.narrowest, seed)
     alone = replace(task, allow_regrasp=False, together=None)
     return BackjumpingBeam(alone, oracle, settings, guide=guide, beams=beams)

@@ -21,11 +21,11 @@ safetensors = pytest.importorskip("safetensors.torch", reason="safetensors is no
 
 from falsework import load_structure, train  # noqa: E402
 from falsework.assembly.store import save_assembly  # noqa: E402
-from falsework.assembly.symmetry import symmetries  # noqa: E402
 from falsework.errors import DependencyError, InputError, TrainingError  # noqa: E402
 from falsework.learn import REINFORCEMENT, ImitationPhase, PolicySettings, PpoPhase, TrainSettings, load_run  # noqa: E402
 from falsework.learn.config.train import METHODS, Phase  # noqa: E402
 from falsework.learn.data.dataset import load_dataset  # noqa: E402
+from falsework.learn.data.symmetry import symmetries  # noqa: E402
 from falsework.learn.networks.autocast import Network  # noqa: E402
 from falsework.learn.training import checkpoint  # noqa: E402
 from falsework.learn.training import train as module  # noqa: E402

@@ -170,7 +170,7 @@ class Trainer:
         success = {name: Success(0, 0) for name in (*self.data.curve, *self.data.test)}
         numbers: dict[str, float] = {}
         blocks = interrupted = 0
-        here = time.perf_counter()
+        here, prepared = time.perf_counter(), self.budget.seconds
         lines = ProgressLines(journal, self.environment, self.budget)
         while not self._over():
             if self.budget.stop_requested():
@@ -199,8 +199,8 @@ class Trainer:
             self._log(journal, numbers, success)
         if not self.steps and not self._ended:
             self.notes.append(
-                f"nothing was trained: the search for data took {self.data_seconds:.0f} s of "
-                f"{60 * settings.minutes:.0f}; give more minutes"
+                f"nothing was trained: the start took {prepared:.1f} s, the search for data "
+                f"{self.data_seconds:.1f} s of them, and the run has {60 * settings.minutes:.3g} s; give more minutes"
             )
         self._best.write(self.exported)
         success |= self.succeeded({"train": self.data.curve["train"], **self.data.test})

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn.config.train import TrainSettings
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, load_dataset, save_dataset
 from falsework.learn.data.goal_dataset import GoalDataset, GoalDataSettings, SearchStates, build_goal_dataset
 from falsework.learn.data.goal_pairs import Pairs
 from falsework.learn.data.random_walks import GoalSampler, RandomWalkGoals
+from falsework.learn.data.symmetry import symmetries
 from falsework.learn.data.symmetry_augmentation import SymmetryAugmentation, symmetric_images, turned_states
 from falsework.learn.training.checkpoint import DATA, SEARCHED
 from falsework.learn.training.evaluate import Sets, sample

@@ -14,7 +14,7 @@ import numpy as np
 
 from falsework.stability.contact.hold_kernel import hold_wrench, overloaded, set_holds
 from falsework.stability.contact.hybrid_kernel import add_across
-from falsework.stability.contact.kernel import NEAR_RINGS, lacks_contact, move_far_parts
+from falsework.stability.contact.kernel import NEAR_RINGS, lacks_contact, move_far_parts, read_displacement
 from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.newton import (
     MOVES_AWAY,
@@ -32,6 +32,10 @@ from falsework.stability.contact.newton import (
 from falsework.stability.cpu.layout import make_scratch, restrict, set_gravity
 from falsework.stability.cpu.neighbourhood import freeze_outside_ball
 from falsework.utils.kernels import njit
+
+PASSING = 1e-2
+"""Largest residual, a share of gravity, with which an increment passes on to the next, which takes up what is left.
+Friction then differs by a tenth of what it differs between four increments and sixteen."""
 
 
 @njit(cache=True)
@@ -70,7 +74,7 @@ def load_history(structure, contact_structure, state, work, contact, springs, to
 def _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn, track):
     """Add the increment to the displacement, and store the spring forces with friction limited by the law.
 
-    `track`, of shape (parts, 6) unless it is empty, is the displacement of the increment alone.
+    `track`, of shape (parts, 6), is the displacement of the increment alone.
     """
     order, turn = structure.elimination.order, structure.acceleration
     for j in range(len(work.free)):
@@ -81,8 +85,7 @@ def _keep_history(structure, contact_structure, work, contact, pairs, displaceme
                 for c in range(6):
                     total += turn[part, r, c] * contact.displacement[j, c]
                 displacement[part, r] += total * contact_structure.scale
-                if len(track):
-                    track[part, r] = total * contact_structure.scale
+                track[part, r] = total * contact_structure.scale
     for p in range(pairs):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
         for j in range(work.start[p], work.start[p + 1]):
@@ -171,6 +174,7 @@ def settle_step(
     torn,
     set_share,
     track,
+    guess,
 ):
     """Move a structure with history to rest in a state.
 
@@ -188,7 +192,9 @@ def settle_step(
         near, moving, origin: scratch, shape (parts,).
         torn: contact points whose tensile strength was exceeded, shape (points,); changed in place.
         set_share: share of its full strength that each contact point has reached, shape (points,), or (0,) if all.
-        track: out: displacement in each increment, shape (increments, parts, 6), or (increments, 0, 6) to leave it out.
+        track: out: displacement in each increment, m and rad, shape (increments, parts, 6); zero before.
+        guess: of the displacement in each increment, m and rad, shape (increments, parts, 6): before the last one
+            only the parts near the change come to rest, with the others moved by it; (0, parts, 6) without a guess.
 
     Returns:
         `RESTS`, `MOVES_AWAY`, `OVERLOADS` or `OPEN`; residual; iterations; the part that moved most, or whose robot
@@ -221,20 +227,25 @@ def settle_step(
     if lacks_contact(work, contact, pairs):
         result, count = MOVES_AWAY, 0
     kept, free = freeze_outside_ball(structure, moving, origin, NEAR_RINGS, near)
-    guess = np.zeros((len(work.free), 6))  # parts move, and contacts slide, in each increment much as in the last
+    ahead = np.zeros((len(work.free), 6))  # parts move, and contacts slide, in each increment much as in the last
     for k in range(1, count + 1):
         share = 1.0 - k / count
+        tolerance = options.tolerance if k == count else max(options.tolerance, PASSING)
         result = OPEN
-        for j in range(len(guess)):
+        for j in range(len(ahead)):
             for r in range(6):
-                contact.displacement[j, r] = guess[j, r]
                 missing[j, r] -= push[j, r]
+        if len(guess):
+            read_displacement(structure, contact_structure, work, guess[k - 1], ahead)
+        for j in range(len(ahead)):
+            for r in range(6):
+                contact.displacement[j, r] = ahead[j, r]
         if kept > 0 and 2 * kept <= free:
             pairs, _ = load_history(
                 structure, contact_structure, near, work, contact, springs, torn, set_share, missing, share
             )
-            if k > 1:
-                move_far_parts(structure, moving, near, work, contact, pairs, guess)
+            if k > 1 or len(guess):
+                move_far_parts(structure, moving, near, work, contact, pairs, ahead)
             result, residual, taken = equilibrate(
                 structure,
                 contact_structure,
@@ -242,49 +253,41 @@ def settle_step(
                 contact,
                 pairs,
                 options.near_steps,
-                options.tolerance,
-                options.first_step,
+                tolerance,
+                options.first_step if k == 1 else options.warm_first_step,
                 VERDICT_SCHEDULE,
             )
             spent += taken
         pairs, _ = load_history(
             structure, contact_structure, moving, work, contact, springs, torn, set_share, missing, share
         )
-        if result == RESTS:
+        left = 2 if result == RESTS else 1  # from where the near parts came to rest, then from before
+        if left == 2 and k < count and len(guess) and work.pulled[0] == 0.0:
+            evaluate(structure, work, contact, pairs, contact.displacement, contact.trial, contact.residual)
+            left = 0
+        while left > 0:
+            if left == 1:
+                contact.displacement[:] = 0.0
             result, residual, taken = solve_statics(
                 structure,
                 contact_structure,
                 work,
                 contact,
                 pairs,
-                options.warm_steps,
-                options.tolerance,
-                options.warm_first_step,
+                options.warm_steps if left == 2 else options.steps,
+                tolerance,
+                options.warm_first_step if left == 2 else options.first_step,
                 work.start[pairs] < 0,
                 VERDICT_SCHEDULE,
             )
             spent += taken
-        if result != RESTS:
-            contact.displacement[:] = 0.0
-            result, residual, taken = solve_statics(
-                structure,
-                contact_structure,
-                work,
-                contact,
-                pairs,
-                options.steps,
-                options.tolerance,
-                options.first_step,
-                work.start[pairs] < 0,
-                VERDICT_SCHEDULE,
-            )
-            spent += taken
-        for j in range(len(guess)):
+            left = 0 if result == RESTS else left - 1
+        for j in range(len(ahead)):
             for r in range(6):
-                guess[j, r] = contact.displacement[j, r]
-                missing[j, r] += contact.grip[j] * guess[j, r]  # zero but for held parts
+                ahead[j, r] = contact.displacement[j, r]
+                missing[j, r] += contact.grip[j] * ahead[j, r]  # zero but for held parts
             if contact.across[j] > 0.0:
-                add_across(contact, j, guess, 1.0, missing)
+                add_across(contact, j, ahead, 1.0, missing)
         _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn, track[k - 1])
         if result != RESTS:
             break
@@ -320,6 +323,7 @@ def replay_range(
     torn,
     set_share,
     track,
+    guess,
     result,
     residual,
     iterations,
@@ -337,7 +341,7 @@ def replay_range(
         displacement, springs, torn: the history before and after each state, shapes (steps + 1, parts, 6),
             (steps + 1, points, 3) and (steps + 1, points); the first entry is given, the others are written.
         set_share: as in `settle_step`, shape (steps + 1, points) or (steps + 1, 0).
-        track: as in `settle_step`, one entry a state, or one for all where it is left out.
+        track, guess: as in `settle_step`, one entry a state; one of the guess for all where there is none.
         result, residual, iterations, part, movement: out, one entry per state.
     """
     work, contact = make_scratch(structure), make_contact_scratch(structure)
@@ -385,7 +389,8 @@ def replay_range(
                 springs[i],
                 torn[i],
                 set_share[i],
-                track[i] if track.shape[2] else track[0],
+                track[i],
+                guess[i] if guess.shape[1] else guess[0],
             )
             if result[i] != RESTS:
                 return i

@@ -7,8 +7,8 @@ import pytest
 
 from falsework import Assembly, StabilityOracle, load_structure
 from falsework.assembly import ContactWarning
-from falsework.assembly.symmetry import rigid_motions, same_contacts, symmetries
 from falsework.geometry import TriangleMesh
+from falsework.learn.data.symmetry import rigid_motions, same_contacts, symmetries
 from falsework.stability.settings import EQUILIBRIUM
 
 

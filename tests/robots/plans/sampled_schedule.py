@@ -1,4 +1,4 @@
-"""Verification of a schedule: all arms at every instant, checked by Pinocchio and Coal."""
+"""Schedules, nominal or delayed, checked at sampled instants: what the proof for any delays is compared with."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from falsework.robots.plans.loads import Load
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import ArmActivity, activities_at, event_times
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 INTERVAL = 0.01
 """Longest time between two samples, seconds."""
@@ -35,9 +34,6 @@ def check_schedule(
     """Check a schedule, nominal or delayed; return its problems and the number of checked instants.
 
     Args:
-        plan: robot plan with a schedule.
-        cell: its cell.
-        judge: collision checker of the cell and the parts.
         step: largest motion of a joint between two samples, rad or m; samples are at most `INTERVAL` apart.
         stretch: factor on the duration of each motion, shape (nodes,); 1 by default.
 
