@@ -92,6 +92,7 @@ def _kind(module: str, name: str) -> Any:
 
 
 _JUMPS, _CONFLICTS = "search.beam.backjumping", "search.beam.nogoods"
+_SELECTION = "search.beam.selection"
 _GUIDE, _MEMORY, _SOLVER = "search.problem.guide", "search.beam.failed_moves", "stability.cpu.solver"
 
 
@@ -114,16 +115,8 @@ def _probe_jumps(note: Note) -> None:
     _watch(import_module(f"falsework.{_JUMPS}"), "luby", note, lambda distance, _: distance > 1)
 
 
-def _patch_few_ahead() -> None:
-    from falsework.search import strategies
-    from falsework.search.beam.backjumping import BackjumpingSettings
-
-    vars(strategies)["AHEAD"] = BackjumpingSettings().lookahead
-
-
-def _probe_few_ahead(note: Note) -> None:
-    most = _kind(_JUMPS, "BackjumpingSettings")().lookahead
-    _shown_by(_JUMPS, "BackjumpingSettings", "beam", lambda beam, *_, **__: beam.lookahead < most)(note)
+def _patch_hopeful() -> None:
+    _wrap(_kind(_SELECTION, "Selector"), "_hopeful_first", lambda _, this, fixed, count: fixed[:count])
 
 
 def _patch_supports() -> None:
@@ -162,10 +155,12 @@ RULES: dict[str, Rule] = {
         _patch_jumps,
         _probe_jumps,
     ),
-    "few-ahead": Rule(
-        "Under `equilibrium`, the beam of free edges keeps 16 states ahead instead of 64.",
-        _patch_few_ahead,
-        _probe_few_ahead,
+    "hopeful": Rule(
+        "Half of the states ahead are candidates that are not known to fall at once; without it, all are the best.",
+        _patch_hopeful,
+        _shown_by(
+            _SELECTION, "Selector", "_hopeful_first", lambda kept, _, best, n: not np.array_equal(kept, best[:n])
+        ),
     ),
     "supports": Rule(
         "Verdicts under `equilibrium` change forces in a region; without it, anywhere.",

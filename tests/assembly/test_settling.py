@@ -196,10 +196,15 @@ def test_the_answer_has_the_motion_of_each_part_that_moved():
     assert settlement.line(names).startswith("2 parts settled into the clearance, within 2 mm; ring-1 moved farthest")
 
 
-@pytest.mark.parametrize("bound", [0.0, -1e-4, np.nan, np.inf])
+@pytest.mark.parametrize("bound", [-1e-4, np.nan, np.inf])
 def test_lengths_that_are_none_are_refused(bound):
     with pytest.raises(AssemblyError, match="give a length above zero"):
         settled(wheel(), bound)
+
+
+def test_a_length_of_zero_leaves_parts_where_they_are():
+    with pytest.raises(AssemblyError, match="part wheel touches no other part"):
+        settled(wheel(), 0.0)
 
 
 def test_a_clearance_larger_than_a_part_is_refused():

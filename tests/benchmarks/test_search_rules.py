@@ -74,15 +74,20 @@ def begin(what: str, name: str) -> None:
     getattr(SupportGuide(assembly), what)(task.judged_by(StabilityOracle(assembly, StabilitySettings())))
 
 
-def few_ahead() -> None:
-    """Ask for the settings of a beam of free edges under `equilibrium`."""
-    BackjumpingSettings(lookahead=vars(strategies)["AHEAD"]).beam(1)
+def fall_again() -> None:
+    """Have a beam with few states ahead die where parts are known to fall."""
+    assembly, levels = load_structure("dome:rings=2,blocks=6"), iter(range(300))
+    task = Task.from_rules(assembly.boundary, 3, contacts=assembly.contacts.parts)
+    settings = BackjumpingSettings(lookahead=2)
+    BackjumpingBeam(task, Chance(0.3), settings, guide=SupportGuide(assembly)).run(
+        stop=lambda: next(levels, None) is None
+    )
 
 
 USES: dict[str, Callable[[], Any]] = {
     "edges": lambda: begin("edges_first", "vault:parts=120"),
     "beside-held": lambda: begin("held_neighbours", "dome:rings=2,blocks=6"),
-    "few-ahead": few_ahead,
+    "hopeful": fall_again,
     "supports": lambda: solver.CpuSolver(StabilityOracle(load_structure("arch:blocks=5"), EQUILIBRIUM).problem),
 }
 """What rules take effect in; all others do in a beam that dies."""

@@ -45,8 +45,8 @@ def main() -> None:
     class Kept(Trainer):
         """Shows the trainer of each process to this script."""
 
-        def __init__(self, *arguments: Any) -> None:
-            super().__init__(*arguments)
+        def __init__(self, *arguments: Any, **named: Any) -> None:
+            super().__init__(*arguments, **named)
             kept["trainer"] = self
 
     setattr(module, "Trainer", Kept)  # noqa: B010

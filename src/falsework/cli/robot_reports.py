@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _AT_HOME = 1e-6
 """Joint values that differ by no more are equal, rad or m."""
 _CHECKED = (
-    *((name, "") for name in ("samples", "timed_samples", "trajectories", "links", "seconds")),
+    *((name, "") for name in ("samples", "trajectories", "links", "seconds")),
     *((name, "") for name in ("velocity_share", "acceleration_share")),
     *(("largest_step", "_rad"), ("largest_join", "_rad"), ("tolerance", "_m"), ("lower_bound", "_s")),
 )
