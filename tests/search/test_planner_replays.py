@@ -21,7 +21,7 @@ from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.contact.history import History, Replay, ReplaySettings
 from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.contact.varied_replay import AllVariations
-from falsework.stability.judges import build_judge
+from falsework.stability.judges import discrete_elements
 from falsework.stability.judges.judgement import Judgement
 from falsework.utils.cores import core_count
 
@@ -172,7 +172,7 @@ class RuleJudge:
 @pytest.fixture
 def judged_by(monkeypatch: pytest.MonkeyPatch) -> Callable[[set[tuple[int, ...]]], None]:
     """Set the states in which the judge sees structures fall."""
-    return lambda falls: monkeypatch.setattr(build_judge, "BuildJudge", lambda assembly, holds: RuleJudge(falls))
+    return lambda falls: monkeypatch.setattr(discrete_elements, "BuildJudge", lambda assembly, holds: RuleJudge(falls))
 
 
 @pytest.mark.parametrize("direction", list(Direction))

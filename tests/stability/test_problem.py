@@ -19,7 +19,7 @@ from falsework.stability.cpu.layout import add_wrenches, build_structure, make_s
 from falsework.stability.cpu.panels import factor_panels, solve_panels
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import Problem, build_problem
-from falsework.stability.reference.conic_program import wrench_matrix
+from falsework.stability.exact_solver import wrench_matrix
 
 STRUCTURES = ("arch:blocks=7", "wall:bricks=3,courses=3", "dome")
 

@@ -30,7 +30,7 @@ from falsework.stability.state_memory import Guesses
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
-    from falsework.stability.reference.clarabel import ExactSolver
+    from falsework.stability.exact_solver import ExactSolver
 
 _WORTH_A_GPU = 8
 """States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
@@ -59,7 +59,7 @@ class StabilityOracle:
     @cached_property
     def exact(self) -> ExactSolver:
         """Exact solver for states that the others leave undecided; most searches never need it."""
-        from falsework.stability.reference.clarabel import ExactSolver
+        from falsework.stability.exact_solver import ExactSolver
 
         return ExactSolver(self.assembly, self.settings, self.problem)
 

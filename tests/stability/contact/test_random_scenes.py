@@ -36,7 +36,9 @@ def compare(random_scenes: Any, seeds: range) -> tuple[int, int, int]:
         assert oracle.replayer is not None
         replay = oracle.replayer.replay(np.concatenate([np.full_like(state, HELD), state])).stands[-1]
         assert (verdict == Verdict.STABLE) == (replay == 1), f"seed {seed}: {verdict} and {replay} in the replay"
-        stands = settle(assembly, state).stands[0] == 1
+        # Soft springs need the fewest steps; what collapses on them is tried on stiff ones.
+        springs = (DiscreteElementSettings(stiffness=ratio) for ratio in (0.05, 5.0))
+        stands = any(settle(assembly, state, some).stands[0] == 1 for some in springs)
         assert not (verdict == Verdict.UNSTABLE and stands), f"seed {seed} is proven unstable and stands"
         both += verdict == Verdict.STABLE and stands
         here += verdict == Verdict.STABLE and not stands
@@ -59,7 +61,7 @@ def test_a_collapse_is_confirmed_under_slower_loads(random_scenes: Any) -> None:
     for assembly, expected in ((row, [-1, 1, 1]), (slides, [-1, -1, -1])):
         state = complete_state(assembly.boundary)
         loads = [(10, 1), (10, 100), (20_000, 1)]
-        settings = [DiscreteElementSettings(sinks=(2e-6,), ramp=ramp, slower=slower) for ramp, slower in loads]
+        settings = [DiscreteElementSettings(stiffness=0.5, ramp=ramp, slower=slower) for ramp, slower in loads]
         assert [settle(assembly, state, some).stands[0] for some in settings] == expected
 
 

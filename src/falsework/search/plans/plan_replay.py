@@ -110,7 +110,7 @@ class Acceptance:
             raise InputError("the judge builds plans under the criterion contact; choose it, or leave the judge out")
         self._judge = None
         if judge and replayer is not None:
-            from falsework.stability.judges.build_judge import BuildJudge
+            from falsework.stability.judges.discrete_elements import BuildJudge
 
             self._judge = BuildJudge(replayer.assembly, replayer.settings.holds)
         self._replayer, self._plain = replayer, replayer

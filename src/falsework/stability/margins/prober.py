@@ -27,7 +27,7 @@ from falsework.stability.cpu.solver import CpuSolver, kernel_options
 from falsework.stability.cpu.termination import STABLE, UNSTABLE, Options
 from falsework.stability.margins.conditions import Answer, Condition, OutOfTime, some_idle
 from falsework.stability.margins.kernel import rest_under
-from falsework.stability.reference.clarabel import ExactSolver
+from falsework.stability.exact_solver import ExactSolver
 from falsework.stability.strength import strength_of
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
