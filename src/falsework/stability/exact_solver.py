@@ -36,10 +36,7 @@ class ExactSolver:
     """
 
     def __init__(
-        self,
-        assembly: Assembly,
-        settings: StabilitySettings = EQUILIBRIUM,
-        problem: Problem | None = None,
+        self, assembly: Assembly, settings: StabilitySettings = EQUILIBRIUM, problem: Problem | None = None
     ) -> None:
         self.assembly = assembly
         self.settings = settings
@@ -57,14 +54,14 @@ class ExactSolver:
             StateError: states of the wrong length or with other values.
         """
         batch = as_states(states, self.assembly.boundary)
-        verdicts = Verdicts.all_undecided(len(batch), points=self.problem.points, parts=self.problem.parts)
+        verdicts = self.problem.undecided(len(batch))
         for row in range(len(batch)):
             verdicts.put(np.array([row]), self._check_one(batch[row : row + 1]))
         return verdicts
 
     def _check_one(self, state: States) -> Verdicts:
         claim, problem = self.settings.claim, self.problem
-        verdict = Verdicts.all_undecided(1, points=problem.points, parts=problem.parts)
+        verdict = problem.undecided(1)
         assert verdict.forces is not None
         assert verdict.velocity is not None
         free, active = problem.free(state)[0], problem.active(state)[0]

@@ -12,6 +12,7 @@ from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
 from falsework.errors import AssemblyError, InputError
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.strength import Strength, strength_of
+from falsework.stability.verdict import Verdicts
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -95,6 +96,11 @@ class Problem:
     def pairs(self) -> int:
         """Number of pairs of parts in contact."""
         return len(self.pair_parts)
+
+    def undecided(self, batch: int, *, certificates: bool = True, displaced: bool = False) -> Verdicts:
+        """Return undecided verdicts on a batch of states, with room for certificates, and for displacements in them."""
+        points, parts = (self.points, self.parts) if certificates else (None, None)
+        return Verdicts.all_undecided(batch, points=points, parts=parts, displaced=displaced)
 
     def free(self, states: States) -> Mask:
         """Return the parts that can move: installed and not held. Shape (batch, parts)."""

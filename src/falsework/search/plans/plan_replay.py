@@ -19,7 +19,7 @@ from falsework.stability.judges.judgement import Judgement
 if TYPE_CHECKING:
     from falsework.search.problem.result import Stop
     from falsework.stability.contact.history import History, Replay
-    from falsework.stability.contact.varied_replay import VariableReplayer
+    from falsework.stability.contact.varied_replay import AnyReplayer
 
 _REPEATS, _LEAST = 1.1, 1e-9
 """Factor and length in m within which two replays of the same plan agree, on different processors too."""
@@ -74,7 +74,7 @@ class PlanReplay:
         return ""
 
 
-def _histories(replayer: VariableReplayer, states: States, presses: tuple[tuple[Press, ...], ...]) -> list[History]:
+def _histories(replayer: AnyReplayer, states: States, presses: tuple[tuple[Press, ...], ...]) -> list[History]:
     """Return the histories along a route, up to the first state that does not come to rest.
 
     A few steps at a time: a replayer with a deadline looks at the clock between them, and keeps no histories of more.
@@ -100,7 +100,7 @@ class Acceptance:
     Where it is asked for, it comes to rest under every change of settings, and discrete elements build it as well.
     """
 
-    def __init__(self, replayer: VariableReplayer | None, *, robust: bool = False, judge: bool = False) -> None:
+    def __init__(self, replayer: AnyReplayer | None, *, robust: bool = False, judge: bool = False) -> None:
         """Prepare the test; without a replayer there is none.
 
         Raises:

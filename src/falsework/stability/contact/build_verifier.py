@@ -205,12 +205,7 @@ class _Law:
         return self._whole._replace(pull=share * self._whole.pull, stick=share * self._whole.stick)
 
     def follow(
-        self,
-        springs: Array,
-        step: Array,
-        strength: Strength,
-        torn: NDArray[np.bool_],
-        there: NDArray[np.bool_],
+        self, springs: Array, step: Array, strength: Strength, torn: NDArray[np.bool_], there: NDArray[np.bool_]
     ) -> tuple[Array, bool]:
         """Return the spring forces after an increment, and whether no point breaks that is called whole."""
         change = self._stiffness * self.geometry.relative(step[None])[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,30 +18,12 @@ from falsework.stability.settings import StabilitySettings
 from falsework.stability.strength import strength_of
 
 if TYPE_CHECKING:
+    from falsework.stability.contact.history import History
     from falsework.stability.problem import Problem
 
 Array = NDArray[np.float64]
 Loads = tuple[tuple[HoldLoad, ...], ...]
 """Loads of robots in each state of a plan, one entry a state."""
-
-
-class ContactHistory(Protocol):
-    """What is read of a `History`."""
-
-    @property
-    def springs(self) -> Array:
-        """Spring forces of the contact points in scaled variables, shape (points, 3)."""
-        ...
-
-    @property
-    def torn(self) -> NDArray[np.bool_]:
-        """Contact points whose tensile strength was exceeded, shape (points,)."""
-        ...
-
-    @property
-    def age(self) -> NDArray[np.int32]:
-        """Steps for which both parts of each contact point have been present, shape (points,)."""
-        ...
 
 
 CLOSE = 0.01
@@ -62,11 +44,7 @@ def loads_in(assembly: Assembly, state: States, wrenches: Array) -> tuple[HoldLo
 
 
 def loads_of_build(
-    assembly: Assembly,
-    problem: Problem,
-    settings: StabilitySettings,
-    states: States,
-    histories: Sequence[ContactHistory],
+    assembly: Assembly, problem: Problem, settings: StabilitySettings, states: States, histories: Sequence[History]
 ) -> Loads:
     """Return what robots bear in the states of a replay.
 

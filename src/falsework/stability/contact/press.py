@@ -28,8 +28,6 @@ _WEAK = 1e-3
 """Weight of the robots' wrenches beside the energy of the forces outside the cones: the least that help are chosen."""
 _HELPS = 0.5
 """A press must leave less than this share of the energy of forces outside the cones to be tried."""
-_STEPS = 50
-"""Newton steps of the choice; it converges in about ten."""
 _SAME = 0.05
 """Relative difference below which two proposals count as one."""
 
@@ -57,19 +55,7 @@ class PressPlanner:
         columns = 1 + 6 * len(held)
         index, forces = np.zeros(problem.points, np.int64), np.zeros((columns, problem.points, 3))
         moves = np.zeros((columns, columns - 1))
-        count = press_responses(
-            self._solver.structure,
-            contact,
-            before,
-            after,
-            held,
-            springs,
-            torn,
-            set_share,
-            index,
-            forces,
-            moves,
-        )
+        count = press_responses(contact, before, after, held, springs, torn, set_share, index, forces, moves)
         if not count:
             return
         index, forces = index[:count], forces[:, :count]
@@ -198,7 +184,7 @@ def _least_outside(
     x = still
     value, energy, outside = measure(x)
     without = energy
-    for _ in range(_STEPS):
+    while True:  # each step lowers a convex function, which takes about ten
         gradient = response @ (weight * outside) + weak * (x - still)
         active = np.repeat((outside.reshape(-1, 3) != 0).any(axis=1), 3)
         some = response[:, active]

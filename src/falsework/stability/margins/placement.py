@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import as_states
@@ -94,7 +95,7 @@ def moved_assembly(assembly: Assembly, tolerance: float, random: np.random.Gener
             continue
         arms = mesh.vertices - center
         reach = float(np.linalg.norm(arms, axis=1).max())
-        vertices = center + arms @ _rotation(0.5 * tolerance / reach * turn / np.sqrt(3.0)).T
+        vertices = center + arms @ Rotation.from_rotvec(0.5 * tolerance / reach * turn / np.sqrt(3.0)).as_matrix().T
         meshes.append(TriangleMesh.from_arrays(mesh.name, vertices + 0.5 * tolerance * shift, mesh.faces))
     own = assembly.contact_settings
     wider = {name: max(getattr(own, name) or 0.0, 2.5 * tolerance) for name in ("gap", "overlap")}
@@ -114,13 +115,3 @@ def moved_assembly(assembly: Assembly, tolerance: float, random: np.random.Gener
         return None
     joints = assembly.joints and assembly.joints.recomputed(assembly.contacts, moved.contacts)
     return moved.replace(loads=assembly.loads, joints=joints)
-
-
-def _rotation(vector: Array) -> Array:
-    """Return the rotation by a vector, rad (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
