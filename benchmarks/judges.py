@@ -38,6 +38,7 @@ import tyro
 from lmgc90 import judge_by_lmgc90
 from record import commit, report, rounded, write_to
 from runs import Run, append, kept, printed_by, read_runs, run_all
+from settling import replay_by_discrete_elements, settle
 from shells import NAMES, shell
 from states import REAL, find
 
@@ -45,7 +46,7 @@ from falsework import Assembly, Plan, PlannerSettings, StabilityOracle, Verdict,
 from falsework.assembly import HELD, complete_state
 from falsework.search.find import PLANS
 from falsework.stability.contact.varied_replay import DRAWS, replay_varied
-from falsework.stability.judges.discrete_elements import DiscreteElementSettings, replay_by_discrete_elements, settle
+from falsework.stability.judges.discrete_elements import DiscreteElementSettings
 from falsework.stability.stiffness import normal_stiffness
 
 _DEADLINE, _SHELL_DEADLINE = 120.0, 60.0

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import States, as_states
 from falsework.errors import InputError, StateError
-from falsework.stability.cache import VerdictCache, unique_rows, unique_states
+from falsework.stability.cache import VerdictCache, unique_rows
 from falsework.stability.certificate import chunks, verify_certificates
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.solver import ContactSolver
@@ -175,7 +175,8 @@ class StabilityOracle:
 
         What is found of one state serves others of the batch that it is near to.
         """
-        unique, back = unique_states(states)
+        first, back = unique_rows(states)
+        unique = states[first]
         verdicts = self.problem.undecided(len(unique), displaced=self._criterion.displaced)
         left, origins = np.arange(len(unique)), np.empty_like(unique)
         if near is not None:

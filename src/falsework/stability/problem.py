@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
-from falsework.errors import AssemblyError, InputError
+from falsework.errors import AssemblyError
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.strength import Strength, strength_of
 from falsework.stability.verdict import Verdicts
@@ -124,13 +124,8 @@ def build_problem(
         reserve: number by which friction is divided.
 
     Raises:
-        InputError: unknown cone, or gravity that is not positive.
         AssemblyError: a part whose inertia is not positive definite.
     """
-    if cone not in ("octagon", "quadratic"):
-        raise InputError(f"unknown friction cone {cone!r}; choose octagon or quadratic")
-    if not (np.isfinite(gravity) and gravity > 0):
-        raise InputError(f"gravity is {gravity} m/s2; give a positive number such as 9.81")
     contacts, mass = assembly.contacts, assembly.mass
     owner = contacts.contact_of_point
     part_a, part_b = contacts.parts[owner, 0], contacts.parts[owner, 1]

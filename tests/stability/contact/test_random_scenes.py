@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from settling import settle
 
 from falsework import StabilityOracle, StabilitySettings, Verdict
 from falsework.assembly import HELD, complete_state
 from falsework.stability import NumericalSettings
-from falsework.stability.judges.discrete_elements import DiscreteElementSettings, settle
+from falsework.stability.judges.discrete_elements import DiscreteElementSettings
 
 
 def compare(random_scenes: Any, seeds: range) -> tuple[int, int, int]:

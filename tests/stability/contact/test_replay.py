@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from settling import replay_by_discrete_elements
 
 from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, find_plans, load_structure, make_task
 from falsework.assembly import complete_state, library
@@ -19,7 +20,6 @@ from falsework.search.plans.plan_replay import PlanReplay
 from falsework.stability.contact.history import ReplaySettings
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.varied_replay import replay_varied
-from falsework.stability.judges.discrete_elements import replay_by_discrete_elements
 
 
 def plan_states(assembly: Assembly, robots: int = 2) -> NDArray[np.uint8]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from settling import replay_by_discrete_elements, settle
 
 import falsework.stability.judges
 from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, find_plans, load_structure
@@ -19,12 +20,7 @@ from falsework.errors import InputError, StateError
 from falsework.stability import HoldSettings
 from falsework.stability.holds import HoldMode, Press
 from falsework.stability.judges import discrete_elements
-from falsework.stability.judges.discrete_elements import (
-    BuildJudge,
-    DiscreteElementSettings,
-    replay_by_discrete_elements,
-    settle,
-)
+from falsework.stability.judges.discrete_elements import BuildJudge, DiscreteElementSettings
 from falsework.stability.judges.judgement import Judgement
 from falsework.stability.stiffness import normal_stiffness
 
@@ -285,8 +281,8 @@ def test_too_few_steps_leave_a_state_open(scenes: Any) -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"tangential": 0.0}, "tangential ratio is 0.0; give a positive number"),
-        ({"stiffness": np.inf}, "stiffness ratio is inf; give a positive number"),
+        ({"tangential": 0.0}, "tangential is 0.0; give a positive number"),
+        ({"stiffness": np.inf}, "stiffness is inf; give a positive number"),
         ({"damping": 1.5}, "damping is 1.5; give a number from 0 to 1"),
         ({"ramp": 0}, "ramp is 0; give at least 1"),
         ({"steps": 0}, "steps is 0; give at least 1"),

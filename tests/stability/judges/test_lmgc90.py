@@ -11,12 +11,13 @@ import lmgc90
 import numpy as np
 import pytest
 from lmgc90 import judge_by_lmgc90
+from settling import settle
 
 from falsework import load_structure
 from falsework.assembly import complete_state, library
 from falsework.errors import DependencyError, StateError
 from falsework.geometry import TriangleMesh
-from falsework.stability.judges.discrete_elements import DiscreteElementSettings, settle
+from falsework.stability.judges.discrete_elements import DiscreteElementSettings
 
 FALL = 0.5 * 9.81 * 0.3**2
 """What falls freely falls so far while LMGC90 computes, metres."""

@@ -58,7 +58,6 @@ class Replayer:
         """Lay out the structure.
 
         Args:
-            assembly: the structure.
             settings: cone, gravity, tolerance and stiffness ratio.
             replay: numerical settings of the replay.
             solver: solver of the assembly under these settings, whose layout is then shared.

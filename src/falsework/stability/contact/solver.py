@@ -81,21 +81,11 @@ class ContactSolver(CpuSolver):
         parents: States | None = None,
         guess: NDArray[np.float64] | None = None,
     ) -> Verdicts:
-        """Check a batch of states.
+        """Check a batch of states, as `CpuSolver.check`.
 
-        Args:
-            states: checked states, shape (batch, parts).
-            certificates: return displacement, forces and velocity too; without parents, with residuals down to the
-                resolution of the settings.
-            parents: for each state a stable one that differs in few parts, shape (batch, parts); a mechanism is sought
-                near the difference first.
-            guess: displacements of the parents in m and rad, NaN where they are not known, shape (batch, parts, 6);
-                overwritten with the displacements that were found. Iterations start from them where they are known.
-
-        Returns:
-            Verdicts; `UNDECIDED` where nothing was found within the limits of the settings. Without a guess, the
-            displacement of a state that slides is the one at which parts were seen to move away; NaN where there is
-            neither that nor a rest position.
+        Guesses are displacements of the parents in m and rad, NaN where they are not known, shape (batch, parts, 6);
+        iterations start from them. Without a guess, the displacement of a state that slides is the one at which parts
+        were seen to move away; NaN where there is neither that nor a rest position.
         """
         states = np.require(states, requirements=COMPILED_LAYOUT)
         origins = states if parents is None else np.require(parents, requirements=COMPILED_LAYOUT)

@@ -57,35 +57,21 @@ class DiscreteElementSettings:
     past its limit; building is the limit of slow loads."""
     steps: int = 100_000
     """Steps after which a state that has neither come to rest nor collapsed is left undecided."""
+    fallen: float = 0.04
+    """Displacement of a collapsed part, in sizes of a typical part."""
+    rest: float = 1e-4
+    """Largest unbalanced force of a part at rest, in weights of the part; moments are divided by the typical size."""
 
     def __post_init__(self) -> None:
-        for name, ratio in (("stiffness", self.stiffness), ("tangential", self.tangential)):
-            if not (np.isfinite(ratio) and ratio > 0):
-                raise InputError(f"{name} ratio is {ratio}; give a positive number such as 0.7")
+        for name in ("stiffness", "tangential", "fallen", "rest"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"{name} is {value}; give a positive number")
         if not 0 <= self.damping <= 1:
             raise InputError(f"damping is {self.damping}; give a number from 0 to 1")
         for name, count in (("ramp", self.ramp), ("slower", self.slower), ("steps", self.steps)):
             if count < 1:
                 raise InputError(f"{name} is {count}; give at least 1")
-
-
-@dataclass(frozen=True, eq=False)
-class Settling:
-    """Results of the relaxation, one entry per state."""
-
-    stands: NDArray[np.int8]
-    """1 stable, -1 collapses, 0 undecided at the step limit. Shape (states,)."""
-    moved: Array
-    """Largest displacement of a part, metres: of its centre of mass, plus rotation times half the diagonal of its
-    bounding box; infinite for a part without contacts. Shape (states,)."""
-    part: NDArray[np.int32]
-    """Part that moved most; -1 where no part is free to move. Shape (states,)."""
-
-    @classmethod
-    def of(cls, answers: Sequence[tuple[int, float, int]]) -> Settling:
-        """Collect the answers of `Build.step`."""
-        stands, moved, part = zip(*answers, strict=True) if answers else ((), (), ())
-        return cls(np.array(stands, np.int8), np.array(moved, float), np.array(part, np.int32))
 
 
 @dataclass(eq=False)
@@ -114,7 +100,6 @@ class Build:
         """Lay out the structure.
 
         Args:
-            assembly: the structure.
             settings: springs of contacts, damping and step limit.
             holds: stiffness and mode of the robots; the stiffness with which one presses is at most `PRESS_STIFFNESS`.
                 Their limits are not checked.
@@ -168,13 +153,13 @@ class Build:
         """Relax a state, and once more under slower loads if it collapses; as `relax`."""
         now, settings = self.forces, self._settings
         start, slower = (now.gap.copy(), now.friction.copy(), now.grip.wrench.copy()), settings.slower
-        law = settings.tangential, settings.damping
-        answer = relax(self._model, state, now.gap, now.friction, now.grip, *law, settings.ramp, settings.steps)
+        law, ends = (settings.tangential, settings.damping), (settings.fallen, settings.rest)
+        answer = relax(self._model, state, now.gap, now.friction, now.grip, *law, settings.ramp, settings.steps, *ends)
         if answer[0] != FALLS or slower == 1 or not np.isfinite(answer[1]):
             return answer
         now.gap[:], now.friction[:], now.grip.wrench[:] = start
         ramp = settings.ramp * slower
-        return relax(self._model, state, now.gap, now.friction, now.grip, *law, ramp, settings.steps + ramp)
+        return relax(self._model, state, now.gap, now.friction, now.grip, *law, ramp, settings.steps + ramp, *ends)
 
     def _scaled(self, boxes: Array) -> Model:
         """Return the structure in units of size and weight of a typical part; boxes have shape (parts, 3)."""
@@ -200,69 +185,6 @@ class Build:
         )
 
 
-def settle(
-    assembly: Assembly,
-    states: ArrayLike,
-    settings: DiscreteElementSettings = DiscreteElementSettings(),
-    forces: ArrayLike | None = None,
-) -> Settling:
-    """Check states: gravity is ramped up on an unstressed structure, which is stable if it comes to rest.
-
-    Args:
-        assembly: the structure.
-        states: one state (parts,) or a batch (batch, parts).
-        settings: springs, damping and step limit.
-        forces: initial contact forces, none by default, N, shape (batch, points, 3), such as those of a verdict.
-            Where the verdict is right, the state is at rest with them from the first step.
-
-    Raises:
-        InputError: forces of the wrong shape, or a structure with joints.
-        StateError: states of the wrong shape or with wrong values.
-    """
-    batch, build, answers = as_states(states, assembly.boundary), Build(assembly, settings), []
-    expected = len(batch), len(assembly.contacts.points), 3
-    begin = np.zeros(expected) if forces is None else np.asarray(forces, float)
-    if begin.shape != expected:
-        raise InputError(f"forces have shape {begin.shape}; expected {expected}")
-    for state, force in zip(batch, begin, strict=True):
-        build.forces = build.unstressed(force)
-        answers.append(build.step(state, {}))
-    return Settling.of(answers)
-
-
-def replay_by_discrete_elements(
-    assembly: Assembly,
-    states: ArrayLike,
-    settings: DiscreteElementSettings = DiscreteElementSettings(),
-    *,
-    presses: Sequence[Sequence[Press]] | None = None,
-    holds: HoldSettings = HoldSettings(),
-) -> Settling:
-    """Build a structure state by state, keeping compression and slip of every contact point; see `Build`.
-
-    Args:
-        assembly: the structure.
-        states: in assembly order, shape (steps + 1, parts); the first one has no history.
-        settings: springs of contacts, damping and step limit.
-        presses: those of the step that leads to each state, one entry a state; none by default.
-        holds: stiffness and mode of the robots.
-
-    Returns:
-        An entry for each state up to the first that collapses, which is the last entry; an undecided one does not end
-        the replay. `moved` is relative to the previous state.
-
-    Raises:
-        InputError: presses of the wrong number, or on a part that is not held before and after its step; or joints.
-        StateError: states of the wrong shape or with wrong values.
-    """
-    batch, build, answers = as_states(states, assembly.boundary), Build(assembly, settings, holds), []
-    for state, press in zip(batch, _added_wrenches(assembly, batch, presses), strict=True):
-        answers.append(build.step(state, press))
-        if answers[-1][0] == FALLS:
-            break
-    return Settling.of(answers)
-
-
 class BuildJudge:
     """Judge of plans, which builds each from where it differs from the one before."""
 
@@ -285,10 +207,11 @@ class BuildJudge:
             stop: asked before every state; true leaves the others out.
 
         Raises:
-            InputError, StateError: as `replay_by_discrete_elements`.
+            InputError: presses of the wrong number, or on a part that is not held before and after its step.
+            StateError: states of the wrong shape or with wrong values.
         """
         batch = as_states(states, self._assembly.boundary)
-        added = _added_wrenches(self._assembly, batch, presses)
+        added = added_wrenches(self._assembly, batch, presses)
         steps = [(state.tobytes(), tuple(press)) for state, press in zip(batch, presses, strict=True)]
         begin = self._backtrack(steps)
         every = isqrt(len(batch)) + 1  # as many are kept as are built again at most
@@ -322,7 +245,7 @@ class BuildJudge:
         return begin
 
 
-def _added_wrenches(
+def added_wrenches(
     assembly: Assembly, batch: States, presses: Sequence[Sequence[Press]] | None
 ) -> list[dict[int, Array]]:
     """Return the wrenches that robots add in the step to each state, by part, N and N m."""

@@ -62,18 +62,9 @@ class MarginFinder:
     def margins(
         self, states: ArrayLike, kinds: Sequence[str] = QUICK, *, deadline: float | None = None
     ) -> list[StateMargins]:
-        """Return the margins of states, computed in parallel on all cores.
+        """Return the margins of states, computed in parallel on all cores; as `StabilityOracle.margins`.
 
-        Args:
-            states: one state `(parts,)` or a batch `(batch, parts)`.
-            kinds: margins to compute.
-            deadline: seconds after which searches return what they have proven, see `StateMargins.unfinished`. The
-                verdicts of the unmodified states, and one probe a core, may take longer.
-
-        Raises:
-            InputError: an unknown margin, settlement under `equilibrium`, which has no displacements, or a deadline of
-                zero or less.
-            StateError: states of the wrong length or with other values.
+        After the deadline, verdicts of the unmodified states, and one probe a core, may still be found.
         """
         for kind in kinds:
             if kind not in KINDS:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import as_states
@@ -49,7 +48,6 @@ def placement_curve(
     between the parts, as mortar, shims or dressing would. Joints with tensile strength keep their strength per area.
 
     Args:
-        assembly: the structure.
         states: shape (batch, parts).
         tolerances: m, each above zero.
         stable: decides which states of a moved structure are stable, such as `StabilityOracle(moved, settings).stable`.
@@ -87,6 +85,8 @@ def placement_curve(
 
 def moved_assembly(assembly: Assembly, tolerance: float, random: np.random.Generator) -> Assembly | None:
     """Return the structure with its parts displaced at random; None where they make no valid assembly."""
+    from scipy.spatial.transform import Rotation
+
     meshes = []
     for mesh, center, fixed in zip(assembly.meshes, assembly.mass.center, assembly.boundary, strict=True):
         shift, turn = random.uniform(-1, 1, 3), random.uniform(-1, 1, 3)

@@ -54,7 +54,6 @@ class Prober:
         """Share the layout of a solver for a structure.
 
         Args:
-            assembly: the structure.
             settings: criterion, cone and tolerances.
             solver: of the criterion, with the same settings.
         """
@@ -229,9 +228,10 @@ class Prober:
                 displacement[row] = answer.displacement
         warm = near[0] is not None
         result = np.zeros(count, np.int8)
-        assert self._contact is not None
+        law, structure = self._contact, self._under(conditions[0].friction)
+        assert law is not None
         tried = rest_under(
-            self._contact._replace(structure=self._under(conditions[0].friction)),
+            law if structure is law.structure else law._replace(structure=structure),
             np.array(state),
             self.problem.gravity_wrench + np.array([condition.extra for condition in conditions]),
             self._no_motion if moved is None else self._offsets(moved),

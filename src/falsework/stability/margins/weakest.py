@@ -207,7 +207,6 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
     """Return the bracket of the least friction; None where joints have friction but the structure has none.
 
     Args:
-        prober: solver of the structure.
         state: shape (parts,).
         start: the stable answer for the unmodified state.
         near: bound of a nearby state; replaced by that of this one.
@@ -261,7 +260,6 @@ def weakest_load(
     Where none has a bound, the bracket is that of the first one, up to `cap`.
 
     Args:
-        prober: solver of the structure.
         state: shape (parts,).
         start: the stable answer for the unmodified state.
         under: condition of a family at a value, mostly a multiple of a load.
