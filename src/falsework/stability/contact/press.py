@@ -28,6 +28,8 @@ _WEAK = 1e-3
 """Weight of the robots' wrenches beside the energy of the forces outside the cones: the least that help are chosen."""
 _HELPS = 0.5
 """A press must leave less than this share of the energy of forces outside the cones to be tried."""
+_STEPS = 50
+"""Newton steps of the choice."""
 _SAME = 0.05
 """Relative difference below which two proposals count as one."""
 
@@ -184,7 +186,7 @@ def _least_outside(
     x = still
     value, energy, outside = measure(x)
     without = energy
-    while True:  # each step lowers a convex function, which takes about ten
+    for _ in range(_STEPS):
         gradient = response @ (weight * outside) + weak * (x - still)
         active = np.repeat((outside.reshape(-1, 3) != 0).any(axis=1), 3)
         some = response[:, active]

@@ -17,10 +17,8 @@ from falsework.stability.cpu.products import LANES
 from falsework.stability.problem import Problem
 from falsework.utils.kernels import njit
 
-_ALWAYS = 3
-"""Parts up to which a supernode and the one that follows it become one, whatever zeros that stores."""
 _ZEROS = 0.05
-"""Share of zeros in the panels of two supernodes up to which they become one beyond that."""
+"""Share of zeros in the panels of two supernodes up to which they become one."""
 
 
 class Elimination(NamedTuple):
@@ -138,7 +136,7 @@ def _supernodes(below: list[int], parent: list[int]) -> list[int]:
             before, more = found[-1]
             size = j + 1 - before
             more += zeros + (first - before) * (j + 1 - first + rows - below[first - 1])
-            if size > _ALWAYS and more > _ZEROS * size * (size + rows):
+            if more > _ZEROS * size * (size + rows):
                 break
             found.pop()
             first, zeros = before, more

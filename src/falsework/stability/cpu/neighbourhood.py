@@ -17,8 +17,8 @@ from falsework.stability.cpu.termination import UNDECIDED, UNSTABLE
 from falsework.utils.kernels import njit
 
 REACH = 3
-"""Contacts from a change within which a mechanism is sought last, and parts settle first; checked on recorded searches.
-"""
+"""Contacts from a change within which parts settle first, and a mechanism is sought last; by which the first region
+of a repair reaches beyond it, and by which that is extended first. Checked on recorded searches."""
 _MARKED = 0.5
 """Share of the largest change of force that a region would pass on over its border, from which another part counts as
 pressed (the marking of Doerfler, 1996); checked on recorded searches."""

@@ -22,9 +22,6 @@ from falsework.utils.cores import core_count
 
 _TASK = 16
 """States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
-FIRST_REACH = 2
-"""Contacts by which the first region of a repair reaches beyond a change, and by which it is extended first; checked on
-recorded searches."""
 
 
 def kernel_options(settings: StabilitySettings) -> Options:
@@ -91,7 +88,7 @@ class CpuSolver:
         self._options = kernel_options(settings)
         strength = problem.strength
         rough = bool((strength.friction > SMOOTH).all())
-        self.reach = FIRST_REACH
+        self.reach = REACH
         self._interior = rough and not (strength.pull.any() or strength.stick.any())
         self._workers = Workers(settings.numerics.threads)
 
