@@ -55,8 +55,6 @@ _PATIENCE = 30.0
 """Deadlines after which a process that plans and builds is killed."""
 _SINKS = {"stiff": 2e-7, "soft": 2e-5}
 """Springs other than those of the criterion: settlement of a typical part on eight typical points, in part sizes."""
-_RATIOS = 0.05, 5.0
-"""Stiffness of soft and of stiff springs, in those of the criterion, where states are tried on both."""
 _STANDS = {1: "stands", -1: "falls", 0: "open"}
 _TESTS = Path(__file__).resolve().parents[1] / "tests"
 
@@ -123,10 +121,10 @@ def plans(options: Options) -> Iterator[dict[str, Any]]:
             "varied": len(varied),
             "varied_stands": sum(case.good for case in varied),
             "varied_falls": [f"{case.name}: state {case.falls_at}" for case in varied if not case.good],
-            "built": _count(_built_in_turn(assembly, states, presses)),
-            "settled": _count(_settled_in_turn(assembly, states)),
+            "built": _count(replay_by_discrete_elements(assembly, states, presses=presses).stands),
+            "settled": _count(settle(assembly, states).stands),
             "proven": _count(
-                _settled_in_turn(assembly, states, oracle.verdicts(states, require_certificate=True).forces)
+                settle(assembly, states, forces=oracle.verdicts(states, require_certificate=True).forces).stands
             ),
         }
         if options.lmgc90:
@@ -137,27 +135,6 @@ def plans(options: Options) -> Iterator[dict[str, Any]]:
             }
             row["lmgc90_reasons"] = sorted({one.reason for one in answers if one.reason})[:3]
         yield row
-
-
-def _built_in_turn(assembly: Assembly, states: Any, presses: Any) -> Any:
-    """Return what becomes of the states of a plan on soft springs, which need the fewest steps, else on stiff ones."""
-    stands = None
-    for ratio in _RATIOS:
-        settings = DiscreteElementSettings(stiffness=ratio)
-        stands = replay_by_discrete_elements(assembly, states, settings, presses=presses).stands
-        if stands[-1] >= 0:
-            break
-    return stands
-
-
-def _settled_in_turn(assembly: Assembly, states: Any, forces: Any = None) -> Any:
-    """Return what becomes of states on soft springs, and of those that collapse there on stiff ones."""
-    stands = np.full(len(states), -1)
-    for ratio in _RATIOS:
-        rows = np.flatnonzero(stands < 0)
-        begin = None if forces is None else forces[rows]
-        stands[rows] = settle(assembly, states[rows], DiscreteElementSettings(stiffness=ratio), begin).stands
-    return stands
 
 
 def builds(options: Options) -> Iterator[dict[str, Any]]:

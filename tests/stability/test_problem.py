@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from falsework.stability.cpu.admm import factor_admm
 from numpy.typing import NDArray
 
 from falsework import Assembly, StabilitySettings
@@ -15,6 +14,7 @@ from falsework.assembly import library
 from falsework.errors import AssemblyError, InputError
 from falsework.stability import ExactSolver, NumericalSettings
 from falsework.stability.cpu.elimination import eliminate
+from falsework.stability.cpu.kernel import factor_admm
 from falsework.stability.cpu.layout import add_wrenches, build_structure, make_scratch, restrict
 from falsework.stability.cpu.panels import factor_panels, solve_panels
 from falsework.stability.cpu.solver import CpuSolver

@@ -178,7 +178,7 @@ def test_plans_of_real_structures_stand(shared_assembly: Callable[[str], Path], 
 def test_parts_that_settle_first_near_a_change_end_where_the_whole_would(dome: Assembly, dome_states: NDArray) -> None:
     """Iterations that begin near the change come to the same rest as those of the whole from where it was."""
     replayer, plain = Replayer(dome), Replayer(dome)
-    plain.options = plain.options._replace(near_steps=0)
+    plain.options = plain.options._replace(warm_steps=0)
     near, whole = replayer.replay(dome_states), plain.replay(dome_states)
     assert near.good
     assert whole.good
