@@ -316,13 +316,15 @@ def search(case: Run) -> Run:
     perturbation = Perturbation.draw(case["perturbation"], assembly.part_count)
     if case["perturbation"]:
         assembly = perturbation.of(assembly)
-    vars(find)["_BOUND_AFTER"] = np.inf
+    late: dict[str, Any] = {"bound_after": np.inf}
+    if "bound_after" not in signature(PlannerSettings).parameters:  # in old commits
+        vars(find)["_BOUND_AFTER"] = late.pop("bound_after")
     begun, planning = time.perf_counter(), None
     meter = Meter(case["budget"] * assembly.part_count, case["limit"])
     meter.watch_all(StabilityOracle, Replayer)
     vars(find)["plan_of"] = meter.without(find.prove_route)
     try:
-        settings = PlannerSettings(seed=perturbation.seed)
+        settings = PlannerSettings(seed=perturbation.seed, **late)
         planning = plan(assembly, robots=case["robots"], settings=settings, stop=meter.spent)
     except _Spent:  # before the search itself began
         pass

@@ -87,7 +87,7 @@ def test_two_robots_cannot_close_the_top_ring(public_structure_path: Callable[[s
     assert barrier is not None
     assert (barrier.robots, barrier.parts, barrier.core) == (2, 2, tuple(range(80, 90)))
     assert barrier.to_dict()["core"] == list(barrier.core)
-    assert "of the 10 parts 80, 81, 82, 83, 84, ..." in barrier.text
+    assert "of the 10 parts 80, 81, 82, 83, 84 and 5 more" in barrier.text
     rng = np.random.default_rng(0)
     for _ in range(5):
         state = np.where(assembly.boundary, 2, rng.integers(0, 2, 90)).astype(np.uint8)
@@ -167,23 +167,21 @@ def test_an_interruption_leaves_the_best_so_far(small_arch: Assembly, monkeypatc
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_plan_with_too_few_robots_ends_with_the_proof(
-    public_structure_path: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+    public_structure_path: Callable[[str], Path],
 ) -> None:
     """The search alone finds nothing in minutes; what the core proves ends it, and is said."""
-    monkeypatch.setattr("falsework.search.find._BOUND_AFTER", 0.5)
     assembly = load_structure(public_structure_path("dome-90"))
     oracle = StabilityOracle(assembly)
-    planning = find_plans(assembly, robots=2, oracle=oracle, deadline=120)
+    planning = find_plans(assembly, robots=2, oracle=oracle, deadline=120, settings=PlannerSettings(bound_after=0.5))
     assert planning.result.outcome is Outcome.PROVED_IMPOSSIBLE
     assert not planning.result.interrupted
     assert not planning.deadline_passed
-    assert "of the 10 parts 80, 81, 82, 83, 84, ..." in planning.result.notes[0]
+    assert "of the 10 parts 80, 81, 82, 83, 84 and 5 more" in planning.result.notes[0]
     failure = explain(assembly, oracle, planning.result)
     assert failure.proven
     assert planning.result.notes[0] in failure.text
     # A bound that has no time left leaves the search as it was.
-    monkeypatch.setattr("falsework.search.find._BOUND_AFTER", 1e-9)
-    unproven = find_plans(assembly, robots=2, oracle=oracle, deadline=3)
+    unproven = find_plans(assembly, robots=2, oracle=oracle, deadline=3, settings=PlannerSettings(bound_after=1e-9))
     assert unproven.result.outcome is Outcome.NOT_FOUND
     assert unproven.deadline_passed
 
@@ -200,8 +198,7 @@ def test_a_search_that_pauses_for_the_bound_finds_the_same_plan(
     monkeypatch.setattr(HoldBound, "core_barrier", counted)
     usual = find_plans(small_arch)
     assert asked == []
-    monkeypatch.setattr("falsework.search.find._BOUND_AFTER", 0.0)
-    paused = find_plans(small_arch)
+    paused = find_plans(small_arch, settings=PlannerSettings(bound_after=0.0))
     assert asked == [2]
     assert np.array_equal(paused.plans[0].states, usual.plans[0].states)
 
@@ -211,7 +208,6 @@ def test_an_interruption_in_the_bound(small_arch: Assembly, monkeypatch: pytest.
         raise KeyboardInterrupt
 
     monkeypatch.setattr(HoldBound, "core_barrier", interrupted)
-    monkeypatch.setattr("falsework.search.find._BOUND_AFTER", 0.0)
-    planning = find_plans(small_arch)
+    planning = find_plans(small_arch, settings=PlannerSettings(bound_after=0.0))
     assert planning.result.interrupted
     assert not planning.found

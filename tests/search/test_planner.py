@@ -94,22 +94,20 @@ def test_resuming_changes_nothing(rules: Any, tmp_path: Path, seed: int, alterna
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_resuming_strategies_that_take_turns_changes_nothing(
-    rules: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
-) -> None:
-    monkeypatch.setattr("falsework.search.strategies._FIRST_SHARE", 0.125)
+def test_resuming_strategies_that_take_turns_changes_nothing(rules: Any, tmp_path: Path, seed: int) -> None:
+    settings = PlannerSettings(share=0.125)
     oracle, _ = rules.random(seed, 8)
     row = np.stack([np.arange(7), np.arange(1, 8)], axis=1)
     task = Task.from_rules(rules.ground(8), 2, contacts=row)
-    expected = Planner(task, oracle).run()
-    planner, path = Planner(task, oracle), tmp_path / "planner.npz"
+    expected = Planner(task, oracle, settings).run()
+    planner, path = Planner(task, oracle, settings), tmp_path / "planner.npz"
     while True:
         calls = iter(range(3))
         result = planner.run(stop=lambda calls=calls: next(calls, None) is None)
         if not result.interrupted:
             break
         planner.save(path)
-        planner = Planner.load(path, task, oracle)
+        planner = Planner.load(path, task, oracle, settings)
     assert result.outcome is expected.outcome
     assert result.found == (rules.enumeration(task, oracle).count() > 0)
     assert result.counters == expected.counters
@@ -321,3 +319,19 @@ def test_a_rule_that_does_not_exist_is_named() -> None:
         find_plans("arch:blocks=3", robot=2)  # type: ignore[call-arg]
     with pytest.raises(InputError, match=r"find_plans takes no 'xyz'$"):
         find_plans("arch:blocks=3", xyz=2)  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"width": 0}, "a beam of width 0 keeps nothing"),
+        ({"directions": ()}, "no direction to search in"),
+        ({"alternatives": 0}, "0 alternatives is not a number of plans"),
+        ({"judge": True, "alternatives": 2}, "the judge takes minutes for alternatives"),
+        ({"share": 0.0}, "a share of verdicts must be above 0"),
+        ({"bound_after": -1.0}, "the seconds before a bound not below 0"),
+    ],
+)
+def test_settings_that_allow_no_search(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        PlannerSettings(**wrong)

@@ -13,6 +13,7 @@ from falsework.assembly.touching import inclinations
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.read import UNITS
+from falsework.utils.quantity import listed
 
 _SIZES = (0.02, 5.0)
 """Smallest and largest size of a typical part that raises no doubt about the unit, metres."""
@@ -24,8 +25,6 @@ _LEVEL = 0.01
 """Difference in height, as a share of that of the structure, up to which parts are level."""
 _INCLINED = 1.0
 """Angle between faces that touch from which they are doubtful, degrees."""
-_NAMED = 3
-"""Pairs of parts that are named; the rest is counted."""
 
 
 def material_doubts(draft: Draft, options: dict[str, Any], assembly: Assembly | None) -> list[str]:
@@ -66,12 +65,9 @@ def inclination_doubts(names: Sequence[str], contacts: Contacts | None) -> list[
     worst = [row for row in np.argsort(-angles, kind="stable").tolist() if angles[row] > _INCLINED]
     if not worst:
         return []
-    listed = [
-        f"{names[a]} and {names[b]} ({angles[row]:.2g} degrees)" for row in worst[:_NAMED] for a, b in [pairs[row]]
-    ]
-    more = f" and {len(worst) - _NAMED} more pairs" if len(worst) > _NAMED else ""
+    said = [f"{names[a]} and {names[b]} ({angles[row]:.2g} degrees)" for row in worst for a, b in [pairs[row]]]
     return [
-        f"faces that touch are inclined to each other, of parts {', '.join(listed)}{more}: contacts bear what both "
+        f"faces that touch are inclined to each other, of parts {listed(said, noun='pairs')}: contacts bear what both "
         "faces would, so that half of the angle is lost to friction"
     ]
 

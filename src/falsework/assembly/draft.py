@@ -20,7 +20,8 @@ from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.read import read_surfaces, unit_length
 from falsework.geometry.mesh.repair import check_mesh, thicken_supports
-from falsework.geometry.mesh.surface import distinct_names, listed, warn_of
+from falsework.geometry.mesh.surface import distinct_names, warn_of
+from falsework.utils.quantity import listed
 
 InterfaceSource = Literal["found", "stored", "compare"]
 """Contacts of an assembly: found from its meshes, those that its file stores, or the former, compared with the

@@ -17,8 +17,8 @@ from falsework.assembly.part_numbers import part_id
 from falsework.errors import AssemblyError, ReadWarning
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.contact.patches import frames_of
-from falsework.geometry.mesh.surface import listed
 from falsework.utils.models import plain, read_model
+from falsework.utils.quantity import listed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

@@ -15,13 +15,12 @@ from falsework.geometry.contact.interfaces import Contacts, ContactSettings
 from falsework.geometry.contact.patches import frames_of
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.geometry.mesh.polygon import newell_normal
+from falsework.utils.quantity import listed
 
 Array = NDArray[np.float64]
 
 _CLOSE = 0.05
 """Largest difference in area of interfaces that count as equal, as a share of the stored one."""
-_NAMED = 3
-"""Number of pairs of parts that a warning names; the rest is counted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +82,7 @@ class InterfaceComparison:
             return
         lists = (("not found", self.missing), ("not stored", self.extra), ("of other area", self.differing))
         said = [
-            f"{word}: {', '.join(f'{names[pair[0]]} and {names[pair[1]]}' for pair in pairs[:_NAMED])}"
-            + (f" and {len(pairs) - _NAMED} more" if len(pairs) > _NAMED else "")
+            f"{word}: {listed([f'{names[pair[0]]} and {names[pair[1]]}' for pair in pairs])}"
             for word, pairs in lists
             if pairs
         ]

@@ -23,8 +23,9 @@ from falsework.assembly.model import Assembly
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.geometry.mesh.surface import listed, warn_of
+from falsework.geometry.mesh.surface import warn_of
 from falsework.utils.files.formats import Reader
+from falsework.utils.quantity import listed
 
 Array = NDArray[np.float64]
 

@@ -20,10 +20,11 @@ from falsework.assembly.draft import Block, Draft, InterfaceSource
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.geometry.mesh.read import unit_length
-from falsework.geometry.mesh.surface import listed, warn_of, warn_of_curves
+from falsework.geometry.mesh.surface import warn_of, warn_of_curves
 from falsework.interop.compas_shapes import CURVED, box, inner, revolved
 from falsework.utils.files.formats import Reader
 from falsework.utils.json_text import parse_json
+from falsework.utils.quantity import listed
 
 LARGEST_FILE = 512 * 1024 * 1024
 """Bytes; a file beyond that is refused rather than read into memory."""

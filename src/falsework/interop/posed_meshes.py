@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from falsework.assembly.draft import Draft
 from falsework.errors import InputError
-from falsework.geometry.mesh.surface import listed, warn_of
+from falsework.geometry.mesh.surface import warn_of
 from falsework.utils.files.formats import FOLDER, Reader
 from falsework.utils.json_text import parse_json
+from falsework.utils.quantity import listed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly

@@ -54,9 +54,6 @@ from falsework.utils.display.notebook import or_notebook
 
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
-_BOUND_AFTER = 10.0
-"""Seconds of processor time without a plan after which a search pauses to try to prove that robots are too few, for
-half as many seconds at most."""
 FIRST_SHARE = 0.5
 """Share of a deadline for plans with the reserve; the rest is for plans without, where there are none."""
 PLANS = StabilitySettings(reserve=1.1)
@@ -154,7 +151,9 @@ def find_plans(
             planner = Planner.load(checkpoint, task, timed(oracle, clock), settings, guide=guide)
     result = _run(
         planner,
-        lambda: HoldBound(assembly, task, oracle.settings, Deadline(max(min(_BOUND_AFTER / 2, clock.left), 1e-3))),
+        lambda: HoldBound(
+            assembly, task, oracle.settings, Deadline(max(min(settings.bound_after / 2, clock.left), 1e-3))
+        ),
         progress=_saving(planner, checkpoint, progress),
         stop=lambda: clock.passed or (stop is not None and stop()),
     )
@@ -341,7 +340,7 @@ def _run(
             return True
         # The bound does not cover props, nor steps of several parts.
         beyond = planner.routes or task.prop_limit or task.together is not None
-        paused = not beyond and time.process_time() - begun > _BOUND_AFTER
+        paused = not beyond and time.process_time() - begun > planner.settings.bound_after
         return paused
 
     result = planner.run(progress=progress, stop=halt)

@@ -25,8 +25,6 @@ from falsework.stability.settings import StabilitySettings
 
 Maximised = Literal["friction", "tilt", "push"]
 
-_TRIALS = 8
-"""Searches after the first; each narrows the interval between a demand that a plan meets and one that none met."""
 _EFFORT = 500
 """Verdicts that the longest search counts for at least."""
 _CLOSE = 1.05
@@ -84,9 +82,7 @@ def maximise_margin(
         reached = _least(oracle, kind, first.plans[0].states)
     stronger: list[_Stronger] = []
     cut = False
-    for _ in range(_TRIALS):
-        if missed <= reached * _CLOSE or bound <= reached * _ASIDE**4:
-            break
+    while missed > reached * _CLOSE and bound > reached * _ASIDE**4:
         cut = stop is not None and stop()
         if cut:
             break

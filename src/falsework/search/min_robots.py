@@ -27,6 +27,7 @@ from falsework.search.task_rules import TaskRules
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import or_notebook
+from falsework.utils.quantity import listed
 
 DEADLINE = 60.0
 """Seconds for the whole question unless another deadline is given."""
@@ -220,9 +221,8 @@ class _Query:
         stuck = unremovable_parts(self._task)
         if not len(stuck):
             return ""
-        names = ", ".join(self._assembly.names[part] for part in stuck[:5])
-        more = f" and {len(stuck) - 5} more" if len(stuck) > 5 else ""
-        return f"even with every part held, {names}{more} cannot leave without a collision"
+        names = listed([self._assembly.names[part] for part in stuck])
+        return f"even with every part held, {names} cannot leave without a collision"
 
     def _search(self) -> None:
         """Increase the number of robots until there is a plan, then decrease it while plans or proofs are found."""

@@ -12,7 +12,6 @@ from falsework.errors import InputError
 from falsework.search.beam.backjumping import WIDENING, BackjumpingBeam, BackjumpingSettings
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.level_search import Beams
-from falsework.search.beam.settings import AHEAD
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.search import Search
@@ -31,10 +30,6 @@ EVERYWHERE = "everywhere"
 TOGETHER = "together-"
 """Before the name of a direction: beam in which steps may move several parts, at last without a limit."""
 
-_FIRST_SHARE = 8
-"""Verdicts for each part of the structure that each strategy may ask for in the first round, and twice as many in each
-further one. Searches without dead ends take half as many."""
-
 
 @dataclass(frozen=True)
 class Portfolio:
@@ -46,7 +41,7 @@ class Portfolio:
     """Width of beams to begin with."""
     widest: int
     """Width up to which they restart."""
-    share: int | None = None
+    share: float | None = None
     """Verdicts of the first turn of each; each further turn has twice as many. None: until it gives up."""
 
     def allowance(self, round: int) -> float:
@@ -87,7 +82,7 @@ class Portfolio:
             # One state a level leaves no choice.
             narrowest, widest = (min(width, settings.width) for width in (WIDENING, WIDENING**2))
             return cls(tuple(names), narrowest, widest)
-        share = _FIRST_SHARE * task.part_count
+        share = settings.share * task.part_count
         if regrasps(task, settings):
             again = [REGRASP + name for name in names]
             once = names[:1] if (STAGE[task.target] >= STAGE[task.start]).all() else []
@@ -154,7 +149,5 @@ def start(
     if name.startswith(TOGETHER):
         return TogetherBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
     settings = BackjumpingSettings(direction, portfolio.narrowest, seed)
-    if name == EDGES and task.holds_keep_stable:
-        settings = replace(settings, lookahead=AHEAD)  # few, so that it keeps to its rows
     alone = replace(task, allow_regrasp=False, together=None)
     return BackjumpingBeam(alone, oracle, settings, guide=guide, beams=beams)

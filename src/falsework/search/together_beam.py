@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, States, state_of_key
 from falsework.search.beam.backjumping import WIDENING
+from falsework.search.problem.deadline import PIECE
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.result import (
@@ -28,9 +29,6 @@ from falsework.search.problem.task import Direction, Task
 from falsework.search.regrasp.exhaustive import STATE_LIMIT
 from falsework.search.regrasp.histories import PathHistories
 from falsework.search.together.moves import TogetherMoves
-
-_AT_ONCE = 16
-"""States that are judged together."""
 
 
 @dataclass(eq=False)
@@ -179,7 +177,7 @@ class TogetherBeam(Search):
 
     def _examine(self) -> None:
         """Judge some of the states whose turn it is, best first, and take the steps out of those that are kept."""
-        count = int(min(_AT_ONCE, self._room, len(self._queue)))
+        count = int(min(PIECE, self._room, len(self._queue)))
         batch = [self._queue[k] for k in range(count)]
         asked = [(key, candidate.parent) for key, candidate in batch if key not in self._stable]
         if self.task.holds_keep_stable:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 from falsework.errors import InputError
 
@@ -44,6 +45,13 @@ def parse_quantity(text: str, kind: str, option: str) -> float:
     if not (math.isfinite(number) and number > 0):
         raise InputError(f"{option}: {text!r} is not above zero; give {wanted}")
     return number * units[unit]
+
+
+def listed(items: Sequence[str], most: int = 5, noun: str = "") -> str:
+    """Return the first of many names, and the number of the others, each a `noun` if given."""
+    more = len(items) - most
+    rest = f" and {more} more{f' {noun}' if noun else ''}" if more > 0 else ""
+    return ", ".join(items[:most]) + rest
 
 
 def counted(number: int, noun: str) -> str:

@@ -15,6 +15,7 @@ from falsework.errors import MeshError, ReadWarning
 from falsework.geometry.mesh.bodies import merge_equal, separate_solids
 from falsework.geometry.mesh.repair import closes
 from falsework.geometry.mesh.shells import is_closed
+from falsework.utils.quantity import listed
 
 _UNIT = re.compile(
     r"\bunits?\b\W{0,3}(?:(?:is|are|in)\W)?\W{0,2}"
@@ -24,8 +25,6 @@ _UNIT = re.compile(
 """Statement of a unit in a comment."""
 _SHORT = {"millim": "mm", "centim": "cm", "decime": "dm", "meter": "m", "metre": "m", "inch": "in", "f": "ft"}
 """Units by the beginnings of their names."""
-_NAMED = 5
-"""Names that a warning lists; the rest is counted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,12 +107,6 @@ def warn_of_curves(file: Path, names: Sequence[str]) -> None:
             ReadWarning,
             stacklevel=3,
         )
-
-
-def listed(items: Sequence[str]) -> str:
-    """Return some of many names, and the number of the others."""
-    more = len(items) - _NAMED
-    return ", ".join(items[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def joined(name: str, surfaces: Sequence[PartSurface]) -> PartSurface:

@@ -26,14 +26,12 @@ from falsework.geometry.contact.near import NearPoints, near_points
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh
 from falsework.geometry.settling.program import AT_REST, gravity_motion
 from falsework.geometry.settling.settlement import Poses, Settlement
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import format_quantity, listed
 
 Array = NDArray[np.float64]
 
 _STEPS = 60
 """Steps after which parts that still move are reported."""
-_LISTED = 3
-"""Parts that a message names; the rest is counted."""
 
 
 def settle_parts(
@@ -133,6 +131,5 @@ def _named(motion: Array, meshes: Sequence[TriangleMesh]) -> str:
     """Return the names of the parts that moved farthest."""
     order = np.argsort(-motion, kind="stable")
     order = order[motion[order] > 0]
-    names = [meshes[part].name for part in order[:_LISTED].tolist()]
-    more = len(order) - len(names)
-    return ("part " if len(order) == 1 else "parts ") + ", ".join(names) + (f" and {more} more" if more else "")
+    names = [meshes[part].name for part in order.tolist()]
+    return ("part " if len(order) == 1 else "parts ") + listed(names)

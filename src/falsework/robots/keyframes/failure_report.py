@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import describe_step
 from falsework.search.problem.result import Route
+from falsework.utils.quantity import listed
 
 Array = NDArray[np.float64]
 
@@ -175,8 +176,7 @@ def explain(
     else:
         pieces.append(f"the search reached step {reached} of {steps}")
     if unreachable:
-        listed = ", ".join(names[part] for part in unreachable[:8]) + (", ..." if len(unreachable) > 8 else "")
-        pieces.append(f"no robot can hold {listed}")
+        pieces.append(f"no robot can hold {listed([names[part] for part in unreachable])}")
     if hopeless is not None:
         kind, part = hopeless
         pieces.append(f"most failures there: {kind} {names[part]}")

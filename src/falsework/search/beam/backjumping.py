@@ -38,13 +38,13 @@ class BackjumpingSettings:
     """States without a need for a verdict that narrow beams keep, so that the next level has a choice; with fewer,
     little but what the guide puts first is tried."""
 
-    def beam(self, width: int, conflicts: int = 0) -> BeamSettings:
-        """Return settings of a beam of some width after so many conflicts."""
+    def beam(self, width: int, conflicts: int = 0, factor: int = 1) -> BeamSettings:
+        """Return settings of a beam of some width after so many conflicts, with a wider choice by a factor."""
         return BeamSettings(
             width=width,
             direction=self.direction,
             diversity="none",
-            lookahead=max(self.lookahead, AHEAD * width),
+            lookahead=factor * max(self.lookahead, AHEAD * width),
             commit=width == 1,
             number=conflicts,
             seed=self.seed,
@@ -127,8 +127,11 @@ class BackjumpingBeam(Search):
 
     def step(self) -> bool:
         """Find the next level; where there is none, jump back from the dead end, or restart wider."""
-        stepped = self.search.step()
-        if self.search.done and not self.found and not self.infeasible:
+        search = self.search
+        stepped = search.step()
+        if len(search.levels) - 1 > self._farthest and search.conflicts.count:
+            search.settings = self.settings.beam(search.settings.width, search.conflicts.count)
+        if search.done and not self.found and not self.infeasible:
             self._over = not self.jump_back() and not self._restart()
         return stepped
 
@@ -192,13 +195,14 @@ class BackjumpingBeam(Search):
         level = len(search.levels) - 1
         if level > self._farthest:
             self._farthest, self._since = level, 0
-        choice = next(islice(search.choices(), luby(self._since + 1) - 1, None), None)
+        over = luby(self._since + 1)
+        choice = next(islice(search.choices(), over - 1, None), None)
         if choice is None:
             return False
         self._since += 1
         back, action = choice
         conflicts.learn(search.before(back), action)
-        search.rewind(back, self.settings.beam(search.settings.width, conflicts.count))
+        search.rewind(back, self.settings.beam(search.settings.width, conflicts.count, over))
         return True
 
     def _restart(self) -> bool:

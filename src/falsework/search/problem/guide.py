@@ -18,11 +18,9 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
 
 
-_ROW, _STRICT_ROW = 0.3, 3.0
-"""Shares of support that each row nearer to the edge counts as: with few robots, where a row that does not close waits
-for what is behind it, and with many, which would hold the ends of all these rows."""
-_MANY_ROBOTS = 5
-"""Robots from which on rows are closed strictly in order."""
+_ROW = 0.3
+"""Shares of support that each row nearer to the edge counts as: below 1, so that a row that does not close waits for
+what is behind it."""
 _NEXT_TO_HELD = 0.15
 """Shares of support that a place beside a held part counts as."""
 
@@ -84,8 +82,7 @@ class SupportGuide:
         """
         if task.robots < 2 or (task.target[~task.boundary] != REMOVED).any():
             return None
-        rows, strict = self._rows, task.holds_keep_stable or task.robots >= _MANY_ROBOTS
-        return None if rows is None else EdgeGuide(self, rows, _STRICT_ROW if strict else _ROW)
+        return None if self._rows is None else EdgeGuide(self, self._rows)
 
     def held_neighbours(self, task: Task) -> HeldNeighbourGuide | None:
         """Return a heuristic that prefers parts beside held ones; None where it is of no use for a task.
@@ -158,16 +155,15 @@ class EdgeGuide:
     built before it does not.
     """
 
-    def __init__(self, base: Guide, rows: NDArray[np.integer], weight: float) -> None:
+    def __init__(self, base: Guide, rows: NDArray[np.integer]) -> None:
         """Prefer parts by their rows.
 
         Args:
             base: heuristic to add to.
             rows: row of each part, 0 at the edge, shape (parts,).
-            weight: of a row, relative to the scores of `base`.
         """
         self._base = base
-        worth = (rows == 0) - weight * rows  # a place at an edge counts as full support
+        worth = (rows == 0) - _ROW * rows  # a place at an edge counts as full support
         self._worth = np.concatenate([worth, worth]).astype(np.float32)
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.floating]:

@@ -26,9 +26,8 @@ from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import residual_bound_of_velocity
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.quantity import listed
 
-_NAMED = 5
-"""Parts of a core that a sentence names."""
 _NEGLIGIBLE = (1e-5, 1e-8)
 """Speeds that are taken as zero, as a share of the fastest part's, where what is left is a proof as well."""
 
@@ -56,8 +55,8 @@ class Barrier:
         moved = "removed" if self.end is Direction.DISASSEMBLY else "placed"
         held = f"at most {self.robots - 1} held" if self.robots > 1 else "none held"
         if self.core:
-            some = ", ".join(map(str, self.core[:_NAMED])) + (", ..." if len(self.core) > _NAMED else "")
-            counted = f"{self.parts if self.parts > 1 else 'one'} of the {len(self.core)} parts {some}"
+            some = f"the {len(self.core)} parts {listed([str(part) for part in self.core])}"
+            counted = f"{self.parts if self.parts > 1 else 'one'} of {some}"
             return f"no state with {counted} {moved} and {held} is in equilibrium, whichever others are there"
         counted = f"{self.parts} parts" if self.parts > 1 else "one part"
         return f"no state with {counted} {moved} and {held} is in equilibrium"

@@ -12,7 +12,7 @@ import numpy as np
 from falsework.assembly.state import REMOVED, States, state_of_key
 from falsework.search.beam.backjumping import WIDENING
 from falsework.search.beam.nogoods import luby
-from falsework.search.problem.deadline import DeadlineExceeded
+from falsework.search.problem.deadline import PIECE, DeadlineExceeded
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.regrasp_moves import RegraspMoves
@@ -35,9 +35,6 @@ if TYPE_CHECKING:
 
 _MOST_AT_GOAL = 10_000
 """Largest number of other holds of the parts of the goal that are examined on the path to its own."""
-_AT_ONCE = 8
-"""Candidates checked together at most, since the first are mostly stable; and other holds that are found for a level
-before the next is tried again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +203,7 @@ class RegraspBeam(Search):
                 self._take(segments[place])
                 seen.add(key)
                 fresh.append(key)
-            if len(fresh) == _AT_ONCE:
+            if len(fresh) == PIECE:
                 tried = place + 1
                 break
         del segments[:tried]
@@ -303,7 +300,7 @@ class RegraspBeam(Search):
             yield from (
                 k for k in batch if self._presence(segments[k].states[-1]) not in found and self._stands(segments[k])
             )
-            begin, count = begin + count, min(2 * count, _AT_ONCE)
+            begin, count = begin + count, min(2 * count, PIECE)
 
     def _ask(self, segments: list[_Segment]) -> None:
         """Check the unknown states of some paths, the last of each path first."""

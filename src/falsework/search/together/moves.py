@@ -11,9 +11,7 @@ from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, held_coun
 from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Direction, Task
-
-_NAMED = 3
-"""Sets that are named in words at most."""
+from falsework.utils.quantity import listed
 
 
 class TogetherMoves:
@@ -67,8 +65,8 @@ class TogetherMoves:
         movable = [parts for parts in sets if self._rule.can_begin_to_move(parts, state)]
         if not movable:
             return f"no part there, and no set of up to {self.largest}, can begin to move, not even by turning"
-        names = ", ".join(self._rule.name(parts) for parts in movable[:_NAMED])
-        return f"what can begin to move there finds no straight way out: {names}{', ...' * (len(movable) > _NAMED)}"
+        names = listed([self._rule.name(parts) for parts in movable])
+        return f"what can begin to move there finds no straight way out: {names}"
 
     def _check_time(self) -> None:
         if self.stop is not None and self.stop():
