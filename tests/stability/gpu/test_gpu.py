@@ -39,7 +39,7 @@ def compare(make_solver: Callable[..., GpuSolver], assembly: Assembly, states: A
     expected = CpuSolver(solver.problem, settings).check(states, certificates=False)
     both = ~verdicts.undecided & ~expected.undecided  # what either leaves open goes to the exact solver
     np.testing.assert_array_equal(verdicts.verdict[both], expected.verdict[both])
-    assert both.mean() > 0.95
+    assert both.mean() >= 0.95
     np.testing.assert_array_equal(verify_certificates(assembly, states, verdicts, settings.claim), ~verdicts.undecided)
     np.testing.assert_array_equal(verdicts.decided_by, np.where(verdicts.undecided, Solver.NONE, Solver.GPU))
     return verdicts
