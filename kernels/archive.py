@@ -151,7 +151,7 @@ def record() -> dict[str, tuple[Any, ...]]:
         problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
         solver = ContactSolver(assembly, problem, settings)
         solver.check(states)
-        solver.check(states, certificates=False, parents=states)  # looks for parts that fall nearby first
+        solver.falls(states, states)
         CpuSolver(problem).check(states, parents=states, guess=np.ones((2, problem.points, 3)))  # repairs forces
         Replayer(assembly).replay(states)
         held = np.where(np.arange(states.shape[1]) < 2, 2, states[0]).astype(np.uint8)
