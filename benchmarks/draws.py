@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from falsework import Assembly, Direction, StabilityOracle, StabilitySettings
 from falsework.assembly import States
-from falsework.assembly.symmetry import symmetries
 from falsework.learn import Environment, Policy, TrainSettings
 from falsework.learn.data.dataset import (
     VALIDATION_STATES,
@@ -29,6 +28,7 @@ from falsework.learn.data.dataset import (
     search_states,
     training_task,
 )
+from falsework.learn.data.symmetry import symmetries
 from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.networks.autocast import Network
 from falsework.learn.training.evaluate import greedy_success, sample

@@ -29,7 +29,16 @@ from record import report, write_to
 from states import find
 
 from falsework import Assembly, StabilityOracle, StateGraph, load_structure
-from falsework.learn import PPO, REINFORCEMENT, Curriculum, Environment, PolicySettings, make_policy, roll_out
+from falsework.learn import (
+    PPO,
+    REINFORCEMENT,
+    Curriculum,
+    Environment,
+    LearnerContext,
+    PolicySettings,
+    make_policy,
+    roll_out,
+)
 from falsework.learn.data.dataset import search_states, training_task
 from falsework.search.device.oracle import tensor_oracle
 from falsework.utils.collectives import same_weights, summed
@@ -151,7 +160,8 @@ class Bench:
         environment, policy = self.environment(), self.policy()
         starts = environment.rules.put(self.graph.states)
         curriculum = Curriculum(starts, environment.rules, shards=self.shards)
-        ppo = PPO(environment, policy, curriculum, REINFORCEMENT.resolved(self.device.type), shards=self.shards)
+        settings = REINFORCEMENT.resolved(self.device.type)
+        ppo = PPO(LearnerContext(environment, policy, curriculum, settings, shards=self.shards))
         generator = environment.generator(self.shards.rank)
         ppo.update(curriculum.sample(self.count, generator))
         before, updates, begin = environment.counters.steps, 0, time.perf_counter()

@@ -32,13 +32,11 @@ from typing import Any
 
 import numpy as np
 
-from falsework import Assembly, Plan, StabilityOracle, StateGraph, find_plans, load_structure, make_task
+from falsework import Assembly, Plan, StabilityOracle, StateGraph, export, find_plans, load_structure, make_task
 from falsework.assembly.load import read_draft
 from falsework.assembly.store import save_assembly
 from falsework.cli.arguments import read_states
 from falsework.errors import FalseworkError
-from falsework.interop.compas_write import write_compas
-from falsework.interop.gltf import write_gltf
 from falsework.search.plans.plan_file import load_plan, save_plan
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.problem.state_graph import load_state_graph, save_state_graph
@@ -161,14 +159,14 @@ def _structures(assembly: Assembly, scratch: Path) -> Iterator[tuple[str, Kind]]
                 written if isinstance(written, bytes) else str(written).encode(), f"a.{suffix[:3]}", _read_structure, {}
             ),
         )
-    write_gltf(assembly, scratch / "a.glb")
+    export(assembly, scratch / "a.glb")
     yield "glb", _kind(scratch / "a.glb", _read_structure)
-    for number, form in enumerate(("meshes", "assembly", "dem")):
+    for number, form in enumerate(("compas", "compas-assembly", "compas-dem")):
         path = scratch / f"compas-{number}.json"
-        write_compas(assembly, path, form)  # type: ignore[arg-type]
-        yield f"compas {form}", _kind(path, _read_structure)
-        if form != "meshes":
-            yield f"interfaces of compas {form}", _kind(path, partial(load_structure, interfaces="compare"))
+        export(assembly, path, format=form)
+        yield form, _kind(path, _read_structure)
+        if form != "compas":
+            yield f"interfaces of {form}", _kind(path, partial(load_structure, interfaces="compare"))
     yield "bricks", Kind(BRICKS.encode(), "a.txt", _read_structure, {})
     yield "ldraw", Kind(LDRAW.encode(), "a.ldr", _read_structure, {})
 
@@ -208,8 +206,8 @@ def _robots(plan: Plan, assembly: Assembly, scratch: Path) -> Iterator[tuple[str
     from falsework.robots import Keyframe, RobotPlan, RobotStep, Trajectory
     from falsework.robots.cells.cell_file import parse_cell
     from falsework.robots.model.cell import cell_identity
+    from falsework.robots.plans.robot_plan import records_of
     from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
-    from falsework.robots.plans.robot_record import records_of
 
     yield "cell", Kind(CELL.encode(), "cell.toml", partial(load_cell, check=False), {})
     yield from _descriptions()

@@ -2,13 +2,15 @@
 
     python benchmarks/general.py make --folder out/general --minutes 9 --processes 15 --device cuda
     python benchmarks/general.py data --folder out/general --minutes 30 --processes 2
+    python benchmarks/general.py reinforce --folder out/general --minutes 9 --total 9 --processes 6 --device cuda
     python benchmarks/general.py evaluate --folder out/general --processes 15 --minutes 9
     python benchmarks/general.py card --folder out/general --out benchmarks/results/general.jsonl
 
 `make` generates structures on the processor while it trains on the data so far; repeat the same command until it says
 that training is done. Once some training is done, the processes roll the policy out: what succeeds becomes data, and
-states from which it fails come first. `data` does the first half alone. `evaluate` tests on structures that are not
-trained on, and stops in time; repeat it until no case is left. `card` summarises the evaluation by groups.
+states from which it fails come first. `data` does the first half alone. `reinforce` goes on with reinforcement on the
+structures of the data, first on those where rollouts fail. `evaluate` tests on structures that are not trained on, and
+stops in time; repeat it until no case is left. `card` summarises the evaluation by groups.
 
 The folder holds `data-*.npz`, `validation.npz`, a run that other commands take (`run.json`, `weights.safetensors`), a
 checkpoint, `log.jsonl` and `evaluation.jsonl`.
@@ -19,10 +21,12 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
@@ -31,21 +35,24 @@ import numpy as np
 import torch
 import tyro
 from experiments.general_cases import CASES, evaluate_case
-from experiments.structure_generator import generated
-from record import report, spread, write_to
-
-from falsework import load_policy
-from falsework.errors import FalseworkError, InputError
-from falsework.learn import PolicySettings
-from falsework.learn.data.labelled_states import (
+from experiments.general_ppo import GeneralPpo, GeneralPpoSettings, Playground
+from experiments.general_training import GeneralSettings, GeneralTraining
+from experiments.labelled_states import (
     LabelledStructure,
     LabelSettings,
     label_states,
     load_labelled,
     save_labelled,
 )
-from falsework.learn.data.structure_batches import StructureBatches
-from falsework.learn.training.general import GeneralSettings, GeneralTraining
+from experiments.structure_batches import StructureBatches
+from experiments.structure_generator import generated
+from record import report, spread, write_to
+
+from falsework import Assembly, load_policy
+from falsework.errors import FalseworkError, InputError
+from falsework.learn import PolicySettings
+from falsework.utils.collectives import decided, summed
+from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import choose_device
 
 PER_FILE = 1000
@@ -54,8 +61,12 @@ VALIDATION, VALIDATED = 1_000_000, 64
 """First number of the structures to validate on, and how many of them there are."""
 REPORT_EVERY = 30.0
 """Seconds of training between two looks at the data."""
+AVERAGE_EVERY = 10.0
+"""Seconds of reinforcement between two times that processes average their weights."""
 SAVE_EVERY, RESERVE = 120.0, 20.0
 """Seconds between two times that all data are written, and for the last time at the end of a call."""
+REINFORCED = 16
+"""Validation structures, and states of each, that show what reinforcement does."""
 IMPROVE_AFTER = 0.3
 """Share of the training after which the policy is rolled out."""
 
@@ -64,16 +75,16 @@ IMPROVE_AFTER = 0.3
 class Options:
     """What to do, and for how long."""
 
-    what: tyro.conf.Positional[Literal["make", "data", "evaluate", "card"]]
+    what: tyro.conf.Positional[Literal["make", "data", "reinforce", "evaluate", "card"]]
     """Command."""
     folder: Path = Path("out/general")
     """Folder of data, checkpoint and results."""
     minutes: float = 9.0
     """Time of this call, start included."""
     total: float = 60.0
-    """For `make`: minutes of training in all calls together, over which the learning rate falls."""
+    """For `make` and `reinforce`: minutes of training in all calls together, over which the learning rate falls."""
     processes: int = 1
-    """Processes that generate or evaluate."""
+    """Processes that generate, reinforce or evaluate."""
     structures: int = 4000
     """Structures to generate; from then on, or later in training, known ones are improved."""
     robots: int = 0
@@ -286,6 +297,93 @@ def make(options: Options) -> None:
     print(f"training is {'done' if training.progress >= 1.0 else f'{100 * training.progress:.0f} % done'}", flush=True)
 
 
+def reinforce(options: Options) -> None:
+    """Improve the policy by its own rollouts, on the structures of the data; greedy success before and after."""
+    with tempfile.TemporaryDirectory() as folder:
+        torch.multiprocessing.spawn(_reinforce, (options, f"file://{folder}/meet"), nprocs=options.processes)
+
+
+def _reinforce(rank: int, options: Options, meeting: str) -> None:
+    """Improve the policy in one of several processes, each on structures of its own; weights are averaged in between.
+
+    Args:
+        rank: number of the process; the first one reports and writes.
+        options: of the command.
+        meeting: where the processes meet.
+    """
+    end = time.perf_counter() + 60 * options.minutes
+    torch.set_num_threads(1)
+    device, host = choose_device(options.device), torch.device("cpu")
+    torch.distributed.init_process_group("gloo", init_method=meeting, rank=rank, world_size=options.processes)
+    group = ProcessGroup.from_torch()
+    library = Library.load(options.folder)
+    training = continued(options, device)
+    rng, numbers = np.random.default_rng([options.seed, training.steps, rank]), sorted(library.structures)
+    success = [library.structures[number].success for number in numbers]
+    weight = np.array([0.5 if share is None else 1.05 - share for share in success])
+
+    def draw() -> tuple[Assembly, LabelledStructure]:
+        number = int(rng.choice(numbers, p=weight / weight.sum()))
+        return generated(number).assembly, library.structures[number]
+
+    few = {"together": 2, "kept": 2, "rollouts": 16, "tokens": 1024}
+    settings = GeneralPpoSettings(**({} if device.type == "cuda" else few))
+    valid = sorted(library.validation.items())[: REINFORCED if device.type == "cuda" else 2]
+
+    def note(numbers: dict[str, float], *, validate: bool = False) -> None:
+        if validate:
+            numbers["validation"] = validated(training.averaged(), valid, device)
+        training.save({"data": _counts(library), "reinforcement": {**asdict(settings), **numbers}})
+        _log(options, {"steps": training.steps, "reinforced": training.reinforced, **numbers})
+
+    learner = GeneralPpo(training, settings, draw, seed=rank)
+    batches = StructureBatches(list(library.structures.values()), device)
+    if rank == 0:
+        note({}, validate=True)
+    noted, total = time.perf_counter(), 60 * options.total
+    while decided(left := min(total - training.reinforced, end - RESERVE - time.perf_counter()), group, host) > 0:
+        begun, span = time.perf_counter(), decided(min(AVERAGE_EVERY, left), group, host)
+        done = training.reinforced / total
+        found = learner.run(batches, span, (done, min(done + span / total, 1.0)))
+        average_states(training, group)
+        training.reinforced += decided(time.perf_counter() - begun, group, host)
+        found = dict(zip(found, summed(list(found.values()), group, host), strict=True))
+        if rank == 0 and time.perf_counter() - noted > REPORT_EVERY:
+            noted = time.perf_counter()
+            note({name: value / (1 if name == "updates" else group.size) for name, value in found.items()})
+    if rank == 0:
+        note({}, validate=True)
+    torch.distributed.destroy_process_group()
+
+
+def average_states(training: GeneralTraining, group: ProcessGroup) -> None:
+    """Give all processes the mean of their weights and of their optimizers, exchanged on the processor."""
+    state = training.optimizer.state_dict()
+    moved = {name: one for name, one in state.items() if one.is_floating_point()}
+    flat = torch.cat([one.detach().flatten().float().cpu() for one in moved.values()])
+    torch.distributed.all_reduce(flat)
+    pieces = (flat / group.size).split([one.numel() for one in moved.values()])
+    means = {name: mean.view_as(moved[name]).to(moved[name].device) for name, mean in zip(moved, pieces, strict=True)}
+    training.optimizer.load_state_dict({**state, **means})
+
+
+def validated(network: Any, structures: list[tuple[int, LabelledStructure]], device: torch.device) -> float:
+    """Return the mean greedy success of a network on validation structures."""
+    found = []
+    for number, labelled in structures:
+        with suppress(InputError):  # a structure that the solver on this device does not take
+            mine = Playground(generated(number).assembly, labelled, network, 1, device)
+            found.append(mine.greedy(4 * REINFORCED))
+    return float(np.mean(found))
+
+
+def continued(options: Options, device: torch.device) -> GeneralTraining:
+    """Return the training of the folder as it is."""
+    kept = json.loads((options.folder / "run.json").read_text(encoding="utf-8"))["results"]["general"]
+    policy = PolicySettings(**kept.pop("policy"))
+    return GeneralTraining(options.folder, GeneralSettings(policy, **kept), device)
+
+
 def _counts(library: Library) -> dict[str, Any]:
     structures = library.structures.values()
     rolled = [one.success for one in structures if one.success is not None]
@@ -360,7 +458,7 @@ def main() -> None:
     """Run the command."""
     options = tyro.cli(Options, description=__doc__)
     try:
-        {"make": make, "data": data, "evaluate": evaluate, "card": card}[options.what](options)
+        {"make": make, "data": data, "reinforce": reinforce, "evaluate": evaluate, "card": card}[options.what](options)
     except FalseworkError as error:
         raise SystemExit(f"general.py: {error}") from None
 

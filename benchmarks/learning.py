@@ -6,15 +6,16 @@
     python benchmarks/learning.py table5 --rows bottle-12:2
     python benchmarks/learning.py transfer
     python benchmarks/learning.py searches --searches folder         # all draws of table3, once for many runs
+    python benchmarks/learning.py searches --goals yes --searches folder    # those of table4
     torchrun --nproc-per-node 4 benchmarks/learning.py table3 --rows vault-62:6
 
 A row is a structure, by the name of a real one (FALSEWORK_DATA, else the folder `shared` beside the repository), of a
 built-in one or by its path, and a number of robots. `table3`: greedy success on the
 test states of five searches (`draws.py`), all of them or `--states` of each, with their distance to the states learned
 from, and `paper` where the paper has the row; `--data width64` learns from the paper's data alone. Runs whose records
-are in the file of `--out` are skipped, those in the folder of `--keep` are resumed. `table4`: a
-goal-conditioned policy, a goal-blind one, or both (`--goals`). `table5`: `gat`, `transformer`, `resmlp` and `mlp` with
-the same budget. `transfer`: a policy of the bottle evaluated on the dog.
+are in the file of `--out` are skipped, those in the folder of `--keep` are resumed. `table4`: a goal-conditioned
+policy, a goal-blind one, or both (`--goals`), on two draws of unseen pairs. `table5`: `gat`, `transformer`, `resmlp`
+and `mlp` with the same budget. `transfer`: a policy of the bottle evaluated on the dog.
 `solvable`: how many states of a small structure are solvable, and how many of them no run may learn from.
 `minutes` is the total budget, `seconds` the time used; data are included but for `table3`, evaluation is not. Rows
 are independent: run them as processes of their own, each with its CUDA_VISIBLE_DEVICES.
@@ -38,15 +39,17 @@ from draws import Searches, success_on_draws, test_seeds
 from states import find
 
 from falsework import StabilityOracle, StabilitySettings, load_structure, train
-from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn import Environment, Policy, PolicySettings, TrainSettings, roll_out, transfer
 from falsework.learn.config.policy import recommended
 from falsework.learn.config.train import METHODS, Criterion, from_dict, to_dict
 from falsework.learn.data.dataset import Dataset, build_dataset, search_states, training_task
+from falsework.learn.data.goal_dataset import GoalDataSettings, SearchStates, build_goal_dataset
+from falsework.learn.data.goal_pairs import Pairs
+from falsework.learn.data.symmetry import symmetries
 from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.networks.autocast import Network
-from falsework.learn.training.evaluate import GoalBlindPolicy, measure_success, sample
+from falsework.learn.training.evaluate import measure_success, sample
 from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.train import TrainResult
 from falsework.learn.training.training_data import find_pairs
@@ -72,6 +75,8 @@ TABLE_3: dict[str, tuple[float, float, float, float]] = {
 """For each row the paper's success in training and test in %, its hours, and the minutes of a run here."""
 EVERYTHING = 1 << 14
 """Width of a search that finds all states of a small structure."""
+SECOND_DRAW = 5000
+"""Seed of the searches from which a second set of unseen pairs is drawn."""
 SMALL = 20
 """Number of parts up to which every test draw has a run of its own."""
 
@@ -117,7 +122,7 @@ def run(
     assembly: Any,
     settings: TrainSettings,
     label: str,
-    dataset: Dataset | None = None,
+    dataset: Dataset | SearchStates | None = None,
 ) -> TrainResult:
     """Train, with progress on standard error."""
     last = time.perf_counter()
@@ -136,6 +141,7 @@ def run(
         assembly,
         settings,
         folder=folder,
+        begin=options.begin or None,
         source=source,
         device=options.device,
         resume=folder is not None and (folder / "run.json").exists(),
@@ -157,18 +163,20 @@ def evaluated(
     )
     network: Any = Network(result.policy, filled.precision)
     if settings.policy.goal_conditioned or one_state:
-        narrow = replace(filled, data="width64")
-        pairs = find_pairs(RunContext(assembly, narrow, tensor_oracle(oracle, device), device))
-        seen = sample(np.arange(len(pairs.train)), len(pairs.test))
+        run = RunContext(assembly, filled, tensor_oracle(oracle, device), device)
+        searched, other = goal_searches(options, assembly, settings, device)
+        pairs = find_pairs(run, replace(searched, more=searched.more[:0]))
+        other = second_draw(run, other, np.concatenate([searched.train, searched.more]))
         sets: Any = {
-            "train": (pairs.train.states[seen], pairs.train.targets[seen]),
+            "train": (pairs.train.states, pairs.train.targets),
             "test": (pairs.test.states, pairs.test.targets),
+            "second": (other.states, other.targets),
         }
-        network = GoalBlindPolicy(network) if one_state else network
     else:
         data = protocol(assembly, settings, tensor_oracle(oracle, device), str(device))
         sets = {"train": (data.train, None), "test": (data.test, None)}
     shards = ProcessGroup.from_torch()
+    environment.exact = sets["test"][1] is None  # of goals, states that a GPU leaves open count as failures
     found = measure_success(environment, network, sets, most=options.states, search=options.search, shards=shards)
     for name, (states, targets) in sets.items():
         rows = sample(np.arange(len(states)), options.states)
@@ -180,6 +188,37 @@ def evaluated(
             found[name]["steps"] = record.spread(environment.rules.steps_left(*tensors).tolist())
     everything = "all states" if sets["test"][1] is None else "all unseen pairs"
     return {**found, "evaluated": f"at most {options.states} of each set" if options.states else everything}
+
+
+def goal_searches(
+    options: argparse.Namespace, assembly: Any, settings: TrainSettings, device: Any
+) -> tuple[SearchStates, SearchStates]:
+    """Return the states of the searches for pairs, and those of a second draw; kept in the folder of --searches."""
+    filled = settings.resolved(assembly.part_count, device.type)
+    oracle = StabilityOracle(assembly, StabilitySettings(criterion=settings.criterion))
+    judge = tensor_oracle(oracle, device)
+    task = training_task(assembly, settings.robots, settings.removable_only_if_clear).judged_by(judge)
+    found = []
+    for seed, widths in ((0, filled.widths if settings.data == "wide" else ()), (SECOND_DRAW, ())):
+        name = f"pairs-{assembly.name}-{settings.robots}-{settings.criterion}-{seed}-{len(widths)}.npz"
+        path = Path(options.searches) / name if options.searches else None
+        if path is not None and path.exists():
+            found.append(SearchStates.load(path, task))
+            continue
+        found.append(SearchStates.find(task, GoalDataSettings(widths=widths, seed=seed), judge, device=device))
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            found[-1].save(path, task)
+    return found[0], found[1]
+
+
+def second_draw(run: RunContext, searched: SearchStates, known: Any) -> Pairs:
+    """Return unseen pairs of other searches than those of training; neither state is among the known ones."""
+    drawn = GoalDataSettings(seed=SECOND_DRAW)
+    device = str(run.device)
+    pairs = build_goal_dataset(run.assembly, run.task, drawn, oracle=run.oracle, device=device, searched=searched).test
+    index = StateIndex(np.unique(known, axis=0))
+    return pairs[(index.find(pairs.states) < 0) & (index.find(pairs.targets) < 0)]
 
 
 def protocol(assembly: Any, settings: TrainSettings, oracle: TensorOracle, device: str) -> Dataset:
@@ -209,7 +248,8 @@ def line(
         clear=settings.removable_only_if_clear,
         phases=[phase.algorithm for phase in settings.phases],
         ppo={
-            name: getattr(filled.phases[-1], name, None) for name in ("rollouts", "anywhere", "explored", "imitation")
+            name: getattr(filled.phases[-1], name, None)
+            for name in ("starts", "rollouts", "epochs", "anywhere", "explored", "imitation")
         },
         policy=result.policy.settings.kind,
         goal_conditioned=settings.policy.goal_conditioned,
@@ -276,13 +316,16 @@ def finished(out: Path | None, about: dict[str, Any]) -> bool:
 
 
 def searched(options: argparse.Namespace) -> None:
-    """Search for the states of all draws of the rows, into the folder of --searches."""
+    """Search for the states of all draws of the rows, or for pairs, into the folder of --searches."""
     device = choose_device(options.device)
-    for _, assembly, robots, seeds in rows_of(options):
+    for name, assembly, robots, seeds in rows_of(options):
         oracle = tensor_oracle(StabilityOracle(assembly, StabilitySettings(criterion=options.criterion)), device)
         searches = Searches(assembly, robots, options.clear, oracle, device, Path(options.searches or "searches"))
-        for width, seed in searches.all_seeds(seeds):
+        for width, seed in () if options.goals == "yes" else searches.all_seeds(seeds):
             searches.states(width, seed)
+        if options.goals == "yes":
+            kind = recommended(assembly.part_count, goal_conditioned=True)
+            goal_searches(options, assembly, settings_of(options, name, robots, 0, policy=kind), device)
 
 
 def table4(options: argparse.Namespace) -> None:
@@ -292,11 +335,15 @@ def table4(options: argparse.Namespace) -> None:
             for two in {"both": (True, False), "yes": (True,), "no": (False,)}[options.goals]:
                 kind = recommended(assembly.part_count, goal_conditioned=two, kind=options.policy or None)
                 settings = settings_of(options, name, robots, seed, policy=kind)
-                label = f"{name}:{robots} {'two states' if two else 'one state'} seed {seed}"
-                result = run(options, name, assembly, settings, label)
-                line(
-                    "table4", name, settings, result, evaluated(options, result, settings, assembly, one_state=not two)
-                )
+                label = f"{name}:{robots} {'two states' if two else 'one state'} seed {seed} {options.label}"
+                begun = time.perf_counter()
+                searches = goal_searches(options, assembly, settings, choose_device(options.device)) if two else None
+                searched = round(time.perf_counter() - begun, 1)
+                result = run(options, name, assembly, settings, label, searches and searches[0])
+                if result.interrupted:
+                    return
+                found = evaluated(options, result, settings, assembly, one_state=not two)
+                line("table4", name, settings, result, found, label=options.label, search_seconds=searched)
 
 
 def table5(options: argparse.Namespace) -> None:
@@ -367,13 +414,19 @@ def main() -> None:
     parser.add_argument("--heads", type=int, default=0, help="attention heads; 0 for the default")
     parser.add_argument("--device", default="auto")
     parser.add_argument("--states", type=int, default=0, help="states evaluated of each set; 0 for all")
-    parser.add_argument("--searches", default="", help="folder that keeps the searches of table3")
+    parser.add_argument("--searches", default="", help="folder that keeps the searches of table3 and table4")
     parser.add_argument(
         "--tests", nargs="*", type=int, default=[], help="numbers of the test draws of small structures; default: all"
     )
-    parser.add_argument("--label", default="", help="name of a variant in the records of table3")
-    parser.add_argument("--goals", choices=("both", "yes", "no"), default="both", help="which policies table4 trains")
+    parser.add_argument("--label", default="", help="name of a variant in the records of table3 and table4")
+    parser.add_argument(
+        "--goals",
+        choices=("both", "yes", "no"),
+        default="both",
+        help="which policies table4 trains; yes: pairs for searches",
+    )
     parser.add_argument("--search", action="store_true", help="search where the policy fails")
+    parser.add_argument("--begin", default="", help="run whose weights and network to begin with")
     parser.add_argument("--keep", default="", help="folder for the runs; existing ones are resumed")
     parser.add_argument("--out", type=Path, help="file to which the records are appended")
     parser.add_argument("--quiet", action="store_true", help="no progress on standard error")

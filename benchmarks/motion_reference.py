@@ -33,7 +33,7 @@ class Reference:
         bodies += [self._add(joints, _moved(model.flange, piece)) for piece in robot.gripper.pieces]
         held = view.world.carried(view.robot, view.scene)
         if held is not None:
-            bodies += [self._add(joints, _moved(model.flange, piece)) for piece in held.pieces]
+            bodies += [self._add(joints, _moved(model.flange, piece)) for piece in held[1]]
         stands = view.obstacles
         rows = [slice(a, b) for a, b in zip(stands.start[:-1], stands.start[1:], strict=True)]
         obstacles = [self._add(0, stands.vertices[row]) for row in rows]

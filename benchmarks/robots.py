@@ -23,8 +23,8 @@ and `delayed` random runs of it are simulated.
 `--delays`: each seed is planned with robots that move at the same time, and its schedule checked under any delays, in
 the order of disassembly and reversed: `overlaps` pairs of motions and rests of two arms that can coincide, `early`
 pairs of a motion and a part that stands only because of a delay, `ranges` and `distances` of the proofs. `delayed`
-random runs are simulated; some more, `sampled`, are checked every 0.01 rad and 10 ms instead. `removed` waits for
-another arm are left out, one at a time; without `unsafe` of them the proof fails.
+random runs are simulated. `removed` waits for another arm are left out, one at a time; without `unsafe` of them the
+proof fails.
 `--support`: each seed is planned twice, without and with parts that are released and held again.
 `--midway`: each seed is planned, then planned again from three of its keyframes at which a part is held, as after a
 disruption: `fresh` from structure and cell alone, `kept` with the keyframe graph and the verdicts of the first plan.
@@ -55,7 +55,6 @@ from falsework.robots.cells.warm_up import compile_kernels
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.checks.delays import check_delays
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
-from falsework.robots.checks.schedule import check_schedule
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import inverse_pose, pose
 from falsework.robots.planning.hybrid_result import HybridResult
@@ -95,7 +94,6 @@ class Arguments:
     plans: Path | None = None
     """Folder to which the plans of `--together` are written, to check them where Pinocchio is installed."""
     delays: bool = False
-    sampled_runs: int = 10
     removed_waits: int = 5
     out: Path | None = None
     """File to which the records are appended."""
@@ -341,7 +339,6 @@ def _checked(plan: RobotPlan, assembly: Assembly, cell: Cell, arguments: Argumen
     report = check_robot_plan(plan, assembly, cell)
     return {
         "check": report.good and runs.good,
-        "timed_samples": report.timed_samples,
         "delayed": arguments.delayed,
         "out_of_order": runs.out_of_order,
         "stuck": runs.stuck,
@@ -383,13 +380,6 @@ def _under_delays(plan: RobotPlan, assembly: Assembly, cell: Cell, arguments: Ar
     proof = check_delays(plan, judge)
     cpu = time.process_time() - work
     runs = simulate(plan, runs=arguments.delayed)
-    work, found, moments = time.process_time(), [], 0
-    for run in range(arguments.sampled_runs):
-        late = 1 + np.random.default_rng(run).random(len(graph.nodes))
-        more, count = check_schedule(plan, cell, judge, stretch=late)
-        found += more
-        moments += count
-    sampled_cpu = time.process_time() - work
     waits = [edge for edge in graph.edges if edge.why in ("part", "volume")]
     chosen = np.random.default_rng(0).permutation(len(waits))[: arguments.removed_waits].tolist()
     unsafe = 0
@@ -409,10 +399,6 @@ def _under_delays(plan: RobotPlan, assembly: Assembly, cell: Cell, arguments: Ar
         "stuck": runs.stuck,
         "outside": runs.outside,
         "delayed_makespan": spread(runs.makespans.tolist()),
-        "sampled": arguments.sampled_runs,
-        "sampled_moments": moments,
-        "sampled_collisions": len(found),
-        "sampled_cpu_seconds": round(sampled_cpu, 2),
         "removed": len(chosen),
         "unsafe": unsafe,
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from statistics import fmean
+from typing import Any
 
 from table_model import Record, Runs, Table, number
 
@@ -50,12 +51,12 @@ def of_wide_data(record: Record) -> bool:
     return record["evaluated"] == "all states"
 
 
-def answered(policy: bool) -> Callable[[Runs], str]:
-    """Return a column with the number of requests that got a plan in time, with a policy or without."""
+def of_policy(policy: bool, deadline: float, value: Callable[[Record], Any]) -> Callable[[Runs], str]:
+    """Return a column with a figure of replanning within a deadline, with a policy or without."""
 
     def write(runs: Runs) -> str:
-        run = next((run for run in runs if run["policy"] is policy), None)
-        return "" if run is None else f"{run['found']} of {run['asked']}"
+        found = [value(run) for run in runs if (run["policy"], run["deadline"]) == (policy, deadline)]
+        return number(found[-1]) if found else ""
 
     return write
 
@@ -367,6 +368,24 @@ TABLES = {
         benchmark="learning table4",
         where=lambda record: record["goal_conditioned"] and "random" in record["test"],
     ),
+    "paper-table-5": Table(
+        "learning",
+        (*STRUCTURE_AND_ROBOTS, ("network", "{policy}")),
+        (
+            ("mean over draws, %", over_draws("success", "%")),
+            ("states of training, %", "{train.success:%}"),
+            ("seconds", "{seconds}"),
+        ),
+        benchmark="learning draws",
+        where=lambda record: record.get("label", "").startswith("network-"),
+    ),
+    "fine-tuning": Table(
+        "learning",
+        (*STRUCTURE_AND_ROBOTS, ("begins with", "{label}")),
+        (("mean over draws, %", over_draws("success", "%")), ("seconds", "{seconds}")),
+        benchmark="learning draws",
+        where=lambda record: record.get("label") in ("tuned", "untuned"),
+    ),
     "networks": Table(
         "learning",
         (*STRUCTURE, ("network", "{policy}")),
@@ -376,9 +395,18 @@ TABLES = {
     "replanning-deadlines": Table(
         "replan",
         STRUCTURE,
-        (("search alone", answered(False)), ("with a policy", answered(True))),
+        (
+            *(
+                (f"{seconds:g} s, {who}", of_policy(policy, seconds, lambda run: run["found"]))
+                for seconds in (0.01, 0.1, 1.0)
+                for who, policy in (("search", False), ("policy", True))
+            ),
+            ("median, search", of_policy(False, 1.0, lambda run: run["seconds"][1])),
+            ("median, policy", of_policy(True, 1.0, lambda run: run["seconds"][1])),
+        ),
         benchmark="replan deadline",
-        where=lambda record: record["deadline"] == 1,
+        where=lambda record: record["deadline"] in (0.01, 0.1, 1.0) and record["asked"] == 50,
+        apart="policy",
     ),
     "service": Table(
         "service",

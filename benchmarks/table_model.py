@@ -133,6 +133,8 @@ class Table:
     """Name of the benchmark in the records, or several; the name of the file if empty."""
     where: Callable[[Record], bool] = lambda _: True
     """Which records belong to the table."""
+    apart: str = ""
+    """Key of runs of one row that are compared: of each value there are the runs at the newest commit that has it."""
 
     def rows(self) -> list[Runs]:
         """Return the newest runs of each subject, in the order of their first records."""
@@ -141,7 +143,11 @@ class Table:
         for record in records(self.source):
             if record["benchmark"] in names and self.where(record):
                 groups.setdefault(tuple(fill_in(template, [record]) for _, template in self.key), []).append(record)
-        return [[run for run in runs if run["commit"] == runs[-1]["commit"]] for runs in groups.values()]
+        newest = [{run.get(self.apart): run["commit"] for run in runs} for runs in groups.values()]
+        return [
+            [run for run in runs if run["commit"] == last[run.get(self.apart)]]
+            for runs, last in zip(groups.values(), newest, strict=True)
+        ]
 
     def text(self, page: Path) -> str:
         """Return the table as Markdown, with its devices and a link to its data."""

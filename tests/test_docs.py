@@ -51,8 +51,7 @@ def in_few_steps(words: list[str]) -> list[str]:
 @pytest.fixture
 def nobody_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     """A page in the browser is served, and closed at once."""
-    monkeypatch.setattr("falsework.viewer.page.page.Page.wait", lambda _: None)
-    monkeypatch.setattr("falsework.viewer.cells.cell_page.CellPage.wait", lambda _: None)
+    monkeypatch.setattr("falsework.viewer.web.served_page.ServedPage.wait", lambda _: None)
     monkeypatch.setattr("webbrowser.open", lambda *_: True)
 
 

@@ -52,7 +52,7 @@ def test_a_robot_plan_and_its_cell(tmp_path: Path) -> None:
     done = fw.find_plans(stack, robots=1).plans[0]
     from falsework.robots import Keyframe, RobotStep, Trajectory
     from falsework.robots.model.cell import cell_identity
-    from falsework.robots.plans.robot_record import records_of
+    from falsework.robots.plans.robot_plan import records_of
 
     frames = [Keyframe(cell.homes, (None, None))] * (len(done) + 1)
     still = np.stack([cell.homes[0]] * 2)

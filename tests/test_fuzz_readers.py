@@ -15,7 +15,7 @@ COUNT, SEED, PIECES = 500, 20, 10
 """Inputs, and the parts in which they are tested."""
 SLOWEST = 10.0
 """Seconds for an input, on machines that do other things besides."""
-CORE = {"assembly.json", "1.obj", "glb", "compas dem", "plan", "graph", "npy states", "cell", "robot plan"}
+CORE = {"assembly.json", "1.obj", "glb", "compas-dem", "plan", "graph", "npy states", "cell", "robot plan"}
 
 
 @pytest.fixture(scope="module")

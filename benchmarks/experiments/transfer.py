@@ -12,11 +12,11 @@ import torch
 from experiments.structure_generator import rotated_copies
 
 from falsework import Assembly
-from falsework.assembly.symmetry import symmetries
 from falsework.learn import Environment, ImitationPhase, Policy, PolicySettings, make_policy, transfer
 from falsework.learn.algorithms.imitation import Imitation
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, training_task
 from falsework.learn.data.solvable_states import SolvableStates
+from falsework.learn.data.symmetry import symmetries
 from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.networks.factory import describe, share
 from falsework.learn.training.evaluate import greedy_success, sample

@@ -9,4 +9,4 @@ __getattr__, __dir__, __all__ = _lazy_exports(__name__)
 
 # Pictures are drawn by a package that those of the objects must not know.
 _register_display("falsework.viewer.notebook:html_of")
-_register_painter("falsework.viewer.pictures.frame:state_frame")
+_register_painter("falsework.viewer.pictures.contact_sheet:state_frame")

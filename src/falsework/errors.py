@@ -34,6 +34,10 @@ class AssemblyError(InputError):
     """Parts, boundary, density or friction that do not make an assembly."""
 
 
+class UntouchedPartError(AssemblyError):
+    """A part of an assembly touches no other."""
+
+
 class StateError(InputError):
     """State or action of the wrong length or with invalid values."""
 

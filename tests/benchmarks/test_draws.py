@@ -15,7 +15,7 @@ import draws  # noqa: E402
 import learning  # noqa: E402
 
 from falsework import StabilityOracle, StabilitySettings, load_structure  # noqa: E402
-from falsework.assembly.symmetry import symmetries  # noqa: E402
+from falsework.learn.data.symmetry import symmetries  # noqa: E402
 from falsework.learn.data.symmetry_augmentation import symmetric_images  # noqa: E402
 from falsework.search.device.oracle import tensor_oracle  # noqa: E402
 

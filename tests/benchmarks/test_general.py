@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from experiments.general_cases import CASES, TESTED, evaluate_case
+from experiments.general_training import GeneralSettings, GeneralTraining
+from experiments.structure_batches import StructureBatches
 from experiments.structure_generator import TRAINED, UNSEEN
 from general import PER_FILE, VALIDATION, Library, Options, card, case_label, number_of
 
 from falsework.learn import PolicySettings
-from falsework.learn.data.structure_batches import StructureBatches
-from falsework.learn.training.general import GeneralSettings, GeneralTraining
 
 SMALL = PolicySettings("local", layers=1, channels=16, heads=2)
 

@@ -44,7 +44,7 @@ def refused(falsework: Run, tmp_path: Path) -> Callable[..., None]:
 
 
 def test_no_such_folder(refused: Callable[..., None], tmp_path: Path) -> None:
-    refused("nowhere", tmp_path / "nowhere")
+    refused(("there is no ", "nowhere; give a folder of meshes or a file"), tmp_path / "nowhere")
 
 
 def test_no_name_at_all(refused: Callable[..., None]) -> None:
@@ -52,12 +52,20 @@ def test_no_name_at_all(refused: Callable[..., None]) -> None:
 
 
 def test_no_such_built_in(refused: Callable[..., None]) -> None:
-    refused("arhc", "arhc:blocks=7")
+    refused("built-in structure 'arhc:blocks=7'; built in are arch, ", "arhc:blocks=7")
 
 
-@pytest.mark.parametrize("spec", ["arch:bloks=7", "arch:blocks=many", "arch:blocks", "arch:blocks=-3"])
-def test_wrong_parameters_of_a_built_in(spec: str, refused: Callable[..., None]) -> None:
-    refused("block" if "blok" not in spec else "bloks", spec)
+@pytest.mark.parametrize(
+    ("spec", "hint"),
+    [
+        ("arch:bloks=7", "arch has no parameter 'bloks'; it has blocks, radius"),
+        ("arch:blocks=many", "blocks is many; give a whole number from 3 to 1000 (voussoirs)"),
+        ("arch:blocks", "'blocks' is not name=value, such as blocks=15"),
+        ("arch:blocks=-3", "blocks is -3; give a whole number from 3 to 1000 (voussoirs)"),
+    ],
+)
+def test_wrong_parameters_of_a_built_in(spec: str, hint: str, refused: Callable[..., None]) -> None:
+    refused(hint, spec)
 
 
 def test_a_negative_seed(refused: Callable[..., None]) -> None:
@@ -66,18 +74,18 @@ def test_a_negative_seed(refused: Callable[..., None]) -> None:
 
 def test_folder_without_meshes(refused: Callable[..., None], tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    refused("empty", tmp_path / "empty")
+    refused(("no mesh in ", "empty; put one file per part there"), tmp_path / "empty")
 
 
 def test_damaged_description(refused: Callable[..., None], stack: Path) -> None:
     (stack / "assembly.json").write_text('{"boundary": [0')
-    refused("assembly.json", stack)
+    refused(("cannot read ", "assembly.json: ", "line 1 column 16", "write it again"), stack)
 
 
 def test_mesh_not_closed(refused: Callable[..., None], stack: Path) -> None:
     # Only the lower half of a cube: there is no single way to close it.
     (stack / "1.obj").write_text(CUBE + "f 1 3 2\nf 1 4 3\nf 1 2 6\nf 1 6 5\n")
-    refused(("1", "closed"), stack)
+    refused("part 1 is not closed: 6 edges have a face on one side only; close it", stack)
 
 
 def test_mesh_that_is_safe_to_repair_is_repaired_with_a_warning(
@@ -91,32 +99,32 @@ def test_mesh_that_is_safe_to_repair_is_repaired_with_a_warning(
     assert finished.code == 0
     assert finished.error.startswith("falsework: warning: ")
     assert finished.error.count("\n") == 1
-    assert "1" in finished.error
+    assert "part 1 was repaired: " in finished.error
 
 
 def test_zero_volume(refused: Callable[..., None], stack: Path) -> None:
     (stack / "2.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 3 2\n")
-    refused(("2", "volume"), stack)
+    refused("part 2 has no volume; export it as a solid", stack)
 
 
 def test_interpenetration_names_both_parts_and_the_depth(
     refused: Callable[..., None], write_structure: Write, tmp_path: Path
 ) -> None:
     folder = write_structure(tmp_path / "deep", [BOTTOM, ((0, 0, 0.5), (2, 1, 2)), TOP])
-    refused(("0", "1", "500 mm"), folder)
+    refused("parts 0 and 1 pass through each other by 500 mm", folder)
 
 
 def test_parts_missing(refused: Callable[..., None], write_structure: Write, tmp_path: Path) -> None:
     folder = write_structure(tmp_path / "gone", parts=4)
-    refused(("3", "4"), folder)
+    refused("gone has 3 meshes, but assembly.json says 4 parts", folder)
 
 
 def test_ids_doubled(refused: Callable[..., None], write_structure: Write, tmp_path: Path) -> None:
-    refused(("0", "twice"), write_structure(tmp_path / "twice", boundary=[0, 0]))
+    refused("boundary names part 0 twice; give every id once", write_structure(tmp_path / "twice", boundary=[0, 0]))
 
 
 def test_boundary_out_of_range(refused: Callable[..., None], stack: Path) -> None:
-    refused("3", stack, "--boundary", "0,3")
+    refused("boundary is part 3, which does not exist; give an id from 0 to 2", stack, "--boundary", "0,3")
 
 
 def test_boundary_is_no_list_of_parts(refused: Callable[..., None], stack: Path) -> None:
@@ -164,12 +172,18 @@ def test_wrong_density(value: str, refused: Callable[..., None], stack: Path) ->
 
 def test_nan_in_a_mesh(refused: Callable[..., None], stack: Path) -> None:
     (stack / "2.obj").write_text((stack / "2.obj").read_text().replace("v 0.5", "v nan", 1))
-    refused("2", stack)
+    refused("part 2: vertex 0 is NaN or infinite; export the mesh again", stack)
 
 
 @pytest.mark.parametrize(
     ("states", "hint"),
-    [([[2, 1]], "3"), ([[2, 1, 3]], "3"), ([[1, 1, 1]], "boundary"), ([[2, 1, 1], [2, 1]], "length"), ("text", "list")],
+    [
+        ([[2, 1]], "states have shape (1, 2); expected (batch, 3), one value for each part"),
+        ([[2, 1, 3]], "state 0 has value 3 at part 2; use 0 (removed), 1 (installed) or 2 (held)"),
+        ([[1, 1, 1]], "state 0 has boundary part 0 as 1; boundary parts are always 2"),
+        ([[2, 1, 1], [2, 1]], "states have different lengths; each needs 3 values"),
+        ("text", "contains no list; give a JSON list of states"),
+    ],
 )
 def test_wrong_states(states: object, hint: str, falsework: Run, stack: Path, tmp_path: Path) -> None:
     file = tmp_path / "states.json"
@@ -179,16 +193,16 @@ def test_wrong_states(states: object, hint: str, falsework: Run, stack: Path, tm
 
 def test_wrong_array_of_states(falsework: Run, stack: Path, tmp_path: Path) -> None:
     np.save(tmp_path / "states.npy", np.ones((2, 7)))
-    expect(falsework("stability", stack, "--states", tmp_path / "states.npy"), 2, "7")
+    expect(falsework("stability", stack, "--states", tmp_path / "states.npy"), 2, "shape (2, 7); expected (batch, 3)")
 
 
 def test_no_file_of_states(falsework: Run, stack: Path, tmp_path: Path) -> None:
-    expect(falsework("stability", stack, "--states", tmp_path / "none.npy"), 2, "none.npy")
+    expect(falsework("stability", stack, "--states", tmp_path / "none.npy"), 2, "there is no file", "none.npy")
 
 
 @pytest.mark.parametrize("robots", ["0", "-1"])
 def test_fewer_than_one_robot(robots: str, refused: Callable[..., None], stack: Path) -> None:
-    refused(("robots", "1"), stack, "--robots", robots)
+    refused(f"{robots} robots cannot hold anything; give at least 1", stack, "--robots", robots)
 
 
 def test_robots_that_no_plan_file_could_hold(refused: Callable[..., None], stack: Path) -> None:
@@ -217,13 +231,13 @@ def test_no_plan(name: str, hint: str, falsework: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("option", "value", "hint"),
     [
-        ("--missing", "0", "boundary"),
-        ("--missing", "9", "9"),
-        ("--missing", "lid", "lid"),
-        ("--fixed", "1,1", "twice"),
-        ("--end", "211111", "3"),
-        ("--begin", "somewhere", "--begin"),
-        ("--alternatives", "0", "1"),
+        ("--missing", "0", "missing part 0 is boundary, which is always there; leave it out"),
+        ("--missing", "9", "missing part 9 does not exist; parts are numbered 0 to 2"),
+        ("--missing", "lid", "--missing lid: 'lid' is not a part; give numbers such as 3,4"),
+        ("--fixed", "1,1", "fixed part 1 is listed twice; list it once"),
+        ("--end", "211111", "--end 211111: a state of 6 values does not fit 3 parts"),
+        ("--begin", "somewhere", "--begin somewhere: 'somewhere' is neither a part nor a file; give complete, empty"),
+        ("--alternatives", "0", "0 alternatives is not a number of plans; ask for at least 1"),
     ],
 )
 def test_wrong_task(option: str, value: str, hint: str, refused: Callable[..., None], stack: Path) -> None:
@@ -238,7 +252,7 @@ def test_complete_structure_unstable(refused: Callable[..., None], write_structu
 
 def test_place_that_cannot_be_written(falsework: Run, stack: Path, tmp_path: Path) -> None:
     finished = falsework("plan", stack, "--out", tmp_path / "no" / "plan.json")
-    expect(finished, 2, "plan.json")
+    expect(finished, 2, "cannot write ", "plan.json: there is no folder ", "make it first")
 
 
 @pytest.mark.parametrize("options", [(), ("--sets", "64,128")])
@@ -254,5 +268,5 @@ def test_archives_are_not_written_under_names_of_other_files(
 
 def test_export_does_not_replace_what_is_there(falsework: Run, stack: Path) -> None:
     before = {path: path.read_bytes() for path in stack.iterdir()}
-    expect(falsework("export", stack, "--out", stack), 2, "empty")
+    expect(falsework("export", stack, "--out", stack), 2, "exists and is not empty; choose a new folder")
     assert {path: path.read_bytes() for path in stack.iterdir()} == before

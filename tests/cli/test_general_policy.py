@@ -7,13 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from experiments.general_training import GeneralSettings, GeneralTraining
+from experiments.labelled_states import LabelSettings, label_states
+from experiments.structure_batches import StructureBatches
 
 from falsework import load_structure
 from falsework.learn import PolicySettings
-from falsework.learn.data.labelled_states import LabelSettings, label_states
-from falsework.learn.data.structure_batches import StructureBatches
 from falsework.learn.training import checkpoint
-from falsework.learn.training.general import GeneralSettings, GeneralTraining
 
 ARCH = "arch:blocks=4"
 
@@ -64,7 +64,7 @@ def test_what_is_missing_is_said(
         (("evaluate", run), "is a policy for any structure; name the structure"),
         (("plan", ARCH, "--guide", "general"), "this installation has no policy for any structure; make one"),
         (("plan", ARCH, "--guide", tmp_path / "no"), "there is no folder"),
-        (("plan", ARCH, "--guide", run, "--robots", "auto"), "--guide takes neither"),
+        (("plan", ARCH, "--guide", run, "--robots", "auto"), "--robots auto takes no --guide yet"),
         (("replan", run, "--policy", run), "is a policy for any structure; name the structure"),
     ):
         answer = falsework(*command)

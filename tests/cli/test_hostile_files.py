@@ -14,7 +14,7 @@ import pytest
 
 from falsework import find_plans, load_cell, make_task
 from falsework.errors import CellError, InputError, PlanError
-from falsework.interop.compas_read import load_compas
+from falsework.interop.compas_read import READER as COMPAS
 from falsework.robots.plans.robot_plan_file import load_robot_plan
 from falsework.search.plans.plan_file import load_plan
 from falsework.search.problem.state_graph import load_state_graph
@@ -199,7 +199,7 @@ def test_compas_data(tmp_path: Path, value: str) -> None:
     for written in (value, text.replace('"x": 0', f'"x": {value}'), text.replace("[0, 1, 2]", f"[0, 1, {value}]")):
         file.write_text(written)
         with pytest.raises(InputError) as error:
-            load_compas(file)
+            COMPAS.read(file)
         assert "\n" not in str(error.value)
 
 

@@ -90,7 +90,7 @@ def test_margins_that_no_state_can_have(falsework: Run, tmp_path: Path) -> None:
         (("--margin", "tilt=1deg,tilt=2deg"), "given twice"),
         (("--margin", "tilt=89deg"), "too steep"),
         (("--margin", "placement=0.4m"), "demand a smaller error"),
-        (("--maximise-margin", "friction", "--alternatives", "2"), "leave out --alternatives"),
+        (("--maximise-margin", "friction", "--alternatives", "2"), "--maximise-margin takes no --alternatives yet"),
     ],
 )
 def test_wrong_margins(falsework: Run, stack: Path, tmp_path: Path, options: tuple[str, ...], words: str) -> None:

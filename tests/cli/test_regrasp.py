@@ -54,10 +54,10 @@ def test_support(falsework: Run, tmp_path: Path) -> None:
     [
         (("--props", "-1"), "--props -1 is not a number of props"),
         (("--props", "1"), "no part has a place for a prop"),
-        (("--allow-regrasp", "--missing", "2"), "take no missing parts"),
-        (("--allow-regrasp", "--alternatives", "2"), "take neither"),
-        (("--allow-regrasp", "--margin", "tilt=1deg"), "take neither"),
-        (("--allow-regrasp", "--resume"), "take neither"),
+        (("--allow-regrasp", "--missing", "2"), "--allow-regrasp takes no --missing yet"),
+        (("--allow-regrasp", "--alternatives", "2"), "--allow-regrasp takes no --alternatives yet"),
+        (("--allow-regrasp", "--margin", "tilt=1deg"), "--allow-regrasp takes no --margin yet"),
+        (("--allow-regrasp", "--resume"), "--allow-regrasp takes no --resume yet"),
     ],
 )
 def test_bad_input(falsework: Run, options: tuple[str, ...], message: str, tmp_path: Path) -> None:

@@ -9,16 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework import Assembly, load_structure
+from falsework import Assembly, export, load_structure
 from falsework.assembly import ContactWarning
 from falsework.cli.main import main
 from falsework.errors import AssemblyError, InputError, MeshError, ReadWarning
 from falsework.interop import to_compas
-from falsework.interop.compas_read import load_compas
-from falsework.interop.compas_write import write_compas
+from falsework.interop.compas_read import READER as COMPAS
 
 MODEL = "compas_model.models/Model"
 KINDS = ("meshes", "assembly", "dem")
+
+
+COMPAS_FORMATS = {"meshes": "compas", "assembly": "compas-assembly", "dem": "compas-dem"}
 
 
 @pytest.fixture
@@ -31,8 +33,8 @@ def compas() -> Any:
 @pytest.mark.parametrize("spec", ["arch:blocks=7", "vault", "bottle"])
 def test_there_and_back_without_the_packages(spec: str, kind: Any, tmp_path: Path) -> None:
     assembly = load_structure(spec)
-    write_compas(assembly, tmp_path / "out.json", kind)
-    again = load_compas(tmp_path / "out.json")
+    export(assembly, tmp_path / "out.json", format=COMPAS_FORMATS[kind])
+    again = COMPAS.read(tmp_path / "out.json")
     assert again.identity == assembly.identity
     assert again.names == assembly.names
 
@@ -41,16 +43,16 @@ def test_there_and_back_without_the_packages(spec: str, kind: Any, tmp_path: Pat
 def test_there_and_back_through_the_packages(kind: Any, compas: Any, arch: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_assembly")
     pytest.importorskip("compas_dem")
-    write_compas(arch, tmp_path / "out.json", kind)
+    export(arch, tmp_path / "out.json", format=COMPAS_FORMATS[kind])
     compas.json_dump(compas.json_load(tmp_path / "out.json"), tmp_path / "again.json")
-    again = load_compas(tmp_path / "again.json")
+    again = COMPAS.read(tmp_path / "again.json")
     assert again.identity == arch.identity
     assert again.names == arch.names
 
 
 def test_compas_assembly_sees_blocks_supports_and_interfaces(compas: Any, arch: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_assembly")
-    write_compas(arch, tmp_path / "out.json", "assembly")
+    export(arch, tmp_path / "out.json", format="compas-assembly")
     found = compas.json_load(tmp_path / "out.json")
     assert [block.volume() for block in found.blocks()] == pytest.approx(arch.mass.volume)
     supports = [found.graph.node_attribute(node, "is_support") for node in found.graph.nodes()]
@@ -65,17 +67,17 @@ def test_compas_assembly_sees_blocks_supports_and_interfaces(compas: Any, arch: 
 
 def test_a_line_is_an_interface_of_two_points(compas: Any, beam_on_ridge: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_assembly")
-    write_compas(beam_on_ridge, tmp_path / "out.json", "assembly")
+    export(beam_on_ridge, tmp_path / "out.json", format="compas-assembly")
     (interface,) = compas.json_load(tmp_path / "out.json").graph.edge_attribute((1, 2), "interfaces")
     assert np.allclose(interface.points, beam_on_ridge.contacts.points[-2:])
     assert interface.size == pytest.approx(beam_on_ridge.contacts.areas[1])
     with pytest.warns(ContactWarning):
-        assert load_compas(tmp_path / "out.json").identity == beam_on_ridge.identity
+        assert COMPAS.read(tmp_path / "out.json").identity == beam_on_ridge.identity
 
 
 def test_compas_dem_finds_the_same_contacts(compas: Any, arch: Assembly, tmp_path: Path) -> None:
     pytest.importorskip("compas_dem")
-    write_compas(arch, tmp_path / "out.json", "dem")
+    export(arch, tmp_path / "out.json", format="compas-dem")
     model = compas.json_load(tmp_path / "out.json")
     assert [element.is_support for element in model.elements()] == arch.boundary.tolist()
     model.compute_contacts(tolerance=1e-4, minimum_area=1e-4)
@@ -92,7 +94,7 @@ def test_an_assembly_made_with_compas_assembly(compas: Any, tmp_path: Path) -> N
         block = datastructures.Block.from_shape(Box(1.0).transformed(Translation.from_vector([0, 0, level + 0.5])))
         model.add_block(block, is_support=level == 0)
     compas.json_dump(model, tmp_path / "tower.json")
-    tower = load_compas(tmp_path / "tower.json", friction=0.7)
+    tower = COMPAS.read(tmp_path / "tower.json", friction=0.7)
     assert tower.boundary.tolist() == [True, False, False]
     assert tower.mass.volume == pytest.approx(1.0)
     assert tower.mass.center[:, 2] == pytest.approx([0.5, 1.5, 2.5])
@@ -118,7 +120,7 @@ def test_a_model_of_compas_dem_with_transformations(compas: Any, tmp_path: Path)
     model.add_element(top, parent=middle)
     model.transformation = Translation.from_vector([10, 0, 0])
     compas.json_dump(model, tmp_path / "tower.json")
-    tower = load_compas(tmp_path / "tower.json")
+    tower = COMPAS.read(tmp_path / "tower.json")
     assert tower.names == ("foot", "middle", "top")
     assert tower.boundary.tolist() == [True, False, False]
     for element, mesh_of in zip(model.elements(), tower.meshes, strict=True):
@@ -134,7 +136,7 @@ def test_meshes_and_shapes_in_a_dictionary_in_millimetres(compas: Any, tmp_path:
     content = {"site": {"foot": box, "head": Box(1000.0, frame=Frame([0, 0, 1000], [0, 1, 0], [-1, 0, 0]))}}
     compas.json_dump({**content, "north": Point(0, 1, 0)}, tmp_path / "model.json")
     with pytest.warns(ReadWarning, match=r"what bounds no solid was left out: 1 compas\.geometry/Point"):
-        model = load_compas(tmp_path / "model.json", unit="mm", boundary=[0])
+        model = COMPAS.read(tmp_path / "model.json", unit="mm", boundary=[0])
     assert model.mass.volume == pytest.approx(1.0)
     assert model.mass.center[:, 2] == pytest.approx([0.0, 1.0])
     assert len(model.contacts) == 1
@@ -194,15 +196,15 @@ def named(name: str, **attributes: Any) -> dict[str, Any]:
 def test_what_cannot_be_read(content: str, kind: type[Exception], hint: str, tmp_path: Path) -> None:
     (tmp_path / "model.json").write_text(content)
     with pytest.raises(kind, match=hint) as caught:
-        load_compas(tmp_path / "model.json")
+        COMPAS.read(tmp_path / "model.json")
     assert "\n" not in str(caught.value)
 
 
 def test_no_such_file_and_no_such_kind(arch: Assembly, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no file"):
-        load_compas(tmp_path / "model.json")
+        COMPAS.read(tmp_path / "model.json")
     with pytest.raises(InputError, match="meshes, assembly, dem"):
         to_compas(arch, "brep")  # type: ignore[arg-type]
     (tmp_path / "bytes.json").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="not text"):
-        load_compas(tmp_path / "bytes.json")
+        COMPAS.read(tmp_path / "bytes.json")

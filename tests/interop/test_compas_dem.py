@@ -194,7 +194,7 @@ def test_what_cannot_act_is_refused() -> None:
         compas_dem.solve(problem)
     problem = stack()
     problem.add_boundary_condition("wind").add_surface_load(3, 0, [0, 0, -1])
-    with pytest.raises(InputError, match="surface loads; give point loads"):
+    with pytest.raises(InputError, match="it has a surface load; give a point load"):
         compas_dem.solve(problem)
 
 

@@ -13,12 +13,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from falsework import Assembly, Plan, load_structure
-from falsework.errors import FalseworkError
+from falsework.errors import InputError
 from falsework.geometry.mesh.obj import obj_text
 from falsework.interop import to_compas
-from falsework.interop.compas_read import load_compas
+from falsework.interop.compas_read import READER as COMPAS
 from falsework.interop.gltf import to_gltf
-from falsework.search.plans.plan_file import load_plan, plan_to_dict
+from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict
 
 MANY = settings(
     max_examples=120,
@@ -53,20 +53,45 @@ def damage(content: bytes, edits: list[tuple[int, str, bytes]]) -> bytes:
     return bytes(data)
 
 
-def only_one_line(read: Callable[[], Any]) -> None:
-    """Read; if that fails, then with a message for people."""
+def only_one_line(read: Callable[[], Any], path: Path, makes: type, again: Callable[[Any], Any]) -> str | None:
+    """Read: what comes of it is whole, or there is one line for people; either way nothing is left behind.
+
+    Args:
+        read: the file.
+        path: of it.
+        makes: class of what is read.
+        again: writes and reads what was read once more.
+
+    Returns:
+        The message, if there is one.
+    """
+    before = sorted(path.parent.iterdir())
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            read()
-    except FalseworkError as error:
+            found = read()
+            assert isinstance(found, makes)
+            assert isinstance(again(found), makes)
+    except InputError as error:
         text = str(error)
+        assert text
+        assert "\n" not in text
     except MemoryError:
         pytest.fail("a small file made the reader ask for all memory")
     else:
-        return
-    assert text
-    assert "\n" not in text
+        text = None
+    assert sorted(path.parent.iterdir()) == before
+    return text
+
+
+def plan_again(plan: Plan) -> Plan:
+    """What a plan file of a plan holds."""
+    return plan_from_dict(json.loads(json.dumps(plan_to_dict(plan))))
+
+
+def same_parts(assembly: Assembly) -> Assembly:
+    """The same structure from its parts, checked anew."""
+    return Assembly.from_meshes(assembly.meshes, boundary=assembly.boundary, contacts=assembly.contacts)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +105,7 @@ def small() -> Assembly:
 def test_damaged_plans(edits: Any, plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     path.write_bytes(damage(json.dumps(plan_to_dict(plan)).encode(), edits))
-    only_one_line(lambda: load_plan(path))
+    only_one_line(lambda: load_plan(path), path, Plan, plan_again)
 
 
 @MANY
@@ -100,7 +125,7 @@ def test_plans_with_wrong_values(data: st.DataObject, plan: Plan, tmp_path: Path
         break
     path = tmp_path / "plan.json"
     path.write_text(json.dumps(content))
-    only_one_line(lambda: load_plan(path))
+    only_one_line(lambda: load_plan(path), path, Plan, plan_again)
 
 
 @MANY
@@ -118,7 +143,7 @@ def test_damaged_meshes(edits: Any, kind: Any, small: Assembly, tmp_path: Path) 
         content = written if isinstance(written, bytes) else str(written).encode()
     path = tmp_path / f"0.{kind}"
     path.write_bytes(damage(content, edits))
-    only_one_line(lambda: load_structure(path, boundary=[0]))
+    only_one_line(lambda: load_structure(path, boundary=[0]), path, Assembly, same_parts)
 
 
 @MANY
@@ -126,7 +151,7 @@ def test_damaged_meshes(edits: Any, kind: Any, small: Assembly, tmp_path: Path) 
 def test_damaged_compas_data(edits: Any, kind: Any, small: Assembly, tmp_path: Path) -> None:
     path = tmp_path / "model.json"
     path.write_bytes(damage(json.dumps(to_compas(small, kind)).encode(), edits))
-    only_one_line(lambda: load_compas(path))
+    only_one_line(lambda: COMPAS.read(path), path, Assembly, same_parts)
 
 
 @MANY
@@ -134,4 +159,28 @@ def test_damaged_compas_data(edits: Any, kind: Any, small: Assembly, tmp_path: P
 def test_anything_at_all_as_a_mesh(content: bytes, suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"0{suffix}"
     path.write_bytes(content)
-    only_one_line(lambda: load_structure(path, boundary=[0]))
+    only_one_line(lambda: load_structure(path, boundary=[0]), path, Assembly, same_parts)
+
+
+def test_what_is_whole_is_read_and_what_is_cut_is_refused(plan: Plan, small: Assembly, tmp_path: Path) -> None:
+    """The two ends of the damage above, by their messages: none, and one that says which file is wrong and how."""
+    path = tmp_path / "plan.json"
+    text = json.dumps(plan_to_dict(plan))
+    path.write_text(text)
+    assert only_one_line(lambda: load_plan(path), path, Plan, plan_again) is None
+    path.write_text(text[: len(text) // 2])
+    message = only_one_line(lambda: load_plan(path), path, Plan, plan_again)
+    assert message is not None
+    assert message.startswith(f"{path} is not valid JSON")
+    model = tmp_path / "model.json"
+    model.write_text(json.dumps(to_compas(small)))
+    assert only_one_line(lambda: COMPAS.read(model), model, Assembly, same_parts) is None
+    model.write_text(json.dumps(to_compas(small)).replace("vertex", "corner"))
+    message = only_one_line(lambda: COMPAS.read(model), model, Assembly, same_parts)
+    assert message is not None
+    assert message.startswith(f"{model} cannot be read as COMPAS data")
+    mesh = tmp_path / "0.obj"
+    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n")
+    message = only_one_line(lambda: load_structure(mesh, boundary=[0]), mesh, Assembly, same_parts)
+    assert message is not None
+    assert str(mesh) in message

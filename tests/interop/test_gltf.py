@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework import Assembly, Plan, load_structure
+from falsework import Assembly, Plan, export, load_structure
 from falsework.errors import InputError, PlanError
-from falsework.interop.gltf import to_gltf, write_gltf
+from falsework.interop.gltf import to_gltf
 
 Validate = Callable[[bytes], dict[str, Any]]
 
@@ -88,7 +88,7 @@ def test_the_validator_looks(arch: Assembly, validate_gltf: Validate) -> None:
 @pytest.mark.parametrize("spec", ["arch:blocks=7", "vault", "bottle"])
 def test_a_structure_reads_back(spec: str, tmp_path: Path) -> None:
     assembly = load_structure(spec)
-    write_gltf(assembly, tmp_path / "out.glb")
+    export(assembly, tmp_path / "out.glb")
     again = load_structure(
         tmp_path / "out.glb",
         boundary=np.flatnonzero(assembly.boundary),
@@ -108,7 +108,7 @@ def test_far_from_the_origin_nothing_is_lost(arch: Assembly, tmp_path: Path) -> 
 
     away = np.array([4.0e5, 5.0e6, 300.0])
     meshes = [TriangleMesh.from_arrays(mesh.name, mesh.vertices + away, mesh.faces) for mesh in arch.meshes]
-    write_gltf(Assembly.from_meshes(meshes, boundary=arch.boundary), tmp_path / "far.glb")
+    export(Assembly.from_meshes(meshes, boundary=arch.boundary), tmp_path / "far.glb")
     scene = Scene((tmp_path / "far.glb").read_bytes())
     for part, (_, place) in scene.seen(0.0).items():
         assert np.abs(place - away - arch.mass.center[part]).max() < 1e-6
@@ -170,4 +170,4 @@ def test_what_cannot_be_written(arch: Assembly, plan: Plan, tmp_path: Path) -> N
     with pytest.raises(InputError, match="choose glb or gltf"):
         to_gltf(arch, kind="obj")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="nowhere"):
-        write_gltf(arch, tmp_path / "nowhere" / "out.glb")
+        export(arch, tmp_path / "nowhere" / "out.glb")

@@ -7,10 +7,12 @@ import json
 import numpy as np
 import pytest
 
-from falsework import doctor, load_structure
-from falsework.errors import InputError, ReadWarning
+from falsework import Outcome, doctor, find_plans, load_structure
+from falsework.errors import InputError, ReadWarning, UntouchedPartError
+from falsework.geometry.mesh.obj import obj_text
 from falsework.interop.posed_meshes import read_posed
 from falsework.utils.files.formats import reader_of
+from tests.assembly.test_settling import box, lid, peg, rings, tube, wheel
 
 FACES = [
     (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
@@ -125,3 +127,61 @@ def test_the_description_of_the_folder_counts_too(folder):
     report = doctor(folder)
     assert report.loads
     assert report.parts[1].name == "3"
+
+
+# Fits
+
+
+def write_posed(folder, meshes):
+    """Meshes in centimetres, each with a pose, as these projects write them."""
+    for number, mesh in enumerate(meshes):
+        scaled = type(mesh).from_arrays(mesh.name, 100 * mesh.vertices, mesh.faces)
+        (folder / f"{number}.obj").write_text(obj_text(scaled))
+    config = {str(number): {"final_state": [0, 0, 0]} for number in range(len(meshes))}
+    (folder / "config.json").write_text(json.dumps(config))
+    return folder
+
+
+FITS = [
+    *((wheel, (play,)) for play in (1e-4, 2e-4, 3e-4, 4e-4, 5e-4)),
+    *((peg, (play, lifted)) for play in (1e-4, 2e-4) for lifted in (1e-4, 2e-4, 3e-4)),
+    *((lid, (play,)) for play in (1e-4, 2e-4, 4e-4)),
+    *((rings, (count, play)) for count in (1, 2, 3) for play in (1e-4, 2e-4)),
+]
+
+
+@pytest.mark.parametrize(("fit", "lengths"), FITS)
+def test_parts_of_a_fit_settle_unasked_and_come_apart(fit, lengths, tmp_path):
+    """In every one of these a part touches nothing, or on one side only, where it is modelled."""
+    folder = write_posed(tmp_path, fit(*lengths))
+    with pytest.warns(
+        ReadWarning, match=r"(touches no other|is not stable), so parts settle .* by at most .*--settle 0"
+    ):
+        assembly = load_structure(folder, boundary=["0"])
+    assert assembly.settlement is not None
+    assert assembly.settlement.stopped.all()
+    assert 0 < assembly.settlement.motion.max() < 4 * max(lengths[-2:]) * len(assembly.names)
+    assert find_plans(assembly, robots=1).outcome is Outcome.FOUND
+
+
+def test_parts_stay_where_they_are_if_they_rest_there_or_are_told_to(tmp_path):
+    with pytest.raises(UntouchedPartError, match="touches no other part"):
+        load_structure(write_posed(tmp_path, wheel()), boundary=["0"], settle=0)
+    resting = tmp_path / "resting"
+    resting.mkdir()
+    assert load_structure(write_posed(resting, lid(0.0)), boundary=["0"]).settlement is None
+
+
+def test_an_unstable_assembly_settles_only_into_clearance(tmp_path):
+    """A wheel that touches its axle from below settles; a block that would fall anyhow is left where it is."""
+    axle, ring = (
+        tube("axle", 0.002, 0.01, -0.05, 0.05, axis="y"),
+        tube("ring", 0.0101, 0.03, -0.01, 0.01, axis="y", at=(0, 0, 1e-4)),
+    )
+    with pytest.warns(ReadWarning, match="the complete assembly is not stable, so parts settle"):
+        hung = load_structure(write_posed(tmp_path, [axle, ring]), boundary=["0"])
+    assert hung.settlement is not None
+    falls = tmp_path / "falls"
+    falls.mkdir()
+    wall, block = box("wall", (0, 0, 0), (0.1, 0.1, 0.1)), box("block", (0.1, 0, 0), (0.2, 0.1, 0.1))
+    assert load_structure(write_posed(falls, [wall, block]), boundary=["0"]).settlement is None

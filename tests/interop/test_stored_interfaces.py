@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework import Assembly, StabilityOracle, load_structure
+from falsework import Assembly, StabilityOracle, export, load_structure
 from falsework.assembly import ContactWarning, complete_state
 from falsework.assembly.store import save_assembly
 from falsework.cli.main import main
 from falsework.errors import AssemblyError, InputError
-from falsework.interop.compas_read import load_compas, read_compas
-from falsework.interop.compas_write import write_compas
+from falsework.interop.compas_read import READER as COMPAS
+from falsework.interop.compas_read import read_compas
 
 
 @pytest.fixture
 def written(arch: Assembly, tmp_path: Path) -> Path:
-    write_compas(arch, tmp_path / "arch.json", "assembly")
+    export(arch, tmp_path / "arch.json", format="compas-assembly")
     return tmp_path / "arch.json"
 
 
@@ -36,7 +36,7 @@ def changed(path: Path, change: Callable[[list[dict[str, Any]]], Any]) -> Path:
 
 
 def test_what_was_found_and_stored_comes_back(arch: Assembly, written: Path) -> None:
-    found, stored = load_compas(written), load_compas(written, interfaces="stored")
+    found, stored = COMPAS.read(written), COMPAS.read(written, interfaces="stored")
     assert np.array_equal(stored.contacts.parts, arch.contacts.parts)
     assert np.allclose(stored.contacts.normals, arch.contacts.normals)
     assert np.allclose(stored.contacts.areas, arch.contacts.areas)
@@ -50,26 +50,26 @@ def test_what_was_found_and_stored_comes_back(arch: Assembly, written: Path) -> 
 
 
 def test_lines_come_back_with_their_normals(beam_on_ridge: Assembly, tmp_path: Path) -> None:
-    write_compas(beam_on_ridge, tmp_path / "beam.json", "assembly")
+    export(beam_on_ridge, tmp_path / "beam.json", format="compas-assembly")
     with pytest.warns(ContactWarning):
-        stored = load_compas(tmp_path / "beam.json", interfaces="stored")
+        stored = COMPAS.read(tmp_path / "beam.json", interfaces="stored")
     assert stored.contacts.dimension.tolist() == beam_on_ridge.contacts.dimension.tolist()
     assert np.allclose(stored.contacts.normals, beam_on_ridge.contacts.normals)
 
 
 def test_order_of_corners_and_of_parts_does_not_matter(written: Path) -> None:
-    before = load_compas(written, interfaces="stored")
-    after = load_compas(changed(written, lambda some: some[0]["data"]["points"].reverse()), interfaces="stored")
+    before = COMPAS.read(written, interfaces="stored")
+    after = COMPAS.read(changed(written, lambda some: some[0]["data"]["points"].reverse()), interfaces="stored")
     assert np.allclose(after.contacts.normals, before.contacts.normals)
     assert np.allclose(after.contacts.areas, before.contacts.areas)
 
 
 def test_comparison_says_what_differs(written: Path, recwarn: pytest.WarningsRecorder) -> None:
-    load_compas(written, interfaces="compare")
+    COMPAS.read(written, interfaces="compare")
     assert not recwarn.list
     changed(written, lambda some: some.clear())
     with pytest.warns(ContactWarning, match="7 of 7 stored interfaces are found, 7 of them .* 1 pairs .* not stored: "):
-        load_compas(written, interfaces="compare")
+        COMPAS.read(written, interfaces="compare")
 
 
 def shift(some: list[dict[str, Any]]) -> None:
@@ -89,8 +89,8 @@ def flatten(some: list[dict[str, Any]]) -> None:
 def test_interfaces_that_do_not_fit_are_refused(change: Any, says: str, written: Path) -> None:
     changed(written, change)
     with pytest.raises(AssemblyError, match=says):
-        load_compas(written, interfaces="stored")
-    assert load_compas(written).part_count == 9
+        COMPAS.read(written, interfaces="stored")
+    assert COMPAS.read(written).part_count == 9
 
 
 def test_an_interface_of_no_part_is_refused(written: Path) -> None:
@@ -99,11 +99,11 @@ def test_an_interface_of_no_part_is_refused(written: Path) -> None:
     edges["0"]["99"] = next(iter(edges["0"].values()))
     written.write_text(json.dumps(data))
     with pytest.raises(AssemblyError, match="a part that does not exist"):
-        load_compas(written, interfaces="stored")
+        COMPAS.read(written, interfaces="stored")
 
 
 def test_where_none_are_stored(tmp_path: Path, arch: Assembly) -> None:
-    write_compas(arch, tmp_path / "meshes.json")
+    export(arch, tmp_path / "meshes.json", format="compas")
     for structure in (tmp_path / "meshes.json", "arch:blocks=5", save_assembly(arch, tmp_path / "folder")):
         with pytest.raises(InputError, match="stores no interfaces"):
             load_structure(structure, interfaces="stored")
@@ -111,7 +111,7 @@ def test_where_none_are_stored(tmp_path: Path, arch: Assembly) -> None:
 
 
 def test_given_contacts_are_kept_or_refused(written: Path, tmp_path: Path) -> None:
-    stored = load_compas(written, interfaces="stored")
+    stored = COMPAS.read(written, interfaces="stored")
     assert stored.replace(friction=0.9).contacts is stored.contacts
     with pytest.raises(AssemblyError, match="know no ground"):
         stored.with_ground()

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework import Assembly, Plan, load_structure
-from falsework.interop.usd import to_usd, write_usd
+from falsework import Assembly, Plan, export, load_structure
+from falsework.interop.usd import to_usd
 
 pytest.importorskip("pxr", reason="needs usd-core, of the dependency group test")
 
@@ -112,7 +112,7 @@ def test_names_that_usd_does_not_allow(tmp_path: Path) -> None:
     meshes = [
         TriangleMesh.from_arrays(name, mesh.vertices, mesh.faces) for name, mesh in zip(names, arch.meshes, strict=True)
     ]
-    write_usd(Assembly.from_meshes(meshes, boundary=arch.boundary, name="7 days"), tmp_path / "out.usda")
+    export(Assembly.from_meshes(meshes, boundary=arch.boundary, name="7 days"), tmp_path / "out.usda")
     stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
     prims = parts_of(stage)
     assert [prim.GetDisplayName() for prim in prims] == ['key "stone"', "surface", "3", "schlußstein", "physics"]

@@ -18,6 +18,7 @@ from falsework.learn import (
     Curriculum,
     Environment,
     ImitationPhase,
+    LearnerContext,
     PolicySettings,
     PpoPhase,
     TrainSettings,
@@ -66,7 +67,8 @@ def update(folder: Path, shards: ProcessGroup, device: torch.device) -> None:
     states = torch.from_numpy(search.states())
     policy = make_policy(assembly, PolicySettings(kind="mlp", layers=1, channels=16), device, 0)
     curriculum = Curriculum(states, environment.rules, shards=shards)
-    ppo = PPO(environment, policy, curriculum, replace(REINFORCEMENT, batch=64, epochs=2), shards=shards)
+    settings = replace(REINFORCEMENT, batch=64, epochs=2)
+    ppo = PPO(LearnerContext(environment, policy, curriculum, settings, shards=shards))
     generator = environment.generator(9 + shards.rank)
     numbers = [ppo.update(curriculum.sample(12 + 20 * shards.rank, generator)) for _ in range(3)]
     # One process has nothing to learn; it must not keep the others waiting.

@@ -13,9 +13,9 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 safetensors = pytest.importorskip("safetensors.torch", reason="safetensors is not installed")
 
 from falsework import load_structure  # noqa: E402
-from falsework.assembly.symmetry import symmetries  # noqa: E402
 from falsework.learn import load_run  # noqa: E402
 from falsework.learn.data.dataset import load_dataset  # noqa: E402
+from falsework.learn.data.symmetry import symmetries  # noqa: E402
 from falsework.learn.data.symmetry_augmentation import symmetric_images  # noqa: E402
 
 PARALLEL = ("default", "reinforcement")

@@ -19,10 +19,8 @@ from falsework.geometry.mesh.collision import inside
 from falsework.robots import CellRobot, Gripper, Placement
 from falsework.robots.grasping.grasp import grasp_fault, grasps
 from falsework.robots.model.builtin_robots import builtin_robot
-from falsework.robots.model.convex_decomposition import convex_pieces
-from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.model.shapes import block, move, pose
-from falsework.robots.model.simplify import outer_hull
+from falsework.robots.model.part_shapes import convex_pieces, place_parts
+from falsework.robots.model.shapes import block, move, outer_hull, pose
 
 
 def ring(sides: int = 12) -> TriangleMesh:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from falsework import Assembly, StabilityOracle, Task, Verdict, load_structure
 from falsework.search import Oracle
+from falsework.search.problem.ways_out import Clearance
 from falsework.stability import Proof, Verdicts
 
 State = tuple[int, ...]
@@ -89,7 +90,7 @@ class PressingOracle(RuleOracle):
 
 
 @dataclass(frozen=True)
-class RuleClearance:
+class RuleClearance(Clearance):
     """Part `i` leaves if all of one of its sets of blockers are gone."""
 
     blockers: list[list[frozenset[int]]]

@@ -24,16 +24,17 @@ from falsework import (
     find_plans,
     make_task,
     min_robots,
+    replan,
 )
 from falsework import sheet as make_sheet
+from falsework.assembly.library import shelf as built_in_shelf
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.library.voxels import grow_pieces, surface
-from falsework.errors import InputError, PlanError
+from falsework.errors import InputError, PlanError, StateError
 from falsework.geometry import TriangleMesh
 from falsework.geometry.paths.moves import PathMove, apply
 from falsework.interop.instruction_table import instructions_csv
 from falsework.interop.tracks import tracks_of
-from falsework.replanning.executed_steps import ExecutedSteps
 from falsework.robots import RobotPlan
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
@@ -222,11 +223,51 @@ def test_pictures_and_files_of_other_programs_show_the_way(plan: Plan, drawer: A
     assert "from +x, then from above" in instructions_csv(make_sheet(assembly, plan))
 
 
-def test_robots_and_replanning_refuse_such_plans_by_name(plan: Plan) -> None:
+def test_robots_refuse_such_plans_by_name(plan: Plan) -> None:
     with pytest.raises(PlanError, match="robot plans move one part at a time, and straight"):
         RobotPlan(plan, (), (), (), "cell", "identity")
-    with pytest.raises(PlanError, match="the plan has ways out of several moves, which replanning does not"):
-        ExecutedSteps(plan, 0)
+
+
+def test_replanning_goes_on_with_ways_of_several_moves(plan: Plan, drawer: Assembly) -> None:
+    """What a plan allows is allowed from then on; ways that are done are kept."""
+    for step in range(len(plan) + 1):
+        answer = replan(plan, step=step, structure=drawer)
+        assert answer.value is not None
+        assert answer.value.exit_paths == plan.exit_paths
+        assert validate_plan(answer.value, drawer).good
+    bare = replan(drawer, "empty", target="complete", moves=2, robots=1)
+    assert bare.value is not None
+    assert bare.value.moves == 2
+    with pytest.raises(StateError, match="no part has a free way"):
+        replan(drawer, "empty", target="complete", removable_only_if_clear=True, robots=1)
+
+
+def test_alternatives_and_repeated_holds_leave_in_several_moves() -> None:
+    """Two blocks in two blind tunnels; they leave in either order."""
+    hollow = {(x, y, 0) for x in range(4) for y in (0, 2)} | {(3, y, z) for y in (0, 2) for z in range(3)}
+    frame = cells(range(-1, 5), range(-1, 4), range(-1, 3)) - hollow
+    assembly = of_cubes({(0, 0, 0)}, {(0, 2, 0)}, frame=frame)
+    rules = {"robots": 1, "moves": 2, "stability": SETTINGS}
+    found = find_plans(assembly, settings=PlannerSettings(alternatives=2), **rules)
+    assert len({plan.states.tobytes() for plan in found.plans}) == 2
+    for plan in (*found.plans, *find_plans(assembly, allow_regrasp=True, **rules).plans):
+        assert sum(map(bool, plan.exit_paths)) == 2
+        assert validate_plan(plan, assembly, SETTINGS).good
+
+
+def test_sets_of_parts_and_several_moves_go_together() -> None:
+    """A block that leaves around a corner, beside two boards, of which one robot can only move both."""
+    shelf = built_in_shelf(shelves=0)
+    hollow = {(x, 0, 0) for x in range(4)} | {(3, 0, z) for z in range(3)}
+    walls = cells(range(-1, 5), range(-1, 2), range(-1, 3)) - hollow
+    solids = [surface(name, frozenset(some), (EDGE,) * 3, (2.0, 0.0, 0.1)) for name, some in (("key", {(0, 0, 0)}),)]
+    solids.append(replace(surface("frame", frozenset(walls), (EDGE,) * 3, (2.0, 0.0, 0.1)), fixed=True))
+    blocks = gather(solids)
+    boundary = [*np.flatnonzero(shelf.boundary).tolist(), shelf.part_count + 1]
+    assembly = Assembly.from_meshes([*shelf.meshes, *blocks.meshes], boundary=boundary)
+    plan = find_plans(assembly, robots=1, parts_at_once=2, moves=2, stability=SETTINGS).plans[0]
+    assert (plan.parts_at_once, plan.moves) == (2, 2)
+    assert validate_plan(plan, assembly, SETTINGS).good
 
 
 @pytest.mark.parametrize(
@@ -235,7 +276,6 @@ def test_robots_and_replanning_refuse_such_plans_by_name(plan: Plan) -> None:
         ({"moves": 0}, "0 is not a number of moves of a way out; give 1 .* to 100"),
         ({"moves": 101}, "101 is not a number of moves"),
         ({"moves": 1.5}, "1.5 is not a number of moves"),
-        ({"moves": 2, "parts_at_once": 2}, "sets of parts leave in one straight line; leave moves and turns out"),
     ],
 )
 def test_wrong_numbers_are_refused(rules: dict[str, Any], message: str) -> None:

@@ -21,10 +21,11 @@ from falsework import (
 )
 from falsework.errors import InputError
 from falsework.search import SearchProgress, SupportGuide
+from falsework.search.beam.backjumping import BackjumpingBeam
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_check import validate_plan, validate_proofs
 from falsework.search.problem.result import insertion_steps
-from falsework.search.strategies import EDGES, EVERYWHERE, Portfolio
+from falsework.search.strategies import EDGES, EVERYWHERE, Portfolio, Turn
 
 
 def insertions(route: tuple[tuple[int, ...], ...], parts: tuple[int, ...]) -> tuple[int, ...]:
@@ -95,7 +96,7 @@ def test_resuming_changes_nothing(rules: Any, tmp_path: Path, seed: int, alterna
 
 @pytest.mark.parametrize("seed", range(6))
 def test_resuming_strategies_that_take_turns_changes_nothing(rules: Any, tmp_path: Path, seed: int) -> None:
-    settings = PlannerSettings(share=0.125)
+    settings = PlannerSettings(patience=0.01)
     oracle, _ = rules.random(seed, 8)
     row = np.stack([np.arange(7), np.arange(1, 8)], axis=1)
     task = Task.from_rules(rules.ground(8), 2, contacts=row)
@@ -113,7 +114,7 @@ def test_resuming_strategies_that_take_turns_changes_nothing(rules: Any, tmp_pat
     assert result.counters == expected.counters
 
 
-def test_each_strategy_has_twice_as_many_verdicts_in_each_round() -> None:
+def test_turns_end_where_a_search_gets_no_farther_for_twice_as_many_verdicts_in_each_round(rules: Any) -> None:
     def portfolio(
         stage: str = "plan", parts: int = 100, *, edges: bool = False, allow_regrasp: bool = False, **how: Any
     ):
@@ -122,16 +123,24 @@ def test_each_strategy_has_twice_as_many_verdicts_in_each_round() -> None:
 
     both = portfolio()
     assert both.names == (Direction.ASSEMBLY, Direction.DISASSEMBLY)
-    turns = np.diff([0, *(both.allowance(number) for number in range(4))])
-    assert turns[0] > 0
-    assert (turns[1:] == 2 * turns[:-1]).all()
-    assert portfolio(parts=200).allowance(0) == 2 * both.allowance(0)
+    for number in range(4):
+        most = 200 * 2**number
+        assert [both.is_over(number, Turn(owed=owed)) for owed in (most - 1, most)] == [False, True]
+        assert not portfolio(parts=200).is_over(number, Turn(owed=most))
     assert portfolio(edges=True).names == (EDGES, *both.names)
     backwards = {"directions": (Direction.DISASSEMBLY,)}
     assert portfolio(edges=True, **backwards) == portfolio(**backwards)
     others = portfolio("alternatives", edges=True)
     assert others.names == (Direction.DISASSEMBLY, Direction.ASSEMBLY)
-    assert others.allowance(0) == np.inf
+    assert not others.is_over(0, Turn(owed=1e9))
+    search = BackjumpingBeam(Task.from_rules(rules.ground(4), 2), rules.blocks(4))
+    turn = Turn(asked=-10)
+    turn.note(search, 1)
+    assert (turn.asked, turn.level, turn.owed) == (0, 0, 10.0)
+    search.step()
+    turn.note(search, 1)  # a new level makes up for some of them
+    assert 0 < turn.owed - search.asked < 10
+    assert turn.level == 1
     assert portfolio("postpone", width=2).widest == 2
     assert EVERYWHERE in portfolio(allow_regrasp=True).names
 
@@ -328,7 +337,7 @@ def test_a_rule_that_does_not_exist_is_named() -> None:
         ({"directions": ()}, "no direction to search in"),
         ({"alternatives": 0}, "0 alternatives is not a number of plans"),
         ({"judge": True, "alternatives": 2}, "the judge takes minutes for alternatives"),
-        ({"share": 0.0}, "a share of verdicts must be above 0"),
+        ({"patience": 0.0}, "the patience of a search must be above 0"),
         ({"bound_after": -1.0}, "the seconds before a bound not below 0"),
     ],
 )

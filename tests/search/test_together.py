@@ -23,14 +23,12 @@ from falsework import (
     Direction,
     Outcome,
     Plan,
-    PlannerSettings,
     StabilityOracle,
     StabilitySettings,
     Task,
     Verdict,
     find_plans,
     make_task,
-    min_robots,
 )
 from falsework import sheet as make_sheet
 from falsework.assembly.library import shelf as built_in_shelf
@@ -39,8 +37,6 @@ from falsework.assembly.library.voxels import grow_pieces, surface
 from falsework.errors import AssemblyError, InputError, PlanError
 from falsework.interop.instruction_table import instructions_csv
 from falsework.interop.tracks import tracks_of
-from falsework.replanning import difference
-from falsework.replanning.executed_steps import ExecutedSteps
 from falsework.search import Demands, ExhaustiveSearch, Oracle
 from falsework.search.margins.demands import MarginOracle
 from falsework.search.plans import plan_rules
@@ -652,8 +648,6 @@ def test_printed_sheets_list_and_point_at_each_part_of_a_step(
         ({"parts_at_once": 0}, "0 is not a number of parts of shelf:shelves=0 that can move at once; give 1 .* to 4"),
         ({"parts_at_once": 5}, "5 is not a number of parts of shelf:shelves=0 that can move at once; give 1 .* to 4"),
         ({"parts_at_once": 2.5}, "2.5 is not a number of parts of shelf:shelves=0 that can move at once"),
-        ({"parts_at_once": 2, "missing": [2]}, "several parts in one step take no missing parts"),
-        ({"parts_at_once": 2, "allow_regrasp": True}, "several parts in one step take no repeated holds"),
     ],
 )
 def test_rules_that_cannot_be_kept(shelf: Assembly, rules: dict[str, Any], message: str) -> None:
@@ -665,13 +659,5 @@ def test_what_moves_one_part_at_a_time_says_so(shelf: Assembly, plan: Plan, tmp_
     task = make_task(shelf, 2, parts_at_once=2)
     with pytest.raises(InputError, match="beams of levels move one part at a time"):
         ExhaustiveSearch(task, EveryStateStands())
-    with pytest.raises(InputError, match="have no alternatives yet"):
-        find_plans(shelf, task, settings=PlannerSettings(alternatives=2))
     with pytest.raises(InputError, match="a search with several parts in one step cannot be saved"):
         find_plans(shelf, task, checkpoint=tmp_path / "search")
-    with pytest.raises(InputError, match="no bound on the robots is known where steps move several parts"):
-        min_robots(shelf, parts_at_once=2)
-    with pytest.raises(PlanError, match="several parts in one step, which replanning cannot"):
-        ExecutedSteps(plan, 1)
-    with pytest.raises(PlanError, match="several parts in one step cannot be compared"):
-        difference(plan, plan)

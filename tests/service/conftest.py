@@ -98,3 +98,9 @@ def live() -> Iterator[Live]:
         port=0, workers=1, header_seconds=SLOW, body_seconds=SLOW, body_bytes=20_000, idle_seconds=int(SLOW)
     )
     yield from run(load_structure("arch:blocks=5"), settings)
+
+
+@pytest.fixture(scope="module")
+def grounded() -> Iterator[Live]:
+    """An arch of five blocks on the ground, where props can stand."""
+    yield from run(load_structure("arch:blocks=5", ground=True), ServiceSettings(port=0, workers=1))

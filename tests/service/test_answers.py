@@ -14,6 +14,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from falsework import Plan, StabilityOracle, StabilitySettings
 from falsework.assembly import complete_state, empty_state
+from falsework.assembly.props import with_props
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import plan_from_dict
 from falsework.search.plans.plan_model import plan_schema
@@ -194,9 +195,48 @@ def test_a_plan_goes_on_from_its_step_without_a_late_part(live: Any) -> None:
     assert plain["built"] == 0
 
 
+def test_props_and_holds_on_site_are_the_next_steps(grounded: Any) -> None:
+    """And the plan that has them goes on once more, with its props, and can be drawn."""
+    (values,) = grounded.post("/replan", {"state": "empty", "direction": "assembly"}).json()["plans"]
+    old, size = plan_from_dict(values), grounded.assembly.part_count
+    # One of the stones that lean over the ground is held, and no other part is.
+    step, held = next(
+        (row, part)
+        for row, state in enumerate(old.states)
+        for part in (1, 2, 3)
+        if state[part] == 2 and (state[~old.boundary] == 2).sum() == 1
+    )
+    part = old.part_names[held]
+    since = {"props": [part], "released": [part]}
+    reply = grounded.post("/replan", {"plan": values, "step": step, "since": since, "target": "complete"})
+    answer = reply.json()
+    assert reply.status_code == 200, answer
+    assert (answer["outcome"], answer["built"]) == ("found", step + 2)
+    (new,) = plans_of(answer)
+    assert [(one.action, one.name) for one in new.steps[step : step + 2]] == [
+        ("insert", f"prop-{part}"),
+        ("release", part),
+    ]
+    assert new.states.shape[1] == size + 1
+    assert not new.states[-1, size:].any()
+    assert validate_plan(new, with_props(grounded.assembly, new.props)).good
+    again = grounded.post("/replan", {"plan": answer["plans"][0], "step": step + 3}).json()
+    assert (again["outcome"], again["built"]) == ("found", step + 3)
+    drawn = grounded.post("/picture", {"plan": answer["plans"][0], "step": step + 1, "width": 100})
+    assert drawn.content.startswith(b"\x89PNG"), drawn.text
+    values["structure"]["props"] = answer["plans"][0]["structure"]["props"]
+    assert "the plan is of" in grounded.post("/replan", {"plan": values, "step": 1}).json()["error"]
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"since": {"held": ["nobody"]}}, "since: held is part 'nobody', which does not exist"),
+        ({"since": {"props": [3]}}, "since: part voussoir-3 is not placed yet, so no prop can stand under it"),
+        ({"since": {"released": [1]}}, "since: part voussoir-1 is not "),
+        ({"since": {"lifted": [1]}}, "since.lifted is not known; known are held, props, released"),
+        ({"since": {"props": [0]}, "step": None}, "since: this is told of a step of the plan; give the step too"),
+        ({"since": {"props": [0]}, "plan": None, "step": None}, "since: this is told of a step of a plan"),
         ({"step": 99}, "step 99 does not exist; the plan has the steps 1 to "),
         ({"step": None}, "name the last one that is done"),
         ({"state": "empty"}, "state: a plan with its step says what the state is"),

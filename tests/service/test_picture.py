@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import multiprocessing
 import tracemalloc
 import zlib
 from typing import Any
@@ -12,15 +13,23 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework import StabilityOracle, find_plans, load_structure, make_task
-from falsework.errors import PlanError
+from falsework import Assembly, find_plans, load_structure, make_task
 from falsework.search.plans.plan_file import plan_to_dict
-from falsework.service.picture import PictureOrder, draw_png
+from falsework.service.worker import Done, Item, WorkerConfig, _Painter
 
 pillow = pytest.importorskip("PIL.Image", reason="needs Pillow; pip install 'falsework[picture]'")
 
 SMALL = {"width": 160}
 NO_KEYSTONE = [1, 1, 0, 1, 1, 2, 2]
+
+
+def drawn(assembly: Assembly, order: dict[str, Any]) -> Done:
+    """What a worker answers that draws in this process."""
+    mine, theirs = multiprocessing.Pipe()
+    usual = {"state": np.where(assembly.boundary, 2, 1).astype(np.uint8), "plan": None, "step": None, "frames": 1}
+    usual |= {"proof": False, "width": 80, "azimuth": -58.0, "elevation": 24.0}
+    _Painter(WorkerConfig(assembly, "picture")).answer([Item(7, usual | order, 1.0)], theirs)
+    return mine.recv()
 
 
 def pixels_of(reply: Any) -> NDArray[np.uint8]:
@@ -92,7 +101,7 @@ def test_a_step_or_a_structure_that_does_not_fit_the_plan(live: Any) -> None:
 
 
 @pytest.mark.parametrize("claim", ["displacements", "forces", "parts"])
-def test_a_short_plan_takes_little_memory(claim: str) -> None:
+def test_a_short_plan_takes_little_memory(claim: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 250 kB that would unpack to 150 MB and more."""
     assembly = load_structure("arch:blocks=3")
     (plan,) = find_plans(assembly, make_task(assembly, 2)).plans
@@ -104,15 +113,16 @@ def test_a_short_plan_takes_little_memory(claim: str) -> None:
         zeros = zlib.compress(bytes(count * 8 * 6 * (len(plan) + 1)))
         counted = "parts" if claim == "displacements" else "points"
         content[claim] = {counted: count, "zlib_base64": base64.b64encode(zeros).decode()}
-    oracle = StabilityOracle(assembly)
-    order = PictureOrder(plan.states[0], content, 0, 1, False, 80, -58.0, 24.0)
+    monkeypatch.setattr("os.nice", lambda _: 0)
+    drawn(assembly, {"plan": None})  # imports take memory too
     tracemalloc.start()
     try:
+        done = drawn(assembly, {"plan": content, "step": 0})
         if claim == "parts":
-            with pytest.raises(PlanError, match=r"the plan is of 40000 parts, arch:blocks=3 has 5"):
-                draw_png(oracle, order)
+            assert done.status == 422
+            assert b"the plan is of 40000 parts, arch:blocks=3 has 5" in done.body
         else:
-            assert draw_png(oracle, order).startswith(b"\x89PNG")
+            assert (done.status, done.body[:4]) == (200, b"\x89PNG")
         assert tracemalloc.get_traced_memory()[1] < 40e6
     finally:
         tracemalloc.stop()
@@ -125,34 +135,10 @@ def test_pictures_do_not_count_as_workers_for_requests(live: Any) -> None:
 
 
 def test_without_pillow_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    import multiprocessing
     import sys
-
-    from falsework.service.worker import Item, WorkerConfig, _Painter
 
     monkeypatch.setitem(sys.modules, "PIL", None)
     monkeypatch.setattr("os.nice", lambda _: 0)
-    assembly = load_structure("arch:blocks=3")
-    mine, theirs = multiprocessing.Pipe()
-    order: dict[str, Any] = {
-        "state": np.array([1, 1, 1, 2, 2], dtype=np.uint8),
-        "plan": None,
-        "step": None,
-        "frames": 1,
-    }
-    order |= {"proof": False, "width": 80, "azimuth": 0.0, "elevation": 20.0}
-    _Painter(WorkerConfig(assembly, "picture")).answer([Item(7, order, 1.0)], theirs)
-    done = mine.recv()
+    done = drawn(load_structure("arch:blocks=3"), {})
     assert (done.number, done.status) == (7, 501)
     assert b"falsework[picture]" in done.body
-    with pytest.raises(ImportError, match="picture"):
-        draw_png(StabilityOracle(assembly), PictureOrder(**order))
-
-
-def test_a_picture_that_takes_too_long_is_refused(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    import asyncio
-
-    asked = live.pool.ask("picture", None, -1.0)  # its time is up before a worker has it
-    reply = asyncio.run_coroutine_threadsafe(asked, live.loop).result(10)
-    assert reply.status == 503
-    assert b"no picture within" in reply.body

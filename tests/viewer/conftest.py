@@ -26,7 +26,7 @@ from falsework.robots import (
 from falsework.robots.model.builtin_robots import builtin_robot
 from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.shapes import block, pose
-from falsework.robots.plans.robot_record import records_of
+from falsework.robots.plans.robot_plan import records_of
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.viewer import Timeline
 

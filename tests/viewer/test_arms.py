@@ -9,7 +9,7 @@ import pytest
 
 from falsework import Action, Assembly, Direction, Plan
 from falsework.robots import Cell, RobotPlan
-from falsework.robots.kinematics.forward import link_poses, tool_pose
+from falsework.robots.kinematics.forward import link_poses
 from falsework.robots.model.shapes import pose
 from falsework.robots.plans.robot_plan_file import save_robot_plan
 from falsework.viewer import Timeline
@@ -31,10 +31,10 @@ def carried_parts(arm_poses: ArmPoses) -> list[int]:
 
 def test_links_are_where_forward_kinematics_puts_them(robot_plan: RobotPlan, cell: Cell) -> None:
     arms = Arms(robot_plan, cell, Direction.DISASSEMBLY)
-    arm_poses = arms.at(len(robot_plan) - 3.0)
+    arm_poses = arms.at(0.0)  # the end of the disassembly
     for link, found in zip(arms.links, arm_poses.poses, strict=True):
         robot = cell.robots[link.robot]
-        frames = link_poses(robot.model, robot_plan.keyframes[3].configurations[link.robot], robot.base)
+        frames = link_poses(robot.model, robot_plan.keyframes[-1].configurations[link.robot], robot.base)
         gripper = link.frame == robot.model.joints + 1
         frame = frames[-1] @ robot.model.flange if gripper else frames[link.frame]
         pieces = robot.gripper.pieces if gripper else robot.model.pieces[link.frame]
@@ -51,60 +51,24 @@ def test_a_link_is_a_closed_mesh_that_faces_outwards(robot_plan: RobotPlan, cell
 
 
 @pytest.mark.parametrize("direction", list(Direction))
-def test_a_carried_part_goes_with_the_gripper(
+def test_the_part_is_seen_once(
     robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan], direction: Direction
 ) -> None:
-    """A point of the part keeps its place in the tool frame, and is in its place where the ride begins or ends."""
-    arms = Arms(robot_plan, cell, Direction.DISASSEMBLY).turned(direction)
-    plan = robot_plan if direction is Direction.DISASSEMBLY else robot_plan.reverse()
-    parts = len(plan.plan.boundary)
-
-    def poses(done: float) -> ArmPoses:
-        """Return the poses after so many actions have been executed."""
-        return arms.at(done if direction is Direction.ASSEMBLY else len(plan) - done)
-
-    for index, action in enumerate(plan.actions.tolist()):
-        if action < parts:
-            assert not any(poses(index + share).carried for share in (0.2, 0.8))
-            continue
-        part, step = action % parts, plan.steps[index]
-        robot = cell.robots[step.robot]
-        point = arch[0].mass.center[part]
-        in_tool = []
-        shares = (0.1, 0.25, 0.4, 0.6, 0.75, 0.9)
-        carrying = [share for share in shares if carried_parts(poses(index + share)) == [part]]
-        assert len(carrying) == 3
-        for share in carrying:
-            (carried,) = poses(index + share).carried
-            assert carried.robot == step.robot
-            seen = carried.pose[:3, :3] @ point + carried.pose[:3, 3]
-            world = cell.placement.pose[:3, :3] @ (seen * cell.placement.scale) + cell.placement.pose[:3, 3]
-            number, left = int(share >= 0.5), (share % 0.5) * step.seconds
-            values = step.trajectories[number].sample(np.array([left]))[0]
-            in_tool.append(np.linalg.inv(tool_pose(robot, values)) @ [*world, 1.0])
-        np.testing.assert_allclose(in_tool, np.broadcast_to(in_tool[0], (3, 4)), atol=1e-9)
-        edge = index + 1e-9 if direction is Direction.DISASSEMBLY else index + 1 - 1e-9
-        np.testing.assert_allclose(poses(edge).carried[0].pose, np.eye(4), atol=1e-6)
-
-
-def test_the_part_is_seen_once(robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]) -> None:
-    """In its place, in the gripper, or gone, never two of them."""
+    """In its place, in the gripper, or gone, never two of them; every part that moves is carried for a time."""
     assembly, plan = arch
-    arms = Arms(robot_plan, cell, Direction.DISASSEMBLY)
-    timeline = Timeline.from_plan(plan, assembly, Direction.DISASSEMBLY, arms.holders())
-    last = max((step for step in plan if step.action is Action.INSERT), key=lambda step: step.number)
-    place, part = last.number - 1, last.part
-    for share, there, carried in ((1.0, True, False), (0.7, False, True), (0.3, False, False), (0.0, False, False)):
-        arm_poses = arms.at(place + share)
-        appearance = appearance_with_arms(appearance_at(timeline, place + share, travelling=False), arm_poses)
-        assert bool(appearance.opacity[part] > 0) is there, share
-        assert carried_parts(arm_poses) == [part] * carried, share
-    backwards, turned = timeline.turned(Direction.ASSEMBLY), arms.turned(Direction.ASSEMBLY)
-    for share, there, carried in ((0.0, False, False), (0.3, False, False), (0.7, False, True), (1.0, True, False)):
-        arm_poses = turned.at(place + share)
-        appearance = appearance_with_arms(appearance_at(backwards, place + share, travelling=False), arm_poses)
-        assert bool(appearance.opacity[part] > 0) is there, share
-        assert carried_parts(arm_poses) == [part] * carried, share
+    arms = Arms(robot_plan, cell, Direction.DISASSEMBLY).turned(direction)
+    timeline = Timeline.from_plan(plan, assembly, direction, arms.holders())
+    every: set[int] = set()
+    for seconds in np.linspace(0.0, arms.clock.makespan, 150):
+        arm_poses, place = arms.at_time(seconds), arms.clock.position(seconds)
+        appearance = appearance_with_arms(appearance_at(timeline, place, travelling=False), arm_poses)
+        carried = carried_parts(arm_poses)
+        assert not appearance.opacity[carried].any()
+        state = timeline.states[timeline.row(place)]
+        seen = {*np.flatnonzero(appearance.opacity > 0).tolist(), *carried}
+        assert set(np.flatnonzero(state).tolist()) <= seen
+        every |= set(carried)
+    assert every == {step.part for step in plan if step.action is Action.INSERT}
 
 
 def test_holders_are_those_of_the_keyframes(robot_plan: RobotPlan, cell: Cell) -> None:
@@ -119,13 +83,12 @@ def test_holders_are_those_of_the_keyframes(robot_plan: RobotPlan, cell: Cell) -
 
 def test_meshes_and_bounds(robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]) -> None:
     arms = Arms(robot_plan, cell, Direction.DISASSEMBLY)
-    insert = int(np.flatnonzero(robot_plan.plan.actions >= len(robot_plan.plan.boundary))[-1])
-    assert len(solids_of_arms(arms, arms.at(insert + 1), arch[0])) == len(arms.links)
-    assert len(solids_of_arms(arms, arms.at(insert + 0.8), arch[0])) == len(arms.links) + 1
+    times = np.linspace(0.0, arms.clock.makespan, 60)
+    assert {len(solids_of_arms(arms, arms.at_time(time), arch[0])) - len(arms.links) for time in times} == {0, 1}
     box = bounds_with_arms(arms, bounds_of(arch[0]))
     assert (box[0] <= bounds_of(arch[0])[0]).all()
     assert (box[1] - box[0]).max() > 1.5 / cell.placement.scale  # the arms stand 1.8 m apart
-    assert arms.seconds(0) == pytest.approx(4.0)
+    assert arms.clock.makespan == pytest.approx(robot_plan.seconds)
 
 
 def test_a_new_plan_has_no_arms_until_one_goes_back(

@@ -23,6 +23,7 @@ from falsework import make_task
 from falsework.assembly import HELD, REMOVED
 from falsework.errors import InputError
 from falsework.search.plans.steps import NO_ROBOT
+from falsework.utils.quantity import format_quantity
 from falsework.viewer import Timeline
 from falsework.viewer.page.disruption import ClickMode
 from falsework.viewer.page.page import Page
@@ -201,7 +202,7 @@ def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     now.click(top)
     now.until(lambda: model.selected == top, "the part is selected")
     tab.get_by_text(f"{assembly.names[top]} (number {top})").wait_for()
-    tab.get_by_text(f"{assembly.mass.mass[top]:.4g} kg").wait_for()
+    tab.get_by_text(format_quantity(float(assembly.mass.mass[top]), "mass")).wait_for()
     selected = now.picture()
     assert (np.abs(selected - whole).max(axis=2) > 25).sum() > 50
 
@@ -539,7 +540,7 @@ def test_a_thousand_parts_are_few_draw_calls(opened: Callable[..., Open]) -> Non
 
 
 def test_only_this_machine_is_served_unless_told_otherwise(arch: Any) -> None:
-    from falsework.viewer.page.page import check_host
+    from falsework.viewer.web.served_page import check_host
 
     assert check_host("127.0.0.1") is None
     assert check_host("localhost") is None

@@ -215,7 +215,7 @@ def test_on_the_command_line(file: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert "home is too near" in record["faults"][0]
     assert err.count("\n") == 1
     assert main(["picture", str(file), "--step", "2", "--forces", "--out", str(out)]) == 2
-    assert "a cell has no states; leave out --step and --forces" in capsys.readouterr().err
+    assert "a picture of a cell has no --step and --forces; leave it out" in capsys.readouterr().err
     assert main(["picture", str(file), "--out", str(tmp_path / "cell.gif")]) == 2
     assert "cell.toml is a cell, which has no steps; falsework view and" in capsys.readouterr().err
 

@@ -16,10 +16,11 @@ from falsework.cli.main import main
 from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
 from falsework.robots import Keyframe, Precedence, RobotPlan, RobotStep, Trajectory, nodes_of
-from falsework.robots.plans.robot_record import RobotRecord
+from falsework.robots.plans.robot_plan import RobotRecord
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
+from falsework.robots.plans.timeline import bars_of
 from falsework.search.plans.plan_file import plan_from_dict
-from falsework.viewer.pictures.gantt import bars_of, draw_gantt
+from falsework.viewer.pictures.gantt import draw_gantt
 
 pytest.importorskip("matplotlib", reason="charts need matplotlib; pip install 'falsework[picture]'")
 
@@ -85,7 +86,10 @@ def test_a_chart_is_drawn_from_the_command_line_as_asked(
     assert capsys.readouterr().out.splitlines()[-1].startswith("chart.svg: 2 arms over")
     for given, message in (
         (("--out", "chart.mp4"), "a video such as chart.mp4 has no --gantt"),
-        (("--step", "1", "--forces"), "leave out --step and --forces, or --gantt"),
+        (
+            ("--step", "1", "--forces"),
+            "a Gantt chart has no --step and --forces; leave them out, or draw something else",
+        ),
         (("--width=-5",), "-5"),
     ):
         assert main(["picture", "plan.json", "--gantt", *given]) == 2

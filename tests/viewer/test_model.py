@@ -10,6 +10,7 @@ from falsework.assembly import HELD, INSTALLED, REMOVED
 from falsework.errors import InputError, StateError
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.steps import NO_ROBOT
+from falsework.utils.quantity import format_quantity
 from falsework.viewer import Timeline
 from falsework.viewer.appearance import SceneView, bounds_of
 from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
@@ -70,7 +71,7 @@ def test_a_click_selects_and_a_click_beside_forgets(model: ViewerState) -> None:
     assert tuple(model.appearance().color[top]) == rgb(SELECTED)
     assert labels_of(model, model.appearance())[top] == model.assembly.names[top]
     facts = dict(facts_of(model, top))
-    assert facts["mass"] == f"{model.assembly.mass.mass[top]:.4g} kg"
+    assert facts["mass"] == format_quantity(float(model.assembly.mass.mass[top]), "mass")
     assert facts["held by"].startswith("R")
     assert facts["now"] == "installed"
     assert model.click(np.array([99.0, 0, 9]), DOWN) is None

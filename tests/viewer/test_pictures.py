@@ -136,8 +136,9 @@ def test_names_are_escaped(arch) -> None:
 
     assembly = arch[0]
     odd = replace(assembly, meshes=tuple(replace(mesh, name=f"<{mesh.name}>") for mesh in assembly.meshes))
-    still = Timeline.from_state(odd, arch[1].states[0])
-    ElementTree.fromstring(drawing(still, [0]))
+    still = Timeline.from_state(odd, arch[1].states[-1])
+    drawn = ElementTree.fromstring(drawing(still, [0]))
+    assert {title.text for title in drawn.iter("{http://www.w3.org/2000/svg}title")} == set(odd.names)
 
 
 def test_films(plan_file: Path, run: Run, tmp_path: Path) -> None:

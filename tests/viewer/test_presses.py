@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from falsework import Assembly, Direction, Plan, StabilityOracle, StabilitySettings
-from falsework.stability.holds import Press, describe_force
+from falsework.stability.holds import Press
 from falsework.stability.verdict import Criterion
+from falsework.utils.quantity import format_quantity
 from falsework.viewer import Camera, Timeline
 from falsework.viewer.arrows import PRESSES, arrows_of_step
 from falsework.viewer.page.disruption import ClickMode
@@ -36,7 +37,7 @@ def pressed(arch: tuple[Assembly, Plan], press_once: Callable[..., tuple[Plan, i
 def test_forces_in_words() -> None:
     values = (0.5, 49.96, 885.4, 999.4, 999.6, 3885.0, 99940.0, 120000.0)
     words = ["0.5 N", "50 N", "885 N", "999 N", "1 kN", "3.88 kN", "99.9 kN", "120 kN"]
-    assert [describe_force(value) for value in values] == words
+    assert [format_quantity(value, "force") for value in values] == words
 
 
 def test_the_step_names_the_press_in_assembly_alone(

@@ -14,14 +14,14 @@ from falsework import Assembly, Direction, Plan
 from falsework.errors import InputError
 from falsework.robots import Cell, RobotPlan, nodes_of
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.plans.timeline import activities_at
+from falsework.robots.plans.timeline import activities_at, bars_of
 from falsework.viewer import Camera, Timeline
 from falsework.viewer.arms import Arms
 from falsework.viewer.clock import Clock
 from falsework.viewer.page.page_text import where_text
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import INK, rgb, robot_color
-from falsework.viewer.pictures.gantt import bars_of, strip_of
+from falsework.viewer.pictures.gantt import strip_of
 from falsework.viewer.pictures.video import frame_times, frames_of
 
 
@@ -45,9 +45,7 @@ def test_events_show_states_and_keyframes(
     scheduled: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan], direction: Direction
 ) -> None:
     model = opened(scheduled, cell, arch[0], direction)
-    arms, clock = arms_of(model), clock_of(model)
-    plan = arms.plan
-    owner = np.array([link.robot for link in arms.links])
+    clock, plan = clock_of(model), arms_of(model).plan
 
     def place_of(done: int) -> int:
         """Return the place in the plan after so many actions have been executed."""
@@ -60,15 +58,13 @@ def test_events_show_states_and_keyframes(
         # A part leaves as its arm sets off from a keyframe; it is at its place, or held, as its arm comes to one.
         grips = int(plan.actions[step]) < len(plan.plan.boundary)
         after = event.at_end or (grips and direction is Direction.DISASSEMBLY)
-        mine = owner == plan.steps[step].robot
-        shown = model.arm_poses()
-        assert shown is not None
-        np.testing.assert_allclose(shown.poses[mine], arms.at(place_of(step + after)).poses[mine], atol=1e-9)
+        robot = plan.steps[step].robot
+        doing = next(arm for arm in activities_at(plan, clock.starts, seconds) if arm.robot == robot)
+        expected = plan.keyframes[step + after].configurations[robot]
+        np.testing.assert_allclose(doing.at(np.array([seconds]))[0], expected, atol=1e-9)
         before = seconds - 1e-6
         model.go_to_reading(before)
         np.testing.assert_array_equal(model.state, plan.plan.states[place_of(int((clock.events <= before).sum()))])
-    for seconds, place in ((0.0, place_of(0)), (clock.makespan, place_of(len(plan)))):
-        np.testing.assert_allclose(arms.at_time(seconds).poses, arms.at(place).poses, atol=1e-9)
 
 
 def test_two_arms_move_at_the_same_time(scheduled: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]) -> None:
@@ -92,10 +88,13 @@ def test_two_arms_move_at_the_same_time(scheduled: RobotPlan, cell: Cell, arch: 
         assert f"{seconds:.1f} s of {clock.makespan:.1f} s" in where_text(model, ask=False)
 
 
+@pytest.mark.parametrize("timed", [True, False])
 @pytest.mark.parametrize("direction", list(Direction))
 def test_carried_parts_go_with_their_grippers(
-    scheduled: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan], direction: Direction
+    scheduled: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan], direction: Direction, timed: bool
 ) -> None:
+    """With a schedule, and one motion after the other."""
+    scheduled = scheduled if timed else replace(scheduled, schedule=None)
     model = opened(scheduled, cell, arch[0], direction)
     arms, clock = arms_of(model), clock_of(model)
     in_tool: dict[int, list[np.ndarray]] = {}
@@ -150,8 +149,8 @@ def test_films_last_as_long_as_the_schedule(scheduled: RobotPlan, cell: Cell, ar
     for picture, seconds in zip(pictures, frame_times(scheduled.makespan, 1.0, 8.0), strict=True):
         np.testing.assert_array_equal(picture[-len(strip.pixels) :], strip.marked(seconds))
     sequential = replace(scheduled, schedule=None)
-    plain = next(frames_of(model.timeline, arms=Arms(sequential, cell, Direction.DISASSEMBLY), **options))
-    assert len(plain) == len(pictures[0]) - len(strip.pixels)
+    slow = frames_of(model.timeline, arms=Arms(sequential, cell, Direction.DISASSEMBLY), speed=8.0, **options)
+    assert len(list(slow)) == int(np.ceil(sequential.makespan / 8)) + 1 > len(pictures)
 
 
 def test_the_marker_is_where_the_bars_are(scheduled: RobotPlan) -> None:
@@ -172,7 +171,7 @@ def test_the_marker_is_where_the_bars_are(scheduled: RobotPlan) -> None:
         assert tuple(marked[row, changed[0]]) == rgb(INK)
 
 
-def test_a_page_has_seconds_and_a_chart_as_long_as_there_is_a_schedule(
+def test_a_page_has_seconds_and_a_chart_as_long_as_there_are_arms(
     scheduled: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]
 ) -> None:
     pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
@@ -201,6 +200,10 @@ def test_a_page_has_seconds_and_a_chart_as_long_as_there_is_a_schedule(
         assert page.play.where.content.startswith(f"{scheduled.makespan:.1f} s of {scheduled.makespan:.1f} s")
         model.arms = Arms(replace(scheduled, schedule=None), cell, Direction.DISASSEMBLY)
         page.plan_changed("other arms")
+        assert model.last_reading == pytest.approx(scheduled.seconds)
+        assert chart.content.count("/go?seconds=") > 0
+        model.arms = None
+        page.plan_changed("no arms")
         assert (slider.label, slider.max, chart.content) == ("Step", len(scheduled), "")
     finally:
         page.close()

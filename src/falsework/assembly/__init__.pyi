@@ -2,7 +2,6 @@ from falsework.assembly import library as library
 from falsework.assembly.fasteners import fasten as fasten
 from falsework.assembly.joints import Joints as Joints
 from falsework.assembly.loads import Loads as Loads
-from falsework.assembly.model import ContactWarning as ContactWarning
 from falsework.assembly.props import prop_places as prop_places
 from falsework.assembly.props import with_props as with_props
 from falsework.assembly.state import HELD as HELD
@@ -11,3 +10,4 @@ from falsework.assembly.state import REMOVED as REMOVED
 from falsework.assembly.state import States as States
 from falsework.assembly.state import complete_state as complete_state
 from falsework.assembly.state import empty_state as empty_state
+from falsework.assembly.touching import ContactWarning as ContactWarning

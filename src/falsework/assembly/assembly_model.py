@@ -113,8 +113,8 @@ class AssemblyFile(FileModel, frozen=True, forbid_unknown_fields=False):
     names: list[Annotated[str, Meta(pattern="\\S")]] | None = None
     """Different names, one a part."""
     contact: ContactEntry | None = None
-    settle: Annotated[float, Meta(gt=0)] | None = None
-    """Largest motion with which parts settle into their clearance before they are judged, m."""
+    settle: Annotated[float, Meta(ge=0)] | None = None
+    """Largest motion with which parts settle into their clearance before they are judged, m; 0: none."""
     loads: list[LoadEntry] | None = None
     earthquake: float | Earthquake | None = None
     """Pseudo-static horizontal acceleration along x, or along x and y, in shares of gravity."""

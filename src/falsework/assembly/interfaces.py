@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.model import ContactWarning
+from falsework.assembly.touching import ContactWarning
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings
 from falsework.geometry.contact.patches import frames_of

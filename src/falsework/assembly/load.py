@@ -51,9 +51,9 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     Args:
         structure: name of a built-in structure with its parameters, or a folder or file.
         options: unit, density (kg/m3), friction, boundary, ground, contact_settings, settle, loads, earthquake,
-            materials, joints and fasteners as for `load_assembly`, and interfaces (`found`, `stored` or `compare`) as
-            for `load_compas`; None is equivalent to omission. A built-in structure takes no unit, contact_settings or
-            settle, and only COMPAS data store interfaces.
+            materials, joints and fasteners as for `load_assembly`, groups as for `join_parts`, and interfaces
+            (`found`, `stored` or `compare`) as for COMPAS data; None is equivalent to omission. A built-in structure
+            takes no unit, contact_settings or settle, and only COMPAS data store interfaces.
 
     Raises:
         InputError: neither a path nor a built-in structure, or an option that it does not take.
@@ -61,6 +61,10 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     from falsework.assembly import library
     from falsework.assembly.fasteners import furnish
 
+    if (groups := options.pop("groups", None)) is not None:
+        from falsework.assembly.groups import join_parts
+
+        return join_parts(load_structure(structure, **options), groups)
     text = str(structure)
     if not text.strip():
         raise InputError("the structure has no name; give that of a built-in one, or a path")
@@ -122,7 +126,7 @@ def _read_structure(path: Path, text: str, given: dict[str, Any]) -> Assembly:
     if (reader := _reader_of(path)) is not None:
         options = {**described_options(path), **given}
         acting = {name: options.pop(name, None) for name in LOAD_OPTIONS}
-        return furnish(reader.load(path, **options), **acting)
+        return furnish(reader.read(path, **options), **acting)
     if given.pop("interfaces", "found") != "found":
         raise InputError(f"{text} is made of meshes and stores no interfaces; leave out --interfaces")
     check_meshes_path(path)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from dataclasses import replace as _replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,31 +16,24 @@ from falsework.assembly.assembly_model import Prop
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
-from falsework.assembly.touching import check_touching, clearance_hint, contact_warnings
+from falsework.assembly.touching import check_touching, clearance_hint, contact_warnings, warn_of
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.part_sets import SetClearance
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, ground_slab, mass_properties
-from falsework.geometry.paths.motions import PartMotions
-from falsework.geometry.settling.settle import settle_parts
 from falsework.geometry.settling.settlement import Settlement
 from falsework.utils.display.notebook import Displayed
 from falsework.utils.quantity import counted
+
+if TYPE_CHECKING:
+    from falsework.geometry.paths.motions import PartMotions
 
 DENSITY = 2400.0
 """Default density, kg/m3: concrete."""
 FRICTION = 0.55
 """Default coefficient of friction, that of the paper's structures."""
-
-
-_WARNED = 3
-"""Pairs of parts that are named in warnings when an assembly is made; the rest is counted."""
-
-
-class ContactWarning(UserWarning):
-    """Contact that real parts may lack, such as along a line only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +89,7 @@ class Assembly(Displayed):
             contact_settings: tolerances.
             ground: add a fixed slab under the lowest point, as the last part.
             contacts: contacts of the parts, if they are known; found from the meshes if not given.
-            settle: largest motion with which parts settle into their clearance first, metres; none if not given.
+            settle: largest motion with which parts settle into their clearance first, metres; none if not given or 0.
 
         Raises:
             AssemblyError: no parts, no boundary or ids out of range, density or friction out of range, parts that
@@ -130,28 +122,21 @@ class Assembly(Displayed):
         mass = mass_properties(parts, densities)
         settings = contact_settings or ContactSettings()
         given, settlement = contacts is not None, None
-        if settle is not None:
+        if settle:
             if given:
                 raise AssemblyError("given contacts belong to the poses of the parts, which cannot settle; find them")
+            from falsework.geometry.settling.settle import settle_parts  # few structures need it
+
             parts, settlement = settle_parts(parts, fixed, mass, friction, settle)
             mass = mass_properties(parts, densities)
         contacts = find_contacts(parts, settings) if contacts is None else contacts
-        check_touching(parts, fixed, contacts, settings, settle)
+        check_touching(parts, fixed, contacts, settings, settle or None)
         fixed.setflags(write=False)
         densities.setflags(write=False)
         assembly = Assembly(
             name, parts, fixed, densities, friction, contacts, mass, settings, given, settlement=settlement
         )
-        found = assembly.warnings
-        for line in found[:_WARNED]:
-            warnings.warn(line, ContactWarning, stacklevel=2)
-        if len(found) > _WARNED:
-            more = len(found) - _WARNED
-            warnings.warn(
-                f"{more} more pairs of parts touch along lines, on strips or at points only, or carry nothing",
-                ContactWarning,
-                stacklevel=2,
-            )
+        warn_of(assembly.warnings)
         return assembly
 
     def __repr__(self) -> str:
@@ -258,6 +243,8 @@ class Assembly(Displayed):
     @cached_property
     def part_motions(self) -> PartMotions:
         """Swept tests of moves of the parts."""
+        from falsework.geometry.paths.motions import PartMotions  # few structures need it
+
         _, overlap = self.contact_settings.lengths(self.meshes)
         return PartMotions(self.meshes, self.contacts, overlap)
 

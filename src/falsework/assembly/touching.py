@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.errors import AssemblyError
+from falsework.errors import AssemblyError, UntouchedPartError
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, default_gap
 from falsework.geometry.contact.near import near_points
 from falsework.geometry.mesh.collision import nearest
@@ -15,6 +16,27 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 
 _FIT = 1 / 20
 """Largest clearance of a fit, as a share of the thickness of the thinnest part."""
+
+
+_WARNED = 3
+"""Pairs of parts that are named in warnings when an assembly is made; the rest is counted."""
+
+
+class ContactWarning(UserWarning):
+    """Contact that real parts may lack, such as along a line only."""
+
+
+def warn_of(lines: Sequence[str]) -> None:
+    """Warn of contacts that real parts may lack, where an assembly is made from meshes."""
+    for line in lines[:_WARNED]:
+        warnings.warn(line, ContactWarning, stacklevel=3)
+    if len(lines) > _WARNED:
+        more = len(lines) - _WARNED
+        warnings.warn(
+            f"{more} more pairs of parts touch along lines, on strips or at points only, or carry nothing",
+            ContactWarning,
+            stacklevel=3,
+        )
 
 
 def contact_warnings(
@@ -123,7 +145,7 @@ def check_touching(
             )
         farther = 1000 * float(_above(gap)) if settled is None else 2000 * settled
         how = "let parts settle" if settled is None else "let parts settle farther"
-        raise AssemblyError(
+        raise UntouchedPartError(
             f"{where}, and {1000 * allowed:.3g} mm is allowed; move it into place, {how} (--settle {farther:.2g}), or "
             f'allow the gap if it is meant to be filled ("contact": {{"gap": {_above(gap)}}} in assembly.json)'
         )

@@ -35,8 +35,6 @@ def parse_parts(text: str, option: str, names: Sequence[str]) -> tuple[int, ...]
     """Read a list of parts such as `3,4`, `0-16` or `keystone,7`.
 
     Args:
-        text: numbers, ranges or names, separated by commas.
-        option: option that the text belongs to, for the message.
         names: names of the parts, in order.
 
     Raises:
@@ -162,8 +160,6 @@ def parse_states(text: str, option: str, assembly: Assembly) -> States:
         text: `complete`, `empty`, digits such as `2110`, a plan and its step such as `plan.json:31`, names of the parts
             that stand and, after `held:`, of those that are held, such as `0-16,keystone,held:left`; or a file: a plan,
             whose states all count, a JSON list or a `.npy` array.
-        option: option that the text belongs to, for the message.
-        assembly: the structure.
 
     Returns:
         Shape (states, parts).
@@ -196,11 +192,7 @@ def parse_states(text: str, option: str, assembly: Assembly) -> States:
 
 
 def _plan(file: str, assembly: Assembly) -> Plan:
-    """Read the plan of a structure.
-
-    Raises:
-        PlanError: no plan, or one for another structure.
-    """
+    """Read the plan of a structure."""
     from falsework.search.plans.plan_check import check_identity
     from falsework.search.plans.plan_file import load_plan
 

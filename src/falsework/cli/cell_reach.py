@@ -39,17 +39,11 @@ def report_reach(assembly: Assembly, cell: Cell, propose: Propose, picture: Path
     """Report which robot can hold which part, each alone on the boundary, with the other robots at home.
 
     Args:
-        assembly: the structure.
-        cell: the cell.
         propose: when to look for better bases; `auto`: if a robot cannot reach a part.
-        picture: plan view to draw.
         output: where to print.
 
     Returns:
         `Exit.NO` if a part is out of reach of all robots.
-
-    Raises:
-        InputError: the structure does not fit the cell, or the picture cannot be written.
     """
     from falsework.robots.cells.validate import check_cell
     from falsework.robots.grasping.reachability import Reachability, propose_bases, reach_table
@@ -68,7 +62,7 @@ def report_reach(assembly: Assembly, cell: Cell, propose: Propose, picture: Path
     _say(output, assembly, cell, parts, table)
     _propose(output, proposal)
     if picture is not None:
-        from falsework.robots.grasping.reachability_plot import draw_reach
+        from falsework.robots.grasping.reachability import draw_reach
 
         draw_reach(cell, parts, table, picture)
         output.file(picture)
@@ -82,7 +76,7 @@ def report_reach(assembly: Assembly, cell: Cell, propose: Propose, picture: Path
 
 def _say(output: Output, assembly: Assembly, cell: Cell, parts: PartShapes, table: ReachTable) -> None:
     """Print one row per part."""
-    from falsework.robots.cells.home import missing_homes
+    from falsework.robots.cells.validate import missing_homes
     from falsework.robots.grasping.reachability import Reachability
 
     shown: list[tuple[str, ...]] = []

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from falsework.cli.command import CONE_HINT, UNSET, JudgingCommand, LoadOptions
+from falsework.cli.arguments import spell_options
+from falsework.cli.command import UNSET, ConeOption, JudgingCommand, LoadOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.overrides import exit_of_good, say_overrides
+from falsework.cli.overrides import exit_of_good
 from falsework.cli.planning import judge_text, load_record, load_text
 from falsework.errors import InputError
 from falsework.utils.quantity import counted, format_quantity
@@ -79,8 +80,7 @@ class CheckPlan(JudgingCommand):
     reading: LoadOptions
     accept_overrides: bool = False
     """Accept the options of the structure that the plan records, as if all were given."""
-    cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
-    """Friction cone: round, or eight-sided as in the paper."""
+    cone: ConeOption = None
     tolerance: float = 1e-4
     """Largest acceleration of a part in a stable state, as a share of gravity."""
     gravity: float = 9.81
@@ -149,17 +149,15 @@ class CheckPlan(JudgingCommand):
     def _report(
         self, plan: Plan, assembly: Assembly, found: PlanReport, overrides: dict[str, Any], output: Output
     ) -> None:
-        from falsework.cli.velocity_text import describe, motions
+        from falsework.cli.velocity_text import describe, motions_at
         from falsework.search.plans.plan_report import JUDGEMENT, REPLAY
         from falsework.search.problem.task import Direction
         from falsework.stability.holds import describe_loads
-        from falsework.stability.motion import motion_of
 
         verified = {REPLAY} if self.replay else set()
         verified |= {JUDGEMENT} if self.judge else set()
         unverified = [claim for claim in found.unverified if claim not in verified]
-        motion = None if found.verdict is None else motion_of(assembly, found.verdict, 0)
-        moving = [] if motion is None else motions(assembly, motion)
+        moving = [] if found.verdict is None else motions_at(assembly, found.verdict, 0)
         output.record(
             {
                 "states": found.states,
@@ -195,7 +193,8 @@ class CheckPlan(JudgingCommand):
                 output.say(f"every state keeps its recorded margins of {', '.join(plan.margins.measured)}")
         if found.checked and found.about is not None:
             output.say(self._about(found.about, plan, assembly))
-            say_overrides(overrides, output)
+            if overrides:
+                output.say(f"options of the structure that the plan sets: {spell_options(overrides)}")
         if borne := load_text(plan, found.loads):
             output.say(borne)
         if found.certified:

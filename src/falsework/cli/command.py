@@ -20,8 +20,30 @@ if TYPE_CHECKING:
 
 UNSET = ""
 """Shown in place of a default where leaving an option out is the default."""
-CONE_HINT = "(default: quadratic under contact, octagon under equilibrium)"
-"""Shown as the default of options for the friction cone."""
+CRITERION = (
+    "Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces in "
+    "balance exist."
+)
+_CRITERION_HINT = "(default: contact, or that of the plan)"
+_CONE_HINT = "(default: quadratic under contact, octagon under equilibrium)"
+STATES = (
+    "A state, as `complete`, digits, plan.json:31, or parts such as 0-16,keystone,held:left; or a file with states: a "
+    "JSON list, a .npy array, or a plan."
+)
+CriterionName = Literal["contact", "equilibrium"]
+CriterionOption = Annotated[CriterionName, arg(help=CRITERION)]
+CriterionOfPlan = Annotated[CriterionName | None, arg(help=CRITERION, help_behavior_hint=_CRITERION_HINT)]
+ConeOption = Annotated[
+    Literal["octagon", "quadratic"] | None,
+    arg(help="Friction cone: round, or eight-sided as in the paper.", help_behavior_hint=_CONE_HINT),
+]
+SolverOption = Annotated[
+    Literal["auto", "cpu", "gpu", "exact"],
+    arg(help="Solver; `auto` takes a GPU where there is one and it is faster."),
+]
+DeviceOption = Annotated[Literal["auto", "cpu", "cuda"], arg(help="Device; `auto` takes a GPU if there is one.")]
+SeedOption = Annotated[int, arg(help="Random seed; results are reproducible on one machine.")]
+"""Options that several commands have, with their help texts."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,9 +71,7 @@ class Command(ABC):
 class JudgingCommand(Command):
     """Base of subcommands that decide stability."""
 
-    criterion: Literal["contact", "equilibrium"] = "contact"
-    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
-    in balance exist."""
+    criterion: CriterionOption = "contact"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +93,8 @@ class LoadOptions:
     )
     """Contacts: found from the meshes, those that a COMPAS file stores, or found and compared with the stored ones."""
     settle: Annotated[float | None, arg(metavar="MM", help_behavior_hint=UNSET)] = None
-    """Let parts settle into their clearance before they are judged, each by at most this, such as 0.5."""
+    """Let parts settle into their clearance before they are judged, each by at most this, such as 0.5. With 0 they
+    stay, where the reader of their format would let them settle."""
     # A tuple of texts; tyro would import typeguard to check the default of `tuple[str, ...]`.
     loads: Annotated[UseAppendAction[tuple], arg(name="load", metavar="PART=FX,FY,FZ", help_behavior_hint=UNSET)] = ()
     """Force on a part in N, such as keystone=0,0,-1000, at its centre of mass or at a point: 7=0,0,-1000@0.2,0,1.
@@ -82,11 +103,7 @@ class LoadOptions:
     """Pseudo-static horizontal acceleration as a share of gravity, such as 0.1 along x, or 0.1,0.05 along x and y."""
 
     def given(self) -> dict[str, Any]:
-        """Return the options that were given, as `load_structure` takes them.
-
-        Raises:
-            InputError: boundary is no list of parts, or a load or earthquake that cannot be read.
-        """
+        """Return the options that were given, as `load_structure` takes them."""
         options: dict[str, Any] = {"unit": self.unit, "density": self.density, "friction": self.friction}
         options["boundary"] = None if self.boundary is None else split_parts(self.boundary, "--boundary")
         options["ground"] = self.ground or None
@@ -111,11 +128,7 @@ class StructureOptions(LoadOptions):
     """Built-in such as `vault` or `arch:blocks=15,thickness=0.2`, or a folder or file of meshes or COMPAS data."""
 
     def load(self) -> Assembly:
-        """Build or read the structure, and warn of materials that none has and of parts that settled.
-
-        Raises:
-            InputError: no such structure, or it cannot be used; the message says what to do.
-        """
+        """Build or read the structure, and warn of materials that none has and of parts that settled."""
         from falsework.assembly.doubts import doubts_of_materials
         from falsework.assembly.load import load_structure
 

@@ -49,7 +49,6 @@ def shortfall(oracle: MarginOracle, states: States) -> dict[str, dict[str, float
     """Return the required margins that no state keeps, with the best margin among the states; SI units.
 
     Args:
-        oracle: with the demands.
         states: shape (batch, parts); those that are stable as they are.
     """
     from falsework.search.margins.plan_margins import MEASURED

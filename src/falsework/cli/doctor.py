@@ -101,7 +101,7 @@ class Doctor(Command, LoadOptions):
         from falsework.robots.cells.cell_file import load_cell
 
         if self.picture is not None:
-            from falsework.robots.grasping.reachability_plot import check_picture
+            from falsework.robots.grasping.reachability import check_picture
 
             check_picture(self.picture)
         cell = load_cell(name)

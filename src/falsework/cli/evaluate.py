@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from falsework.cli.command import UNSET, Command
+from falsework.cli.command import UNSET, Command, DeviceOption
 from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:
@@ -48,8 +48,7 @@ class Evaluate(Command):
     """Stability criterion. With another criterion than that of the run, evaluate on states of new searches."""
     states: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: all)")] = None
     """States of each set, a fixed sample."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Device; `auto` takes a GPU if there is one."""
+    device: DeviceOption = "auto"
     seed: int = 0
     """Random seed of samples and of rollouts in a search."""
 
@@ -61,18 +60,9 @@ class Evaluate(Command):
         from falsework.learn.evaluate import evaluate
 
         with output.bar("evaluating") as show:
-            record = evaluate(
-                self.folder,
-                self.structure,
-                robots=self.robots,
-                criterion=self.criterion,
-                targets=self.targets,
-                search=self.search,
-                states=self.states,
-                device=self.device,
-                seed=self.seed,
-                progress=show,
-            )
+            names = ("robots", "criterion", "targets", "search", "states", "device", "seed")
+            options = {name: getattr(self, name) for name in names}
+            record = evaluate(self.folder, self.structure, progress=show, **options)
         if record is None:
             return Exit.DONE
         output.record(record)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from falsework.cli.velocity_text import PartMotion, describe, motions
+from falsework.cli.velocity_text import PartMotion, describe, motions_at
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -90,9 +90,7 @@ def explain(assembly: Assembly, oracle: StabilityOracle, result: SearchResult) -
     """Report why a search found nothing.
 
     Args:
-        assembly: the structure.
         oracle: decides which parts move in the states where the search broke off.
-        result: end of the search.
     """
     from falsework.search.problem.result import Outcome
     from falsework.search.problem.task import Direction
@@ -113,14 +111,11 @@ def common_motions(assembly: Assembly, oracle: StabilityOracle, states: States) 
     """Return the motions of parts in unstable states, one per part, the most frequent first."""
     if not len(states):
         return []
-    from falsework.stability.motion import motion_of
-
     verdicts = oracle.verdicts(states, require_certificate=True)
     count: Counter[int] = Counter()
     fastest: dict[int, PartMotion] = {}
     for index in np.flatnonzero(~verdicts.stable & ~verdicts.undecided):
-        moved = motion_of(assembly, verdicts, int(index))
-        for motion in [] if moved is None else motions(assembly, moved):
+        for motion in motions_at(assembly, verdicts, int(index)):
             count[motion.part] += 1
             if motion.part not in fastest or motion.speed > fastest[motion.part].speed:
                 fastest[motion.part] = motion

@@ -9,15 +9,18 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
+from falsework.cli.command import UNSET, JudgingCommand, SeedOption, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import SearchOptions, TaskOptions, refuse_unstable, writable
-from falsework.cli.state_sets import save_sets
+from falsework.cli.planning import RuleOptions, refuse_unstable, search_directions, writable
 from falsework.errors import InputError
 from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
+    from falsework.search.problem.deadline import Deadline
+    from falsework.search.problem.task import Task
+    from falsework.stability.oracle import StabilityOracle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +34,7 @@ class MakeGraph(JudgingCommand):
     Exit code 1 if a search does not reach the other end; the states found are saved in any case.
     """
 
-    rare: ClassVar[tuple[str, ...]] = ("device", "deadline")
+    rare: ClassVar[tuple[str, ...]] = ("search_from", "seed", "device", "deadline")
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework graph bottle --width 64 --robots 2 --out graph.npz",
@@ -42,8 +45,14 @@ class MakeGraph(JudgingCommand):
     structure: StructureOptions
     out: Annotated[Path, arg(metavar="FILE")] = Path("graph.npz")
     """File to write, a NumPy archive."""
-    task: TaskOptions
-    search: SearchOptions
+    task: RuleOptions
+    robots: int = 2
+    """Number of robots: parts that can be held at a time."""
+    width: int = 64
+    """States kept at each step; a wider search finds more and takes longer."""
+    search_from: Literal["beginning", "end"] = "beginning"
+    """End of the assembly from which to search: its beginning, the empty structure, or its end, the complete one."""
+    seed: SeedOption = 0
     sets: Annotated[str | None, arg(metavar="WIDTHS", help_behavior_hint=UNSET)] = None
     """Save data sets, from searches of these widths: for training, for the test, and others for more training states,
     such as 64,128 or 64,128,256."""
@@ -58,6 +67,8 @@ class MakeGraph(JudgingCommand):
         """Search, connect and save."""
         from falsework.cli.failure import explain
         from falsework.search.backend import beam_search
+        from falsework.search.beam.settings import BeamSettings
+        from falsework.search.find import make_task
         from falsework.search.problem.deadline import Deadline
         from falsework.search.problem.state_graph import StateGraph, save_state_graph
         from falsework.stability import PressOracle
@@ -78,13 +89,14 @@ class MakeGraph(JudgingCommand):
         assembly = self.structure.load()
         oracle = StabilityOracle(assembly, StabilitySettings(criterion=self.criterion))
         judge, device = (PressOracle(oracle), "cpu") if self.presses else (oracle, self.device)
-        task = self.task.task(assembly)
+        task = make_task(assembly, self.robots, **self.task.rules(assembly))
         if refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
         if widths is not None:
-            return save_sets(assembly, task, oracle, widths, self.search.seed, self.device, clock, self.out, output)
+            return self._save_sets(assembly, task, oracle, widths, clock, output)
         task = task.judged_by(oracle)
-        with beam_search(task, judge, self.search.settings(), device) as (search, first):
+        settings = BeamSettings(self.width, search_directions(self.search_from)[0], seed=self.seed)
+        with beam_search(task, judge, settings, device) as (search, first):
             if not first:
                 search.run()
                 return Exit.DONE
@@ -119,12 +131,59 @@ class MakeGraph(JudgingCommand):
             return Exit.NO
         return Exit.DONE
 
+    def _save_sets(
+        self,
+        assembly: Assembly,
+        task: Task,
+        oracle: StabilityOracle,
+        widths: tuple[int, ...],
+        clock: Deadline,
+        output: Output,
+    ) -> Exit:
+        """Search for solvable states, and save them in disjoint sets for training, validation and test."""
+        from falsework.utils.optional_packages import check_torch
+
+        check_torch()
+        from falsework.learn.data.dataset import DataSettings, build_dataset, save_dataset
+        from falsework.search.device.oracle import tensor_oracle
+        from falsework.utils.distributed import init_distributed
+
+        with init_distributed(self.device) as (shards, chosen), output.bar("searching") as show:
+            dataset = build_dataset(
+                assembly,
+                task,
+                DataSettings(widths[0], widths[1], widths[2:], self.seed),
+                oracle=tensor_oracle(oracle, chosen),
+                device=str(chosen),
+                shards=shards,
+                report=lambda text: show(0, 0, text),
+                stop=(lambda: clock.passed) if clock.limited else None,
+            )
+            first = shards.is_main_process
+        if not first:
+            return Exit.DONE
+        save_dataset(dataset, self.out)
+        output.file(self.out)
+        sets = {name: len(getattr(dataset, name)) for name in ("train", "test", "validation", "more")}
+        output.record({"criterion": dataset.criterion, "states": sum(sets.values()), "sets": sets})
+        output.record({"levels": dataset.levels(), "search_seconds": dataset.seconds})
+        more = f" and {sets['more']} more" if sets["more"] else ""
+        output.say(
+            f"{self.out}: {counted(sets['train'], 'state')} to train on{more}, {sets['test']} to test on, "
+            f"{sets['validation']} to validate on"
+        )
+        if dataset.complete:
+            return Exit.DONE
+        late = "the deadline ended the search; what was found so far is saved"
+        wider = "falsework: not every search reached the complete structure; wider ones may"
+        output.note(late if clock.limited and clock.passed else wider)
+        return Exit.NO
+
     def _widths(self, text: str) -> tuple[int, ...]:
         """Return the widths of `--sets`, and refuse options that searches for data sets do not have."""
         others = {"begin": self.task.begin, "end": self.task.end, "missing": self.task.missing}
         given = [name for name, value in others.items() if value is not None]
-        plain = SearchOptions()
-        given += [name for name in ("width", "search_from") if getattr(self.search, name) != getattr(plain, name)]
+        given += [name for name in ("width", "search_from") if getattr(self, name) != getattr(type(self), name)]
         if given:
             raise InputError(
                 "data sets come from whole searches that begin at the empty structure; "

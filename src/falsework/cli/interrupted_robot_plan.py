@@ -11,11 +11,9 @@ from falsework.utils.quantity import format_quantity, parse_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
-    from falsework.assembly.state import States
     from falsework.robots.model.cell import Cell
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.robots.plans.timeline import Interruption
-    from falsework.stability.verdict import Criterion
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +33,7 @@ class InterruptedPlan:
         """Read the plan, and find out where it stands.
 
         Args:
-            file: of the plan.
             at: time of the interruption, such as `7.2s`.
-            order: of the motions that are wanted.
-            structure: structure in place of the one that the plan names.
-            cell: cell in place of the one that the plan names.
             options: as for `load_structure`.
 
         Raises:
@@ -64,18 +58,3 @@ class InterruptedPlan:
         place = load_cell(cell or plan.cell_place(file))
         plan.check_identity(assembly, place)
         return cls(plan, file, assembly, place, interruption(plan, seconds))
-
-    @property
-    def state(self) -> States:
-        """What stands and is held, shape (parts,)."""
-        return self.now.state
-
-    @property
-    def arms(self) -> tuple[list[int | None], list[Any], list[Any]]:
-        """What the arms hold or carry, their joint values, and those with which they would hold what they carry."""
-        return [*self.now.held], [*self.now.configurations], [*self.now.gripped]
-
-    @property
-    def criterion(self) -> Criterion:
-        """Stability criterion of the plan."""
-        return self.plan.plan.claim.criterion

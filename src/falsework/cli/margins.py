@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions
+from falsework.cli.arguments import parse_states, spell_options
+from falsework.cli.command import STATES, UNSET, Command, ConeOption, CriterionOfPlan, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.margins_table import print_margins
-from falsework.cli.overrides import note_overrides
 from falsework.errors import InputError
 from falsework.utils.quantity import counted, format_quantity
 
@@ -48,17 +48,10 @@ class FindMargins(Command):
 
     structure: StructureOptions
     states: Annotated[
-        str | None, arg(metavar="STATES", help_behavior_hint="(default: complete, or those of the plan)")
+        str | None, arg(metavar="STATES", help=STATES, help_behavior_hint="(default: complete, or those of the plan)")
     ] = None
-    """A state, as `complete`, digits, plan.json:31, or parts such as 0-16,keystone,held:left; or a file with states: a
-    JSON list, a .npy array, or a plan."""
-    criterion: Annotated[
-        Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: contact, or that of the plan)")
-    ] = None
-    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
-    in balance exist."""
-    cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
-    """Friction cone: round, or eight-sided as in the paper."""
+    criterion: CriterionOfPlan = None
+    cone: ConeOption = None
     bears: Annotated[str | None, arg(metavar="FORCE,MOMENT", help_behavior_hint=UNSET)] = None
     """Largest force and moment that a robot can bear, such as 120N,8Nm."""
     polygon: bool = False
@@ -99,8 +92,11 @@ class FindMargins(Command):
         if plan is not None:
             check_identity(plan, assembly)
             own = structure_to_check(plan, self.structure.spec, **self.structure.given())[1]
-            note_overrides(own, output)
-        states = self._states(plan, assembly)
+            if own:
+                output.note(f"falsework: warning: the plan sets options of its structure itself: {spell_options(own)}")
+        own_states = plan is not None and self.states is None
+        text = self.states or "complete"
+        states = plan.states if plan and own_states else parse_states(text, "--states", assembly)
         criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
         settings = StabilitySettings(criterion=criterion, cone=self.cone)
         if self.out is not None:
@@ -139,10 +135,12 @@ class FindMargins(Command):
                     f"{format_quantity(load.force_n, 'force')} and {format_quantity(load.moment_nm, 'moment')}, more "
                     f"than {self.bears}"
                 )
-        subjects = [self._subject(row, plan, assembly) for row in range(len(records))]
+        subjects = [f"state {row}" if self.states else assembly.name for row in range(len(records))]
+        if plan is not None and own_states:
+            subjects = [f"{row} {plan.steps[row - 1] if row else 'start'}" for row in range(len(records))]
         print_margins(records, subjects, output, everything=self.steps or plan is None)
         fallen = sum(not margins.stands for margins in found)
-        if fallen and plan is not None and self.states is None:
+        if fallen and own_states:
             verb = "stands as it is" if fallen == 1 else "stand as they are"
             output.note(
                 f"falsework: {counted(fallen, 'state')} of the plan {verb} built, with the history of its contacts, "
@@ -201,13 +199,6 @@ class FindMargins(Command):
         output.file(path)
         output.note(f"the plan with its margins is in {path}")
 
-    def _states(self, plan: Plan | None, assembly: Assembly) -> States:
-        from falsework.cli.arguments import parse_states
-
-        if self.states is None and plan is not None:
-            return plan.states
-        return parse_states(self.states or "complete", "--states", assembly)
-
     def _shares(
         self, assembly: Assembly, states: States, errors: list[float], settings: Any, output: Output
     ) -> list[list[float]]:
@@ -228,8 +219,3 @@ class FindMargins(Command):
                 progress=lambda done, total: show(done, total, f"draw {done} of {total}"),
             )
         return curve.shares.T.tolist()
-
-    def _subject(self, row: int, plan: Plan | None, assembly: Assembly) -> str:
-        if plan is not None and self.states is None:
-            return f"{row} {plan.steps[row - 1] if row else 'start'}"
-        return assembly.name if self.states is None else f"state {row}"

@@ -33,9 +33,7 @@ def print_margins(
 
     Args:
         records: of the states, as `StateMargins.to_dict` returns them.
-        subjects: what the states are.
         output: where to print, and to record which states are the weakest.
-        everything: print all states.
     """
     weakest = {key: _weakest([record[key] for record in records], key) for key, *_ in _COLUMNS}
     if len(records) > 1:

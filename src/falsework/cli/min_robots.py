@@ -6,51 +6,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import RegraspOptions, lacks_reserve, reserve_lines
+from falsework.cli.planning import lacks_reserve, reserve_lines
 from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
-    from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.search.min_robots import MinRobots
-    from falsework.search.settings import PlannerSettings
-    from falsework.stability.settings import StabilitySettings
-
 
 _SHARED = ("verdicts", "seconds", "interrupted")
 """Fields that the answer on any plan has."""
-
-
-def ask(
-    assembly: Assembly,
-    stability: StabilitySettings,
-    rules: RegraspOptions,
-    settings: PlannerSettings,
-    deadline: float | None,
-    proofs: bool,
-    output: Output,
-) -> MinRobots:
-    """Run `falsework.search.min_robots` with progress on the error stream."""
-    from falsework.search.min_robots import DEADLINE, min_robots
-
-    with output.search_progress() as show:
-        return min_robots(
-            assembly,
-            stability=stability,
-            settings=settings,
-            deadline=DEADLINE if deadline is None else deadline,
-            progress=show,
-            forces=proofs,
-            **rules.rules(assembly),
-        )
 
 
 def report(answer: MinRobots, reserve: float, path: Path | None, output: Output) -> Exit:
     """Print the answer, and return the exit code.
 
     Args:
-        answer: the answer.
-        reserve: that was asked for.
         path: of the plan, where it was saved.
         output: where to print.
     """
@@ -84,7 +54,7 @@ def report(answer: MinRobots, reserve: float, path: Path | None, output: Output)
         output.note("interrupted; this is the best so far")
         return Exit.INTERRUPTED
     if answer.deadline_passed and not answer.proven:
-        output.note("the deadline ended the search; more time may find a plan or a proof")
+        output.note("the search ended before a plan or a proof was found; --deadline gives it more time")
     lacking = "" if answer.plan is None else lacks_reserve(answer.plan, reserve)
     if lacking:
         output.outcome("weaker")

@@ -68,9 +68,6 @@ class Output:
         """Choose the format.
 
         Args:
-            machine: print JSON.
-            aside: print to the error stream, since a file is written to standard output.
-            command: name of the subcommand, for the answer.
             outcomes: outcomes with the exit codes 0 and 1, unless the subcommand names another.
         """
         self.machine = machine
@@ -104,12 +101,7 @@ class Output:
         return code
 
     def answer(self, code: Exit, error: str | None = None) -> None:
-        """Print the JSON answer on one line, for machines only; commands that go on for long call it when they begin.
-
-        Args:
-            code: exit code.
-            error: what was wrong, in one line.
-        """
+        """Print the JSON answer on one line, for machines only; commands that go on for long call it at their start."""
         if not self.machine or self._answered:
             return
         self._answered = True
@@ -137,7 +129,6 @@ class Output:
         """Print a table as text, unless its rows are printed as JSON records already.
 
         Args:
-            headings: of the columns.
             rows: cells, one a column.
             dim: rows that begin with this text are details, which a terminal shows fainter.
         """

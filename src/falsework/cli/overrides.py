@@ -1,4 +1,4 @@
-"""Options of the structure that a plan sets itself: a check prints them, and its exit code says so."""
+"""Options of the structure that a plan sets itself: commands print them, and the exit code of a check says so."""
 
 from __future__ import annotations
 
@@ -13,29 +13,12 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
 
 
-def note_overrides(overrides: Mapping[str, Any], output: Output) -> None:
-    """Warn of options of the structure that a plan sets, where a command computes with them."""
-    if overrides:
-        output.note(f"falsework: warning: the plan sets options of its structure itself: {spell_options(overrides)}")
-
-
-def say_overrides(overrides: Mapping[str, Any], output: Output) -> None:
-    """Print options of the structure that a plan sets, as they are written on the command line.
-
-    Args:
-        overrides: as `structure_to_check` returns them.
-        output: streams of the command.
-    """
-    if overrides:
-        output.say(f"options of the structure that the plan sets: {spell_options(overrides)}")
-
-
 def exit_of_good(plan: Path, overrides: Mapping[str, Any], output: Output, *, accepted: bool) -> Exit:
     """Return the exit code of a check that found nothing wrong, and say what it depends on.
 
     Args:
         plan: file of the plan.
-        overrides: options of the structure that the plan sets and the command line does not give.
+        overrides: options that the plan sets and the command line does not give, see `structure_to_check`.
         output: streams of the command.
         accepted: whether the command line accepts them all.
     """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import arg
 
@@ -25,6 +25,9 @@ _STILLS = ("step", "gantt", "forces", "limits", "policy", "frames", "columns", "
 """Options that videos do not have."""
 _MOVING = ("step_seconds", "rate", "speed")
 """Options that only videos have."""
+_VIEW = ("azimuth", "elevation")
+_DRAWN = ("step", "forces", "verdicts", "limits", "criterion", "frames", "columns", "width", "title", *_VIEW)
+"""Options that are arguments of `falsework.picture`."""
 _VIDEO_WIDTH = 800
 """Width of videos where none is given, pixels."""
 
@@ -69,11 +72,11 @@ class MakePicture(JudgingCommand):
     columns: int = 4
     """Number of pictures in a row."""
     step_seconds: Annotated[float, arg(metavar="S")] = 0.4
-    """Duration of a step in a video; a robot plan with a schedule is shown in its own time instead."""
+    """Duration of a step in a video; a robot plan is shown in its own time instead."""
     rate: float = 10.0
     """Frame rate of a video."""
     speed: float = 1.0
-    """Seconds of a schedule that pass in a second of the video."""
+    """Seconds of a robot plan that pass in a second of the video."""
     width: int = 0
     """Width of a picture, pixels; 0: automatic."""
     azimuth: float = -58.0
@@ -93,9 +96,9 @@ class MakePicture(JudgingCommand):
         writable(self.out)
         video = self.out.suffix.lower() in KINDS
         if video:
-            self._refuse(_STILLS, "a video")
+            self._refuse(_STILLS, f"a video such as {self.out}")
         else:
-            self._refuse(_MOVING, "a picture")
+            self._refuse(_MOVING, f"a picture such as {self.out}")
             check_suffix(self.out, ".png", ".svg", *KINDS)
             check_sizes(self.width, self.frames, self.columns)
         if self.gantt:
@@ -105,32 +108,17 @@ class MakePicture(JudgingCommand):
         return self._animate(output) if video else self._draw(output)
 
     def _refuse(self, options: tuple[str, ...], what: str) -> None:
-        """Refuse options that this kind of file does not have."""
+        """Refuse options that what is drawn does not have."""
         given = [f"--{name.replace('_', '-')}" for name in options if getattr(self, name) != getattr(type(self), name)]
         if given:
-            raise InputError(
-                f"{what} such as {self.out} has no {' and '.join(given)}; leave it out, or name another file"
-            )
+            them = "it" if len(given) == 1 else "them"
+            raise InputError(f"{what} has no {' and '.join(given)}; leave {them} out, or draw something else")
 
     def _draw(self, output: Output) -> Exit:
         from falsework.viewer.show import picture
 
         subject = self.subject.open().with_policy(self.policy)
-        drawn = picture(
-            subject,
-            self.out,
-            step=self.step,
-            forces=self.forces,
-            verdicts=self.verdicts,
-            limits=self.limits,
-            criterion=self.criterion,
-            frames=self.frames,
-            columns=self.columns,
-            width=self.width,
-            azimuth=self.azimuth,
-            elevation=self.elevation,
-            title=self.title,
-        )
+        drawn = picture(subject, self.out, **{name: getattr(self, name) for name in _DRAWN})
         output.record({"kind": subject.kind, "shows": drawn.shows})
         if subject.graph is None or self.step is not None:
             output.record({"steps": list(drawn.places)})
@@ -148,14 +136,9 @@ class MakePicture(JudgingCommand):
             drawn = animate(
                 subject,
                 self.out,
+                **{name: getattr(self, name) for name in ("rate", "speed", "verdicts", "criterion", *_VIEW)},
                 seconds=self.step_seconds,
-                rate=self.rate,
-                speed=self.speed,
-                verdicts=self.verdicts,
-                criterion=self.criterion,
                 width=width,
-                azimuth=self.azimuth,
-                elevation=self.elevation,
                 progress=lambda done, total: show(done, total, f"picture {done} of {total}"),
             )
         output.record({"kind": subject.kind, "shows": drawn.shows})
@@ -172,12 +155,9 @@ class MakePicture(JudgingCommand):
     def _cell(self, output: Output) -> Exit:
         from falsework.viewer.cells.cell_picture import picture_cell
 
-        others = ("step", *_STATE)
-        if wrong := [f"--{name}" for name in others if getattr(self, name) != getattr(type(self), name)]:
-            raise InputError(f"a cell has no states; leave out {' and '.join(wrong)}")
-        look: dict[str, Any] = {"width": self.width, "azimuth": self.azimuth, "elevation": self.elevation}
-        spec, structure = self.subject.spec, self.subject.structure
-        drawn = picture_cell(spec, self.out, structure, title=self.title, **look, **self.subject.given())
+        self._refuse(("step", *_STATE), "a picture of a cell")
+        look = {name: getattr(self, name) for name in ("width", "title", *_VIEW)}
+        drawn = picture_cell(self.subject.spec, self.out, self.subject.structure, **look, **self.subject.given())
         output.file(self.out)
         output.record({"kind": "cell", "shows": drawn.shows, "faults": drawn.faults, "too_near": drawn.pairs})
         output.say(f"{self.out}: {drawn.shows}")
@@ -188,10 +168,7 @@ class MakePicture(JudgingCommand):
     def _gantt(self, output: Output) -> Exit:
         from falsework.viewer.pictures.gantt import draw_gantt
 
-        if wrong := [name for name in ("step", *_STATE) if getattr(self, name) != getattr(type(self), name)]:
-            raise InputError(
-                f"a Gantt chart shows no state; leave out {' and '.join(f'--{n}' for n in wrong)}, or --gantt"
-            )
+        self._refuse(("step", *_STATE), "a Gantt chart")
         subject = self.subject.open()
         if subject.arms is None:
             raise InputError(f"a {subject.kind} has no arms to draw a Gantt chart of; give a robot plan")

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, UNSET, Command, StructureOptions, settlement_record
+from falsework.cli.command import (
+    UNSET,
+    Command,
+    ConeOption,
+    CriterionOption,
+    SeedOption,
+    SolverOption,
+    StructureOptions,
+    settlement_record,
+)
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import (
     HoldOptions,
@@ -21,6 +30,8 @@ from falsework.cli.planning import (
     need_text,
     refuse_unstable,
     reserve_lines,
+    save_plans,
+    say_alternatives,
     search_directions,
     writable,
 )
@@ -35,6 +46,21 @@ if TYPE_CHECKING:
     from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Task
     from falsework.search.settings import PlannerSettings
+
+
+_COMPARED = ("maximise_margin", "resume", "guide", "robust", "judge")
+_WIDER = ("--allow-regrasp", "--props")
+_EXCLUDED: dict[str, tuple[str, ...]] = {
+    "--robots auto": ("--alternatives", "--resume", "--margin", "--maximise-margin", "--judge", "--guide"),
+    "--parts-at-once": ("--resume",),
+    "--allow-regrasp": ("--missing", "--alternatives", "--resume", "--margin", "--maximise-margin"),
+    "--props": ("--missing", "--alternatives", "--resume", "--margin", "--maximise-margin"),
+    "--maximise-margin": ("--alternatives", "--resume"),
+    "--guide": (*_WIDER, "--maximise-margin"),
+    "--robust": ("--criterion equilibrium",),
+    "--judge": ("--criterion equilibrium", *_WIDER, "--alternatives", "--maximise-margin"),
+}
+"""Options that exclude others."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,15 +114,10 @@ class MakePlan(Command):
     guide: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint="(default: support first)")] = None
     """Trained run, of this structure or of a policy for any, or `general` for the one that comes with this program: its
     policy says which actions a search tries first. Without it, parts with much support are inserted first."""
-    seed: int = 0
-    """Random seed; results are reproducible on one machine."""
-    criterion: Literal["contact", "equilibrium"] = "contact"
-    """Stability criterion: compliant contacts without prestress bring every part to rest, in every state and in a
-    replay of the whole plan; or (paper) contact forces in balance exist."""
-    cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
-    """Friction cone: round, or eight-sided as in the paper."""
-    solver: Literal["auto", "cpu", "gpu", "exact"] = "cpu"
-    """Solver; `auto` takes a GPU where there is one and it is faster."""
+    seed: SeedOption = 0
+    criterion: CriterionOption = "contact"
+    cone: ConeOption = None
+    solver: SolverOption = "cpu"
     margin: Annotated[str | None, arg(metavar="MARGINS", help_behavior_hint=UNSET)] = None
     """Margins that every state must keep: friction=1.25 (factor of safety), tilt=2deg, horizontal=0.05g, push=20N (on
     any free face), load=1kN (on any installed part), placement=1mm; several are separated by commas."""
@@ -112,8 +133,8 @@ class MakePlan(Command):
     proofs: bool = False
     """Write the proof of each state into the plan: displacements, or contact forces under `equilibrium`."""
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
-    """Seconds after which the search ends with the best it has, and is saved like an interrupted one; with --robots
-    auto without it 60."""
+    """Seconds after which the search ends with the best it has, and is saved like an interrupted one. Without it, that
+    for --robots auto ends after as many verdicts as take about a minute."""
     resume: bool = False
     """Resume the interrupted search."""
 
@@ -127,46 +148,14 @@ class MakePlan(Command):
         from falsework.search.problem.deadline import Deadline, check_deadline
         from falsework.stability.oracle import StabilityOracle
 
-        if self.maximise_margin and (self.alternatives > 1 or self.resume):
-            raise InputError(
-                "--maximise-margin looks for one plan, from the beginning; leave out --alternatives and --resume"
-            )
-        if self.guide is not None and (self.task.wider or self.maximise_margin or self.robots == "auto"):
-            raise InputError(
-                "--guide takes neither --allow-regrasp, --props, --maximise-margin nor --robots auto; leave it out"
-            )
-        if self.task.wider and (self.alternatives > 1 or self.resume or self.margin or self.maximise_margin):
-            raise InputError(
-                "--allow-regrasp and --props take neither --alternatives, --resume, --margin nor --maximise-margin"
-            )
-        if self.robust and self.criterion != "contact":
-            raise InputError("--robust asks for replays, which the criterion equilibrium does not have; leave it out")
-        if self.judge and (
-            self.criterion != "contact" or self.task.wider or self.alternatives > 1 or self.maximise_margin
-        ):
-            raise InputError(
-                "--judge takes neither --criterion equilibrium, --allow-regrasp, --props, --alternatives nor "
-                "--maximise-margin"
-            )
-        auto = self.robots == "auto"
-        self.task.check_several(
-            {
-                "--robots auto": auto,
-                "--alternatives": self.alternatives > 1,
-                "--resume": self.resume,
-            }
-        )
+        self._refuse_pairs()
+        saves = not self.task.wider and self.task.parts_at_once == 1
         demands = Demands() if self.margin is None else Demands.from_text(self.margin)
 
         writable(self.out)
         check_deadline(self.deadline)
-        if auto:
-            if demands or self.maximise_margin or self.judge:
-                raise InputError(
-                    "--robots auto takes no --margin, --maximise-margin or --judge; give the number of robots"
-                )
+        if self.robots == "auto":
             return self._with_fewest_robots(output)
-        saves = not self.task.wider and self.task.parts_at_once == 1
         settings, checkpoint = self._settings(), self._checkpoint() if saves else None
         assembly = self.task.with_places(self.structure.load())
         output.record(settlement_record(assembly))
@@ -243,16 +232,42 @@ class MakePlan(Command):
             return Exit.INTERRUPTED
         return Exit.DONE if planning.found else Exit.NO
 
+    def _refuse_pairs(self) -> None:
+        """Refuse options that exclude each other."""
+        given = {
+            "--allow-regrasp": self.task.allow_regrasp,
+            "--props": self.task.props > 0,
+            "--missing": self.task.missing is not None,
+            "--parts-at-once": self.task.parts_at_once > 1,
+            "--robots auto": self.robots == "auto",
+            "--criterion equilibrium": self.criterion == "equilibrium",
+            "--margin": self.margin is not None,
+        }
+        given |= {f"--{name.replace('_', '-')}": bool(getattr(self, name)) for name in _COMPARED}
+        given["--alternatives"] = self.alternatives > 1
+        for option, others in _EXCLUDED.items():
+            wrong = [other for other in others if given[option] and given[other]]
+            if wrong:
+                raise InputError(f"{option} takes no {' and no '.join(wrong)} yet; leave one of the two out")
+
     def _with_fewest_robots(self, output: Output) -> Exit:
         """Search for the fewest robots, and save the plan found with them."""
-        from falsework.cli.min_robots import ask, report
+        from falsework.cli.min_robots import report
+        from falsework.search.min_robots import min_robots
 
-        if self.alternatives > 1 or self.resume:
-            raise InputError("--robots auto takes neither --alternatives nor --resume; give the number of robots")
         assembly = self.task.with_places(self.structure.load())
         output.record(settlement_record(assembly))
         stability = self.holds.settings(self.criterion, self.cone, self.solver)
-        answer = ask(assembly, stability, self.task, self._settings(), self.deadline, self.proofs, output)
+        with output.search_progress() as show:
+            answer = min_robots(
+                assembly,
+                stability=stability,
+                settings=self._settings(),
+                deadline=self.deadline,
+                progress=show,
+                forces=self.proofs,
+                **self.task.rules(assembly),
+            )
         path = None if answer.plan is None else self._save([answer.plan])[0][0]
         return report(answer, stability.reserve, path, output)
 
@@ -274,7 +289,9 @@ class MakePlan(Command):
         from falsework.search.settings import PlannerSettings
 
         directions = search_directions(self.search_from)
-        return PlannerSettings(self.width, directions, self.alternatives, self.seed, self.robust, self.judge)
+        return PlannerSettings(
+            self.width, directions, self.alternatives, self.seed, robust=self.robust, judge=self.judge
+        )
 
     def _checkpoint(self) -> Path:
         """Return the path of the search checkpoint; an old one is refused unless the search resumes."""
@@ -286,16 +303,7 @@ class MakePlan(Command):
         return path
 
     def _save(self, plans: Sequence[Plan]) -> list[tuple[Path, Plan]]:
-        from falsework.search.plans.plan_file import save_plan
-
-        saved = []
-        for number, found in enumerate(plans, 1):
-            path = self.out if number == 1 else self.out.with_stem(f"{self.out.stem}-{number}")
-            plan = replace(found, source=self.structure.source(path))
-            # A plan whose replay fails, which is saved to be looked at, has no proofs of all states.
-            save_plan(plan, path, proofs=self.proofs and (plan.replay is None or plan.replay.stands))
-            saved.append((path, plan))
-        return saved
+        return save_plans(plans, self.out, self.structure.source, proofs=self.proofs)
 
     def _show_fallen(self, plan: Plan, output: Output) -> None:
         """Save the plan whose replay gets farthest, and report where it fails."""
@@ -369,11 +377,7 @@ class MakePlan(Command):
             output.say(line)
         for need in first.needs:
             output.say(need_text(first, need))
-        if len(plans) > 1:
-            others = ", ".join(str(path) for path, _ in plans[1:])
-            output.say(f"alternatives in {others}; the two plans most alike differ by {found.least_distance:.2f} of 1")
-        if len(plans) < self.alternatives:
-            output.note(f"only {len(plans)} of the {self.alternatives} requested plans were found")
+        say_alternatives([path for path, _ in plans], found.least_distance, self.alternatives, output)
 
 
 def _replay_record(plan: Plan) -> dict[str, Any] | None:

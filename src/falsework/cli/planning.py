@@ -1,10 +1,11 @@
-"""Task and search options that `plan` and `graph` share, and the checks before a search."""
+"""Options of rules and holds, texts about plans, and the checks before a search, which several commands share."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import arg
 
@@ -12,15 +13,14 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET
 from falsework.errors import InputError
 from falsework.utils.files.output_file import check_writable
-from falsework.utils.quantity import counted, format_quantity
+from falsework.utils.quantity import counted, format_quantity, listed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
-    from falsework.search.beam.settings import BeamSettings
     from falsework.search.plans.plan import PartDeadline, Plan
     from falsework.search.problem.task import Direction, Task
-    from falsework.search.task_rules import TaskRules
+    from falsework.search.task_rules import TaskRules, WayRules
     from falsework.stability.contact.hold_loads import Loads
     from falsework.stability.judges.judgement import Judgement
     from falsework.stability.oracle import StabilityOracle
@@ -33,15 +33,11 @@ SHOWN = 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class RuleOptions:
-    """Rules that a plan must obey in addition to the number of robots."""
+class PartRuleOptions:
+    """Rules on parts that a plan must obey."""
 
-    rare: ClassVar[tuple[str, ...]] = ("begin", "end", "fixed", "removable_only_if_clear")
+    rare: ClassVar[tuple[str, ...]] = ("fixed", "removable_only_if_clear")
 
-    begin: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
-    """State in which the assembly begins, such as `empty`, plan.json:31, or parts as in 0-16,keystone,held:left."""
-    end: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
-    """State in which the assembly ends, such as `complete`, plan.json:31, or parts."""
     missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts not delivered yet, such as 3,keystone; assembly does without them as long as possible."""
     fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
@@ -49,32 +45,48 @@ class RuleOptions:
     removable_only_if_clear: bool = False
     """Remove a part only if it has a collision-free straight exit in some direction."""
 
-    def rules(self, assembly: Assembly) -> TaskRules:
-        """Return the rules, as `find_plans` takes them.
+    def parts(self, assembly: Assembly) -> dict[str, tuple[int, ...]]:
+        """Return the missing and the fixed parts by the names of the options.
 
         Raises:
-            InputError: parts or states that the structure does not have; the message says what to do.
+            InputError: parts that the structure does not have.
         """
+        given = {"missing": self.missing, "fixed": self.fixed}
+        return {
+            name: () if text is None else parse_parts(text, f"--{name}", assembly.names) for name, text in given.items()
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class RuleOptions(PartRuleOptions):
+    """Rules that a plan must obey in addition to the number of robots."""
+
+    rare: ClassVar[tuple[str, ...]] = (*PartRuleOptions.rare, "begin", "end")
+
+    begin: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: empty)")] = None
+    """State in which the assembly begins, such as `empty`, plan.json:31, or parts as in 0-16,keystone,held:left."""
+    end: Annotated[str | None, arg(metavar="STATE", help_behavior_hint="(default: complete)")] = None
+    """State in which the assembly ends, such as `complete`, plan.json:31, or parts."""
+
+    def rules(self, assembly: Assembly) -> TaskRules:
+        """Return the rules, as `find_plans` takes them."""
+        parts = self.parts(assembly)
         return {
             # A task starts with the state that has more parts.
             "start": None if self.end is None else parse_state(self.end, "--end", assembly),
             "target": None if self.begin is None else parse_state(self.begin, "--begin", assembly),
-            "fixed": () if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names),
-            "missing": () if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
+            "fixed": parts["fixed"],
+            "missing": parts["missing"],
             "removable_only_if_clear": self.removable_only_if_clear,
         }
 
 
 @dataclass(frozen=True, kw_only=True)
-class RegraspOptions(RuleOptions):
-    """Rules that a plan must obey, with repeated holds and props."""
+class WayOptions:
+    """Ways on which parts leave."""
 
-    rare: ClassVar[tuple[str, ...]] = (*RuleOptions.rare, "moves", "turns")
+    rare: ClassVar[tuple[str, ...]] = ("moves", "turns")
 
-    allow_regrasp: bool = False
-    """Let robots release a part without removing it when it no longer needs them, and hold parts again."""
-    props: int = 0
-    """Number of props, passive posts from the floor to the lower side of a part, that may be in place at a time."""
     parts_at_once: Annotated[int, arg(metavar="K")] = 1
     """Largest number of parts that one step may insert: parts that lock each other, each held by a robot of its own, or
     all carried by one. More than 1 implies --removable-only-if-clear."""
@@ -84,43 +96,38 @@ class RegraspOptions(RuleOptions):
     turns: bool = False
     """Let a part that leaves also turn, or screw, as one of its --moves. Implies --removable-only-if-clear."""
 
+    def ways(self) -> WayRules:
+        """Return the ways as rules."""
+        return {"parts_at_once": self.parts_at_once, "moves": self.moves, "turns": self.turns}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RegraspOptions(WayOptions, RuleOptions):
+    """Rules that a plan must obey, with repeated holds and props."""
+
+    rare: ClassVar[tuple[str, ...]] = (*RuleOptions.rare, *WayOptions.rare)
+
+    allow_regrasp: bool = False
+    """Let robots release a part without removing it when it no longer needs them, and hold parts again."""
+    props: int = 0
+    """Number of props, passive posts from the floor to the lower side of a part, that may be in place at a time."""
+
     def rules(self, assembly: Assembly) -> TaskRules:
         """Return the rules, as `find_plans` takes them.
 
         Raises:
-            InputError: parts or states that the structure does not have, or rules that exclude each other.
+            InputError: parts or states that the structure does not have.
         """
-        if self.wider and self.missing is not None:
-            raise InputError("--allow-regrasp and --props take no missing parts; leave out --missing")
         from falsework.assembly.props import keep_props
 
         # States are given without places for props, which are absent at both ends.
         plain = keep_props(assembly, ()) if assembly.props else assembly
-        ways: TaskRules = {"parts_at_once": self.parts_at_once, "moves": self.moves, "turns": self.turns}
-        return {**super().rules(plain), "allow_regrasp": self.wider, "props": self.props, **ways}
+        return {**super().rules(plain), "allow_regrasp": self.wider, "props": self.props, **self.ways()}
 
     @property
     def wider(self) -> bool:
         """Whether plans may hold parts more than once or use props."""
         return self.allow_regrasp or self.props > 0
-
-    def check_several(self, other: dict[str, bool]) -> None:
-        """Refuse options that plans with several parts at once do not have.
-
-        Args:
-            other: names of the options of the command that are given.
-
-        Raises:
-            InputError: an option that they do not have; the message names it.
-        """
-        given = {
-            "--allow-regrasp": self.allow_regrasp,
-            "--props": self.props > 0,
-            "--missing": self.missing is not None,
-        } | other
-        wrong = next((name for name, there in given.items() if there), None)
-        if self.parts_at_once > 1 and wrong is not None:
-            raise InputError(f"--parts-at-once takes no {wrong} yet; leave one of the two out")
 
     def with_places(self, assembly: Assembly) -> Assembly:
         """Return the structure with places for props, if any are allowed.
@@ -184,7 +191,6 @@ def reserve_lines(plan: Plan, *, robust: bool = False) -> list[str]:
     """Return what a plan promises of its replay, and what it asks of robots, in words.
 
     Args:
-        plan: as it was found.
         robust: whether its replay succeeds under varied settings too.
     """
     also = ", under varied settings too" if robust else ""
@@ -222,70 +228,52 @@ def lacks_judge(plan: Plan, *, asked: bool) -> str:
     return f"no plan was found that discrete elements build; in this one {part} falls {where}"
 
 
+def save_plans(
+    plans: Iterable[Plan], out: Path, source: Callable[[Path], Mapping[str, Any] | None], *, proofs: bool = False
+) -> list[tuple[Path, Plan]]:
+    """Write plans, from the second on with -2, -3, ... in their names, and return them as they were written.
+
+    Args:
+        out: file of the first.
+        source: returns the source of the structure for a file.
+        proofs: write the proofs of states too.
+    """
+    from falsework.search.plans.plan_file import save_plan
+
+    saved = []
+    for number, found in enumerate(plans, 1):
+        path = out if number == 1 else out.with_stem(f"{out.stem}-{number}")
+        plan = replace(found, source=source(path))
+        # A plan whose replay fails, which is saved to be looked at, has no proofs of all states.
+        save_plan(plan, path, proofs=proofs and (plan.replay is None or plan.replay.stands))
+        saved.append((path, plan))
+    return saved
+
+
+def say_alternatives(paths: Sequence[Path], least: float, asked: int, output: Output) -> None:
+    """Print where further plans are, and how different the two most alike are, from 0 to 1."""
+    if len(paths) > 1:
+        others = ", ".join(map(str, paths[1:]))
+        output.say(f"alternatives in {others}; the two plans most alike differ by {least:.2f} of 1")
+    if len(paths) < asked:
+        output.note(f"only {len(paths)} of the {asked} requested plans were found")
+
+
 def first_steps(plan: Plan, direction: Direction, built: int = 0) -> str:
     """Describe the steps of a plan that come first in an order, after those that are done."""
     steps = plan.in_order(direction)[built:]
     if not steps:
         return "nothing is left to do"
-    rest = len(steps) - SHOWN
-    return f"{', '.join(map(str, steps[:SHOWN]))}{f', and {rest} steps more' if rest > 0 else ''}"
+    return listed([str(step) for step in steps], SHOWN, "steps")
 
 
 def need_text(plan: Plan, need: PartDeadline, built: int = 0) -> str:
-    """Return when a missing part is needed, in one sentence.
-
-    Args:
-        plan: the plan.
-        need: of its part.
-        built: steps of the plan that are done.
-    """
+    """Return when a missing part is needed, in one sentence."""
     placed = int((plan.actions[:built] >= len(plan.boundary)).sum())
     after, when = need.after_parts - placed, f"{plan.part_names[need.part]} is needed at step {need.after_steps + 1}"
     if not after:
         return f"{when}, before any other part"
     return f"{when}, after {after} {'more' if built else 'other'} {'part is' if after == 1 else 'parts are'} placed"
-
-
-@dataclass(frozen=True, kw_only=True)
-class TaskOptions(RuleOptions):
-    """Rules that a plan must obey."""
-
-    robots: int = 2
-    """Number of robots: parts that can be held at a time."""
-
-    def task(self, assembly: Assembly) -> Task:
-        """Check the rules against a structure.
-
-        Raises:
-            InputError: parts or states that the structure does not have; the message says what to do.
-        """
-        from falsework.search.find import make_task
-
-        return make_task(assembly, self.robots, **self.rules(assembly))
-
-
-@dataclass(frozen=True, kw_only=True)
-class SearchOptions:
-    """Options of the search."""
-
-    rare: ClassVar[tuple[str, ...]] = ("search_from", "seed")
-
-    width: int = 64
-    """States kept at each step; a wider search finds more and takes longer."""
-    search_from: Literal["beginning", "end"] = "beginning"
-    """End of the assembly from which to search: its beginning, the empty structure, or its end, the complete one."""
-    seed: int = 0
-    """Random seed; results are reproducible on one machine."""
-
-    def settings(self) -> BeamSettings:
-        """Return the settings of the search.
-
-        Raises:
-            InputError: a width below one.
-        """
-        from falsework.search.beam.settings import BeamSettings
-
-        return BeamSettings(self.width, search_directions(self.search_from)[0], seed=self.seed)
 
 
 def search_directions(search_from: str) -> tuple[Direction, ...]:
@@ -306,12 +294,7 @@ def replay_text(plan: Plan, also: str = "") -> str:
 
 
 def press_text(plan: Plan, scale: float = 1.0) -> str:
-    """Return in how many steps robots press, and how hard at most; empty if they do not.
-
-    Args:
-        plan: the plan.
-        scale: factor of its forces.
-    """
+    """Return in how many steps robots press, and how hard at most; empty if they do not."""
     forces = [scale * press.force for presses in plan.presses for press in presses]
     steps = counted(sum(map(bool, plan.presses)), "step")
     return f"robots press in {steps}, with at most {format_quantity(max(forces), 'force')}" if forces else ""
@@ -326,20 +309,14 @@ def load_record(loads: Loads) -> dict[str, float | None]:
 
 
 def load_text(plan: Plan, loads: Loads) -> str:
-    """Return the largest force and moment that robots bear in a plan, and where; empty if it is not known.
-
-    Args:
-        plan: the plan.
-        loads: of its states.
-    """
+    """Return the largest force and moment that robots bear in a plan, and where; empty if it is not known."""
     from falsework.stability.contact.hold_loads import largest_load
-    from falsework.stability.holds import describe_force
 
     every = [(load, row) for row, some in enumerate(loads) for load in some]
     if not every:
         return ""
     load, row = max(every, key=lambda pair: pair[0].force)
-    force, moment = describe_force(load.force), format_quantity(largest_load(loads)[1], "moment")
+    force, moment = format_quantity(load.force, "force"), format_quantity(largest_load(loads)[1], "moment")
     return f"robots bear at most {force} (for {plan.part_names[load.part]}, after step {row}) and {moment}"
 
 
@@ -347,7 +324,6 @@ def writable(path: Path, suffix: str = "") -> None:
     """Check before a long search that its result can be written.
 
     Args:
-        path: file to write.
         suffix: ending by which commands know the file again, if they do.
 
     Raises:
@@ -365,17 +341,13 @@ def refuse_unstable(
     """Report a start or target state that is not stable, since then there is no plan.
 
     Args:
-        assembly: the structure.
-        oracle: decides stability.
-        task: the task, as disassembly.
         output: where to report.
         building: whether the user's start is the target of the task.
     """
     import numpy as np
 
     from falsework.assembly.state import complete_state
-    from falsework.cli.velocity_text import describe, motions
-    from falsework.stability.motion import motion_of
+    from falsework.cli.velocity_text import describe, motions_at
     from falsework.stability.verdict import Verdict
 
     names = ("target", "start") if building else ("start", "target")
@@ -385,8 +357,7 @@ def refuse_unstable(
             continue
         complete = np.array_equal(state, complete_state(assembly.boundary))
         subject = "complete structure" if complete else f"{name} state"
-        motion = motion_of(assembly, verdicts, 0)
-        moving = [] if motion is None else motions(assembly, motion)
+        moving = motions_at(assembly, verdicts, 0)
         outcome = "no plan exists" if verdicts.unstable[0] else "no plan was found"
         text = f"{outcome}: the {subject} {Verdict(verdicts.verdict[0]).words}"
         if verdicts.on_tolerance[0]:

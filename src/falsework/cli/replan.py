@@ -12,9 +12,20 @@ import numpy as np
 from tyro.conf import arg
 
 from falsework.cli.arguments import parse_parts, parse_state
-from falsework.cli.command import UNSET, Command, StructureOptions
+from falsework.cli.command import UNSET, Command, CriterionOfPlan, SolverOption, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import HoldOptions, first_steps, lacks_reserve, need_text, reserve_lines, writable
+from falsework.cli.planning import (
+    HoldOptions,
+    PartRuleOptions,
+    WayOptions,
+    first_steps,
+    lacks_reserve,
+    need_text,
+    reserve_lines,
+    save_plans,
+    say_alternatives,
+    writable,
+)
 from falsework.errors import InputError
 from falsework.utils.quantity import counted
 
@@ -44,8 +55,6 @@ class MakeReplan(Command):
 
     rare: ClassVar[tuple[str, ...]] = (
         "of",
-        "fixed",
-        "removable_only_if_clear",
         "alternatives",
         "seed",
         "policy",
@@ -53,6 +62,8 @@ class MakeReplan(Command):
         "device",
         "solver",
         "prop",
+        "parts_at_once",
+        *WayOptions.rare,
     )
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -82,22 +93,14 @@ class MakeReplan(Command):
     """Parts of which robots have taken hold since the step of the plan."""
     release: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
     """Parts of which robots have let go since the step of the plan."""
-    missing: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
-    """Parts not delivered yet, such as 3,keystone; assembly does without them as long as possible."""
-    fixed: Annotated[str | None, arg(metavar="PARTS", help_behavior_hint=UNSET)] = None
-    """Parts that must not be held or removed, such as 7."""
+    rules: PartRuleOptions
     robots: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: 2, or those of the plan or run)")] = (
         None
     )
     """Number of robots: parts that can be held at a time."""
+    ways: WayOptions
     holds: HoldOptions
-    criterion: Annotated[
-        Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: contact, or that of the plan)")
-    ] = None
-    """Stability criterion: compliant contacts without prestress bring every part to rest, or (paper) contact forces
-    in balance exist."""
-    removable_only_if_clear: bool = False
-    """Move a part only if it has a collision-free straight exit; always on for a run trained with this rule."""
+    criterion: CriterionOfPlan = None
     alternatives: int = 1
     """Number of plans, as different from each other as possible."""
     seed: int = 0
@@ -115,8 +118,7 @@ class MakeReplan(Command):
     """File to write; alternatives get -2, -3, ... added to its name."""
     device: Literal["auto", "cpu", "cuda"] = "cpu"
     """Device of the policy; `auto` takes a GPU if there is one."""
-    solver: Literal["auto", "cpu", "gpu", "exact"] = "cpu"
-    """Solver; `auto` takes a GPU where there is one and it is faster."""
+    solver: SolverOption = "cpu"
 
     def run(self, output: Output) -> Exit:
         """Replan, compare, save."""
@@ -156,7 +158,7 @@ class MakeReplan(Command):
         if not answer.found:
             self._refuse(assembly, stability, request, answer, output)
             return Exit.NO
-        paths = self._save(answer, source)
+        paths = [path for path, _ in save_plans(answer.plans, self.out, lambda _: source)]
         for path in paths:
             output.file(path)
         record = _record(answer)
@@ -206,7 +208,7 @@ class MakeReplan(Command):
         if self.of is not None:
             source = replace(self.structure, spec=self.of).source(self.out)
         robots = plan.robots if self.robots is None else self.robots
-        return plan, assembly, None, source, robots, self.removable_only_if_clear or plan.removable_only_if_clear
+        return plan, assembly, None, source, robots, self.rules.removable_only_if_clear or plan.removable_only_if_clear
 
     def _stability(self, plan: Plan | None) -> StabilitySettings:
         """Return the settings that are given, else those of the plan."""
@@ -234,7 +236,13 @@ class MakeReplan(Command):
         folder = Path(self.structure.spec)
         if not (folder / "run.json").is_file():
             robots = 2 if self.robots is None else self.robots
-            return self.structure.load(), None, self.structure.source(self.out), robots, self.removable_only_if_clear
+            return (
+                self.structure.load(),
+                None,
+                self.structure.source(self.out),
+                robots,
+                self.rules.removable_only_if_clear,
+            )
         if self.structure.given():
             option = next(iter(self.structure.given()))
             raise InputError(f"--{option}: a run is for one structure as it was trained; leave the option out")
@@ -244,7 +252,7 @@ class MakeReplan(Command):
             path = (folder.resolve() / source["path"]).resolve()
             source["path"] = Path(os.path.relpath(path, self.out.resolve().parent)).as_posix()
         robots = run.settings.robots if self.robots is None else self.robots
-        clear = self.removable_only_if_clear or run.settings.removable_only_if_clear
+        clear = self.rules.removable_only_if_clear or run.settings.removable_only_if_clear
         return run.assembly, run.policy, source, robots, clear
 
     def _since(self, assembly: Assembly) -> SiteSteps:
@@ -257,6 +265,7 @@ class MakeReplan(Command):
         from falsework.replanning.request import Request
         from falsework.search.problem.task import Direction
 
+        parts = self.rules.parts(assembly)
         return Request(
             None if self.state is None else parse_state(self.state, "--state", assembly),
             plan=None if step is None else plan,
@@ -264,24 +273,15 @@ class MakeReplan(Command):
             target=None if self.target is None else parse_state(self.target, "--target", assembly),
             direction=None if self.order == "auto" else Direction(self.order),
             robots=robots,
-            missing=() if self.missing is None else parse_parts(self.missing, "--missing", assembly.names),
-            fixed=() if self.fixed is None else parse_parts(self.fixed, "--fixed", assembly.names),
+            missing=parts["missing"],
+            fixed=parts["fixed"],
             alternatives=self.alternatives,
             seed=self.seed,
             deadline=self.deadline,
             removable_only_if_clear=clear,
             confidences=self.confidences,
+            **self.ways.ways(),
         )
-
-    def _save(self, answer: ReplanResult, source: Mapping[str, Any] | None) -> list[Path]:
-        from falsework.search.plans.plan_file import save_plan
-
-        paths = []
-        for number, plan in enumerate(answer.plans, 1):
-            path = self.out if number == 1 else self.out.with_stem(f"{self.out.stem}-{number}")
-            save_plan(replace(plan, source=source), path)
-            paths.append(path)
-        return paths
 
     def _tell(self, answer: ReplanResult, paths: list[Path], output: Output) -> None:
         plan, fewer = answer.plans[0], ""
@@ -298,12 +298,8 @@ class MakeReplan(Command):
         output.say(f"{since}: {first_steps(plan, answer.direction, answer.built)}")
         for need in plan.needs:
             output.say(need_text(plan, need, answer.built))
-        if len(paths) > 1:
-            least = answer.distance[~np.eye(len(paths), dtype=bool)].min()
-            others = ", ".join(str(path) for path in paths[1:])
-            output.say(f"alternatives in {others}; the two plans most alike differ by {least:.2f} of 1")
-        if len(paths) < self.alternatives:
-            output.note(f"only {len(paths)} of the {self.alternatives} requested plans were found")
+        least = float(answer.distance[~np.eye(len(paths), dtype=bool)].min(initial=1.0))
+        say_alternatives(paths, least, self.alternatives, output)
         if answer.deadline_passed:
             output.note("the deadline ended the search; more time may give more plans, or need missing parts later")
 
@@ -312,9 +308,8 @@ class MakeReplan(Command):
     ) -> None:
         """Report why there is no plan, and which parts move where the search ended."""
         from falsework.cli.failure import explain
-        from falsework.cli.velocity_text import describe, motions
+        from falsework.cli.velocity_text import describe, motions_at
         from falsework.search.problem.result import Outcome
-        from falsework.stability.motion import motion_of
         from falsework.stability.oracle import StabilityOracle
 
         oracle, moving = StabilityOracle(assembly, replace(stability, reserve=1.0)), []
@@ -323,9 +318,7 @@ class MakeReplan(Command):
         if answer.search is None:  # one of the two ends may be unstable, which ends the work before any search
             task = request.task(assembly)
             verdicts = oracle.verdicts(np.stack([task.start, task.target]), require_certificate=True)
-            row = int(np.argmin(verdicts.stable))
-            motion = motion_of(assembly, verdicts, row)
-            moving = [] if motion is None else motions(assembly, motion)
+            moving = motions_at(assembly, verdicts, int(np.argmin(verdicts.stable)))
         elif not answer.deadline_passed:
             failure = explain(assembly, oracle, answer.search)
             moving, text = failure.moving, failure.text

@@ -22,13 +22,9 @@ def parse_joints(text: str | None, cell: Cell) -> list[Any] | None:
 
     Args:
         text: such as `left=0,0.1,-0.5,0,1,0;right=home`, or a JSON file with an object of lists by robot; rad.
-        cell: the robots.
 
     Returns:
         Joint values of every robot, not yet checked against its limits; None where nothing is given.
-
-    Raises:
-        InputError: a robot that the cell does not have, or no numbers.
     """
     if text is None:
         return None
@@ -47,16 +43,10 @@ def parse_grips(
 
     Args:
         text: as for `parse_joints`, or the file of a robot plan in which the robots hold these parts.
-        held: the part that each robot holds or carries.
         state: what is in place, shape (parts,).
-        cell: the robots.
-        assembly: the structure.
 
     Returns:
         For every robot joint values, not yet checked against its limits, or None where nothing is given.
-
-    Raises:
-        InputError: a robot that the cell does not have, no numbers, or a plan for another structure or cell.
     """
     found: list[Any] = [None] * cell.robot_count
     if text is None:

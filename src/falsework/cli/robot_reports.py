@@ -15,13 +15,19 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.robots.checks.check import CheckReport
     from falsework.robots.model.cell import Cell
-    from falsework.robots.plans.grip_loads import GripLoad
     from falsework.robots.plans.plan_problem import PlanProblem
+    from falsework.robots.plans.robot_forces import GripLoad
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.robots.schedule.simulation import SimulationReport
 
 _AT_HOME = 1e-6
 """Joint values that differ by no more are equal, rad or m."""
+_CHECKED = (
+    *((name, "") for name in ("samples", "timed_samples", "trajectories", "links", "seconds")),
+    *((name, "") for name in ("velocity_share", "acceleration_share")),
+    *(("largest_step", "_rad"), ("largest_join", "_rad"), ("tolerance", "_m"), ("lower_bound", "_s")),
+)
+"""Fields of a check that are recorded, and their units."""
 _NO_GAIN = 0.05
 """A schedule that saves no more than this is none, seconds."""
 
@@ -50,25 +56,14 @@ def times_record(plan: RobotPlan) -> dict[str, Any]:
         "lower_bound_s": round(graph.lower_bound, 3) if proven else None,
         "gap": round(graph.gap, 4) if proven else None,
         "arms": [
-            {
-                "robot": share.robot,
-                "moves": round(share.moves, 4),
-                "holds": round(share.holds, 4),
-                "waits": round(share.waits, 4),
-            }
-            for share in arm_shares(plan, graph)
+            {name: round(value, 4) if isinstance(value, float) else value for name, value in asdict(share).items()}
+            for share in arm_shares(plan)
         ],
     }
 
 
 def found_texts(plan: RobotPlan, name: str, statistics: dict[str, Any]) -> list[str]:
-    """Return what is known of a plan that was found, in sentences.
-
-    Args:
-        plan: the robot plan.
-        name: file that it was written to.
-        statistics: of the search.
-    """
+    """Return what is known of a plan that was found, in sentences."""
     found = [
         f"{name}: {counted(len(plan), 'step')} for {counted(len(plan.robots), 'robot')}, {plan.seconds:.0f} s of "
         f"motion, every state proven stable (criterion {plan.plan.claim.criterion}, {statistics['seconds']:.1f} s)"
@@ -100,37 +95,14 @@ def schedule_text(plan: RobotPlan) -> str:
     )
 
 
-def _finite(share: float) -> float | None:
-    """Return a number as JSON can hold it; None where it overflows."""
-    return share if np.isfinite(share) else None
-
-
 def check_record(report: CheckReport) -> dict[str, Any]:
     """Return the record of the motions of a plan."""
-    delays = report.delays
-    return {
-        "samples": report.samples,
-        "timed_samples": report.timed_samples,
-        "delays": None
-        if delays is None
-        else {
-            "overlaps": delays.overlaps,
-            "early": delays.early,
-            "ranges": delays.ranges,
-            "distances": delays.distances,
-            "seconds": delays.seconds,
-        },
-        "trajectories": report.trajectories,
-        "largest_step_rad": report.largest_step,
-        "largest_join_rad": report.largest_join,
-        "velocity_share": _finite(report.velocity_share),
-        "acceleration_share": _finite(report.acceleration_share),
-        "tolerance_m": report.tolerance,
-        "links": report.links,
-        "lower_bound_s": report.lower_bound,
-        "problems": [problem_record(problem) for problem in report.problems],
-        "seconds": report.seconds,
-    }
+    record = {f"{name}{unit}": getattr(report, name) for name, unit in _CHECKED}
+    for name in ("velocity_share", "acceleration_share"):  # which may overflow
+        record[name] = record[name] if np.isfinite(record[name]) else None
+    names, delays = ("overlaps", "early", "ranges", "distances", "seconds"), report.delays
+    record["delays"] = None if delays is None else {name: getattr(delays, name) for name in names}
+    return record | {"problems": [problem_record(problem) for problem in report.problems]}
 
 
 def problem_record(problem: PlanProblem) -> dict[str, Any]:
@@ -143,15 +115,12 @@ def check_texts(name: str, report: CheckReport, states: int | None) -> list[str]
     """Return what the check of a good plan has established, in sentences.
 
     Args:
-        name: name of the plan.
-        report: the check of its motions.
         states: number of its states that were found stable; None if that was not checked.
     """
     stable = "" if states is None else f", all {states} states are stable"
     links = ", ".join(f"{robot} as {shapes}" for robot, shapes in report.links.items())
-    timed = f" and at {report.timed_samples} moments of its schedule" if report.timed_samples else ""
     found = [
-        f"{name}: no collision in {report.samples} configurations of {report.trajectories} motions{timed} (links of "
+        f"{name}: no collision in {report.samples} configurations of {report.trajectories} motions (links of "
         f"{links}), all within limits{stable}"
     ]
     if report.delays is not None:
@@ -164,15 +133,10 @@ def check_texts(name: str, report: CheckReport, states: int | None) -> list[str]
 
 def runs_record(runs: SimulationReport, longest_delay: float) -> dict[str, Any]:
     """Return the record of delayed runs."""
-    least, median, most = runs.spread
-    return {
-        "runs": len(runs.makespans),
-        "longest_delay": longest_delay,
-        "out_of_order": runs.out_of_order,
-        "stuck": runs.stuck,
-        "outside": runs.outside,
-        "makespan_s": {"least": round(least, 3), "median": round(median, 3), "most": round(most, 3)},
-    }
+    spread = zip(("least", "median", "most"), runs.spread, strict=True)
+    record = {name: getattr(runs, name) for name in ("out_of_order", "stuck", "outside")}
+    record |= {"runs": len(runs.makespans), "longest_delay": longest_delay}
+    return {**record, "makespan_s": {name: round(value, 3) for name, value in spread}}
 
 
 def runs_text(runs: SimulationReport, longest_delay: float) -> str:
@@ -224,8 +188,6 @@ def unverified(plan: RobotPlan, report: CheckReport, *, states: bool) -> list[st
     """Return the claims of a robot plan that its check does not establish.
 
     Args:
-        plan: the robot plan.
-        report: the check of its motions.
         states: whether the stability of its states was checked.
     """
     found = []
@@ -257,7 +219,7 @@ def unverified(plan: RobotPlan, report: CheckReport, *, states: bool) -> list[st
 
 def overloads_of(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[PlanProblem]:
     """Return the holds of a plan that take more than a gripper bears; nothing is computed for a cell without limits."""
-    from falsework.robots.plans.grip_loads import grip_loads, overloads
+    from falsework.robots.plans.robot_forces import grip_loads, overloads
 
     if not any(robot.gripper.has_limits for robot in cell.robots):
         return []
@@ -266,25 +228,19 @@ def overloads_of(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[PlanPr
 
 def holds_record(loads: list[GripLoad], plan: RobotPlan, cell: Cell) -> list[dict[str, Any]]:
     """Return the largest force and moment that each robot bears for a part that it holds."""
-    from falsework.robots.plans.grip_loads import heaviest
+    from falsework.robots.plans.robot_forces import heaviest
 
-    records = []
+    records, names = [], plan.plan.part_names
     for number, robot in enumerate(cell.robots):
         found = heaviest(loads, number)
         if found is None:
             continue
         force, moment = found
         limits = {"force_n": robot.gripper.force, "moment_nm": robot.gripper.moment, "payload_kg": robot.payload}
-        records.append(
-            {
-                "robot": robot.name,
-                "force_n": force.force_n,
-                "force_part": plan.plan.part_names[force.part],
-                "moment_nm": moment.moment_nm,
-                "moment_part": plan.plan.part_names[moment.part],
-                "limits": {key: None if value == float("inf") else value for key, value in limits.items()},
-            }
-        )
+        record: dict[str, Any] = {"robot": robot.name, "force_n": force.force_n, "moment_nm": moment.moment_nm}
+        record |= {f"{kind}_part": names[load.part] for kind, load in (("force", force), ("moment", moment))}
+        limits = {key: None if value == float("inf") else value for key, value in limits.items()}
+        records.append(record | {"limits": limits})
     return records
 
 

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
+from falsework.cli.arguments import spell_options
 from falsework.cli.command import UNSET, Command, LoadOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.overrides import exit_of_good, say_overrides
+from falsework.cli.overrides import exit_of_good
 from falsework.cli.robot_reports import (
     check_record,
     check_texts,
@@ -79,7 +80,7 @@ class CheckRobots(Command):
         """Load, compare, verify."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.checks.check import check_robot_plan
-        from falsework.robots.plans.grip_loads import grip_loads, overloads
+        from falsework.robots.plans.robot_forces import grip_loads, overloads
         from falsework.robots.plans.robot_plan import acts
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.robots.schedule.simulation import simulate
@@ -137,7 +138,8 @@ class CheckRobots(Command):
         if not good:
             return Exit.NO
         output.say(scope_text(plan, assembly, cell, place))
-        say_overrides(overrides, output)
+        if overrides:
+            output.say(f"options of the structure that the plan sets: {spell_options(overrides)}")
         for text in check_texts(str(self.plan), report, None if stable is None else stable.states):
             output.say(text)
         if runs is not None:

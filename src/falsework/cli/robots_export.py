@@ -56,7 +56,7 @@ class ExportRobots(Command):
         """Load and write."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.exports.export import export_notes, export_plan
-        from falsework.robots.plans.presses import has_presses
+        from falsework.robots.plans.robot_forces import has_presses
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.search.plans.plan_source import structure_of_plan
 
@@ -71,16 +71,8 @@ class ExportRobots(Command):
                     raise
                 what = "the bag has no shapes" if self.format == "mcap" else "programs have no loads"
                 lacking = [f"{what} of parts: {error}"]
-        paths = export_plan(
-            plan,
-            self.out,
-            self.format,
-            rate=self.rate,
-            structure=shapes,
-            cell=cell,
-            joint_prefix=self.joint_prefix,
-            force=self.force,
-        )
+        options = {name: getattr(self, name) for name in ("rate", "joint_prefix", "force")}
+        paths = export_plan(plan, self.out, self.format, structure=shapes, cell=cell, **options)
         notes = lacking + export_notes(plan, self.format, cell)
         for path in paths:
             output.file(path)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from tyro.conf import Positional, arg
 
 from falsework.cli.arguments import parse_parts, parse_state
-from falsework.cli.command import UNSET, Command, StructureOptions
+from falsework.cli.command import UNSET, Command, CriterionOfPlan, SeedOption, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.interrupted_robot_plan import InterruptedPlan
 from falsework.cli.planning import HoldOptions, lacks_reserve, press_text, refuse_unstable, writable
@@ -56,7 +56,7 @@ class PlanRobots(Command):
     reach, obstacles, and the progress of the search. A partial plan is saved, except where an assembly is continued.
     """
 
-    rare: ClassVar[tuple[str, ...]] = ("seed", "target", "grips", "proofs", "criterion", "sequential")
+    rare: ClassVar[tuple[str, ...]] = ("seed", "target", "grips", "proofs", "criterion", "sequential", "parts_at_once")
     outcomes: ClassVar[tuple[str, str]] = ("found", "not_found")
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -81,8 +81,7 @@ class PlanRobots(Command):
     """File to write."""
     policy: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Trained run whose policy proposes the actions."""
-    seed: int = 0
-    """Random seed; results are reproducible on one machine."""
+    seed: SeedOption = 0
     deadline: Annotated[float | None, arg(metavar="SECONDS", help_behavior_hint=UNSET)] = None
     """Time limit."""
     order: Literal["assembly", "disassembly"] = "assembly"
@@ -105,16 +104,14 @@ class PlanRobots(Command):
     allow_regrasp: bool = False
     """Let arms release parts that stand without them and hold them again with another grasp, hand other parts to
     another arm, and put parts down on the way to grip them in another way, where there is no other way."""
+    parts_at_once: Annotated[int, arg(metavar="K")] = 1
+    """Largest number of parts that lock each other and that one arm may carry at once, holding one of them."""
     sequential: bool = False
     """One robot moves at a time; without this, robots move together wherever that is proven safe."""
     proofs: bool = False
     """Write the contact forces that prove each state into the plan."""
     holds: HoldOptions
-    criterion: Annotated[
-        Literal["contact", "equilibrium"] | None, arg(help_behavior_hint="(default: contact, or that of --from)")
-    ] = None
-    """Stability criterion: compliant contacts without prestress bring every part to rest, in every state and in a
-    replay of the whole plan; or (paper) contact forces in balance exist."""
+    criterion: CriterionOfPlan = None
 
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
@@ -135,13 +132,14 @@ class PlanRobots(Command):
         settings = HybridSettings(order, seed=self.seed)
         building = order is Direction.ASSEMBLY
         if begun is not None:
-            held, joints, grips = begun.arms
-            task = self._task(assembly, cell, begun.state, held)
+            held, joints, grips = [*begun.now.held], [*begun.now.configurations], [*begun.now.gripped]
+            task = self._task(assembly, cell, begun.now.state, held)
         else:
             held, joints = parse_holding(self.holding, cell, assembly), parse_joints(self.joints, cell)
             task = self._task(assembly, cell, parse_now(self.state or self._beginning, held, assembly), held)
             grips = parse_grips(self.grips, held, task.target if building else task.start, cell, assembly)
-        stability = self.holds.settings(self.criterion or ("contact" if begun is None else begun.criterion))
+        criterion = self.criterion or ("contact" if begun is None else begun.plan.plan.claim.criterion)
+        stability = self.holds.settings(criterion)
         if refuse_unstable(
             assembly, StabilityOracle(assembly, replace(stability, reserve=1.0)), task, output, building=building
         ):
@@ -201,7 +199,7 @@ class PlanRobots(Command):
         return self.structure.load(), cell
 
     def _task(self, assembly: Assembly, cell: Cell, now: States, held: Sequence[int | None]) -> Task:
-        from falsework.search.problem.task import Task
+        from falsework.search.find import make_task
 
         building = self.order == "assembly"
         missing = () if self.missing is None else parse_parts(self.missing, "--missing", assembly.names)
@@ -213,15 +211,15 @@ class PlanRobots(Command):
                 raise InputError(f"part {name} is said to be missing, yet it is {where}; name parts that are not there")
         end = None if self.target is None else parse_state(self.target, "--target", assembly)
         start, target = (end, now) if building else (now, end)  # plans are found as disassembly
-        return Task.from_rules(
-            assembly.boundary,
+        return make_task(
+            assembly,
             cell.robot_count,
             start=start,
             target=target,
             missing=missing,
-            clearance=assembly.clearance,
-            identity=assembly.identity,
+            removable_only_if_clear=True,
             allow_regrasp=self.allow_regrasp,
+            parts_at_once=self.parts_at_once,
         )
 
     def _guide(self, assembly: Assembly, task: Task) -> Guide | None:
@@ -241,7 +239,7 @@ class PlanRobots(Command):
                 from falsework.robots.plans.continued import continued
 
                 found, fails_at = continued(found, begun.plan, begun.now.done, begun.assembly)
-            saved = self._save(found, begun)
+            saved = self._save(found, begun, result.structure)
             output.file(self.out)
             output.record(
                 {
@@ -271,7 +269,8 @@ class PlanRobots(Command):
             output.note(f"falsework: {result.explanation.text}")
         return Exit.NO
 
-    def _save(self, plan: RobotPlan, begun: InterruptedPlan | None) -> RobotPlan:
+    def _save(self, plan: RobotPlan, begun: InterruptedPlan | None, joined: Assembly | None) -> RobotPlan:
+        from falsework.assembly.groups import groups_of
         from falsework.robots.plans.robot_plan_file import save_robot_plan
         from falsework.search.plans.plan_source import moved_source
 
@@ -279,6 +278,9 @@ class PlanRobots(Command):
             source = moved_source(begun.plan.plan, begun.file, self.out)
         else:
             source = self.structure.source(self.out)
+        groups = None if joined is None else groups_of(joined)
+        if groups is not None:
+            source = {**(source or {}), "groups": groups.names}
         place = self.cell if begun is None or self.cell else begun.plan.cell_place(begun.file)
         assert place is not None
         if Path(place).is_file():

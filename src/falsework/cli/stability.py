@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.command import CONE_HINT, JudgingCommand, StructureOptions, settlement_record
+from falsework.cli.command import (
+    STATES,
+    ConeOption,
+    JudgingCommand,
+    SolverOption,
+    StructureOptions,
+    settlement_record,
+)
 from falsework.cli.exit_code import Exit
 
 if TYPE_CHECKING:
@@ -34,22 +41,17 @@ class CheckStability(JudgingCommand):
     outcomes: ClassVar[tuple[str, str]] = ("stable", "not_stable")
 
     structure: StructureOptions
-    states: Annotated[str | None, arg(metavar="STATES", help_behavior_hint="(default: complete)")] = None
-    """A state, as `complete`, digits, plan.json:31, or parts such as 0-16,keystone,held:left; or a file with states: a
-    JSON list, a .npy array, or a plan."""
-    cone: Annotated[Literal["octagon", "quadratic"] | None, arg(help_behavior_hint=CONE_HINT)] = None
-    """Friction cone: round, or eight-sided as in the paper."""
-    solver: Literal["auto", "cpu", "gpu", "exact"] = "cpu"
-    """Solver; `auto` takes a GPU where there is one and it is faster."""
+    states: Annotated[str | None, arg(metavar="STATES", help=STATES, help_behavior_hint="(default: complete)")] = None
+    cone: ConeOption = None
+    solver: SolverOption = "cpu"
 
     def run(self, output: Output) -> Exit:
         """Compute the verdicts and describe how unstable states fail."""
         import numpy as np
 
         from falsework.cli.arguments import parse_states
-        from falsework.cli.velocity_text import describe, motions, part_name
+        from falsework.cli.velocity_text import describe, motions_at, part_name
         from falsework.stability import Proof
-        from falsework.stability.motion import motion_of
         from falsework.stability.oracle import StabilityOracle
         from falsework.stability.verdict import Verdict
 
@@ -60,8 +62,7 @@ class CheckStability(JudgingCommand):
         for index in range(len(states)):
             verdict, proof = Verdict(verdicts.verdict[index]), Proof(verdicts.proof[index])
             residual = float(verdicts.residual[index])
-            motion = motion_of(assembly, verdicts, index)
-            moving = [] if motion is None else motions(assembly, motion)
+            moving = motions_at(assembly, verdicts, index)
             output.row(
                 "states",
                 {

@@ -33,9 +33,6 @@ class ViewableOptions(LoadOptions):
 
         Args:
             robots: number of robots, if no plan gives it.
-
-        Raises:
-            InputError: nothing that can be shown; the message says what to do.
         """
         from falsework.search.problem.task import Direction
         from falsework.viewer.viewable import open_file

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, JudgingCommand, StructureOptions
+from falsework.cli.command import UNSET, DeviceOption, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import refuse_unstable
 from falsework.errors import InputError
@@ -29,10 +29,11 @@ class Train(JudgingCommand):
     The policy imitates the actions that searches found, then improves by its own rollouts. The weights with the highest
     success on a validation set are kept, and training ends when it no longer rises. The result is a folder, the run,
     with weights, configuration and logs. An interrupted training is continued by the same command with --resume.
-    Under torchrun several processes share the work.
+    Under torchrun several processes share the work. Exit code 1 if the time was up before the first step.
     """
 
     rare: ClassVar[tuple[str, ...]] = (
+        "begin",
         "goal_conditioned",
         "removable_only_if_clear",
         "reward",
@@ -59,9 +60,13 @@ class Train(JudgingCommand):
     """Optimizer steps in place of a time limit, for a reproducible run."""
     resume: bool = False
     """Resume the run in the folder; of the other options only --minutes, --steps, --device and --log apply."""
-    method: Method = "default"
+    begin: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
+    """Run whose weights and network to begin with: of this structure, of another one (`transformer`, `gat`), or of a
+    policy for any structure."""
+    method: Annotated[Method | None, arg(help_behavior_hint="(default: `default`; `fine-tuning` with --begin)")] = None
     """Preset: a short imitation of searches and then PPO from many rollouts (`default`), or PPO from scratch with a
-    curriculum of start states (`reinforcement`), which does better where few states are known (`--data width64`)."""
+    curriculum of start states (`reinforcement`), which does better where few states are known (`--data width64`);
+    with `--begin` PPO from all of them (`fine-tuning`)."""
     policy: Annotated[
         str | None, arg(metavar="KIND", help_behavior_hint="(default: resmlp; transformer above 20 parts)")
     ] = None
@@ -80,8 +85,7 @@ class Train(JudgingCommand):
     """Training data: wide searches, or the paper's training set alone."""
     seed: int = 0
     """Random seed of weights, batches and rollouts."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Device; `auto` takes a GPU if there is one."""
+    device: DeviceOption = "auto"
     log: tuple[Literal["tensorboard", "wandb"], ...] = ("tensorboard",)
     """Loggers in addition to progress.jsonl in the folder."""
 
@@ -100,7 +104,7 @@ class Train(JudgingCommand):
                 raise InputError(f"{name} {given} leaves no time to learn; give more than 0")
         assembly = self.structure.load()
         settings = TrainSettings(
-            phases=METHODS[self.method],
+            phases=METHODS[self.method or ("fine-tuning" if self.begin else "default")],
             robots=self.robots,
             policy=recommended(assembly.part_count, goal_conditioned=self.goal_conditioned, kind=self.policy),
             reward=self.reward or "",
@@ -122,6 +126,7 @@ class Train(JudgingCommand):
                 assembly,
                 settings,
                 folder=self.out,
+                begin=self.begin,
                 source=self.structure.source(self.out / "run.json"),
                 device=self.device,
                 resume=self.resume,
@@ -147,4 +152,4 @@ class Train(JudgingCommand):
         if result.interrupted:
             output.note(f"interrupted; falsework train ... --out {self.out} --resume continues")
             return Exit.INTERRUPTED
-        return Exit.DONE
+        return Exit.DONE if result.steps else output.outcome("untrained")

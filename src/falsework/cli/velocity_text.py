@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
+    from falsework.stability.verdict import Verdicts
 
 MOVES = 0.02
 """A part counts as moving if some point of it moves at this share of the fastest point of all parts."""
@@ -55,7 +56,6 @@ def motions(assembly: Assembly, velocity: NDArray[np.float64]) -> list[PartMotio
     """Return the parts that a velocity moves, the fastest first.
 
     Args:
-        assembly: the structure.
         velocity: linear velocity of the centre of mass and angular velocity of each part, shape (parts, 6).
     """
     center = assembly.mass.center
@@ -72,6 +72,14 @@ def motions(assembly: Assembly, velocity: NDArray[np.float64]) -> list[PartMotio
         PartMotion(int(part), float(speed[part] / top), _triple(shift[part] / top), _triple(turn[part] / top))
         for part in order
     ]
+
+
+def motions_at(assembly: Assembly, verdicts: Verdicts, row: int) -> list[PartMotion]:
+    """Return the parts that a verdict on a state proves to move, the fastest first; none if it is stable."""
+    from falsework.stability.motion import motion_of
+
+    velocity = motion_of(assembly, verdicts, row)
+    return [] if velocity is None else motions(assembly, velocity)
 
 
 def describe(assembly: Assembly, moving: list[PartMotion], limit: int = 6) -> str:

@@ -61,8 +61,8 @@ class View(JudgingCommand):
         """Open, serve until interrupted."""
         from falsework.viewer.cells.cell_model import is_cell
         from falsework.viewer.cells.cell_page import view_cell
-        from falsework.viewer.page.page import check_host, serve
         from falsework.viewer.show import check_view, view
+        from falsework.viewer.web.served_page import check_host, serve
 
         host = "127.0.0.1" if self.host is None else self.host
         warning = check_host(host)

@@ -18,12 +18,6 @@ _SECONDS, _SECONDS_PER_BYTE = 20.0, 20e-6
 def read_apart(read: Callable[..., Draft], path: Path, *arguments: object, library: str) -> Draft:
     """Read a file in a process of its own.
 
-    Args:
-        read: function of a module that takes the path and the other arguments.
-        path: the file.
-        arguments: other arguments.
-        library: name of the library, for messages.
-
     Raises:
         InputError: no such file, or the process ended, took too long or too much memory; or as `read`.
     """

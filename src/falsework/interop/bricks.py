@@ -227,7 +227,6 @@ def load_bricks(path: Path | str, **options: Any) -> Assembly:
     within the file.
 
     Args:
-        path: the file.
         options: density and boundary, as for `assemble_bricks`; boundary also by name.
 
     Raises:
@@ -247,10 +246,6 @@ def load_bricks(path: Path | str, **options: Any) -> Assembly:
 
 def read_bricks(path: Path | str, *, unit: str | None = None) -> Draft:
     """Read bricks and their baseplate as parts of their own, without the studs.
-
-    Args:
-        path: the file.
-        unit: may not be given, since bricks have their size.
 
     Raises:
         InputError: as `load_bricks`, or a unit.

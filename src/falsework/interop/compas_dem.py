@@ -6,18 +6,17 @@ results = compas_dem.solve(problem)
 
 from __future__ import annotations
 
-from pathlib import Path
+import json
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.draft import Block, Draft
-from falsework.assembly.joints import Joints
 from falsework.assembly.loads import GRAVITY, Loads
-from falsework.assembly.model import DENSITY, FRICTION, Assembly
+from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import DependencyError, InputError
+from falsework.interop.compas_read import draft_of
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion, Proof, Verdict
@@ -43,7 +42,6 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
 
     Args:
         problem: `compas_dem.problem.Problem` with its model.
-        criterion: stability criterion.
         gravity: m/s2 along -z; that of the problem if not given, 9.81 if it has none.
 
     Returns:
@@ -62,8 +60,7 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
     except ImportError:
         raise DependencyError("compas_dem is not installed; pip install compas_dem") from None
     model = problem.model
-    nodes = [element.graphnode for element in model.elements()]
-    assembly = assembly_of(problem)
+    assembly, nodes = _assembly_and_nodes(problem)
     g = _gravity(problem) if gravity is None else gravity
     if assembly.loads is not None and g > 0:  # body forces are m/s2, and shares of 9.81 m/s2 in the assembly
         wrench, share = assembly.loads.wrench, assembly.loads.acceleration * GRAVITY / g
@@ -100,63 +97,28 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
 
 
 def assembly_of(problem: Any) -> Assembly:
-    """Return the assembly of a compas_dem `Problem`: parts in the order of `model.elements()`.
-
-    Args:
-        problem: `compas_dem.problem.Problem` with its model.
+    """Return the assembly of a compas_dem `Problem` with its model.
 
     Raises:
         InputError: as `solve`.
     """
-    model = problem.model
-    loads, acceleration = _loads_of(problem)
-    held = {entry.block_index for group in problem.boundary_conditions for entry in group.displacements}
-    blocks, densities = [], []
-    for element in model.elements():
-        vertices, faces = element.modelgeometry.to_vertices_and_faces()
-        support = bool(element.is_support) or element.graphnode in held
-        points = np.array(vertices, dtype=float)
-        attributes = {"loads": loads.pop(element.graphnode, []), "acceleration": acceleration}
-        blocks.append(Block(str(element.graphnode), points, faces, support, attributes, key=element.graphnode))
-        densities.append(getattr(element.material, "density", None) or DENSITY)
-    if loads:
-        raise InputError(f"a load acts on block {next(iter(loads))}, which does not exist; leave the load out")
-    interfaces = [
-        {"keys": edge, "points": [list(point) for point in contact.points], "normal": list(contact.frame.zaxis)}
-        for edge in model.graph.edges()
-        for contact in model.graph.edge_attribute(edge, "contacts") or ()
-    ]
-    law = problem.contact_properties.contact_model
-    friction = FRICTION if law is None else getattr(law, "mu", None)
-    if friction is None:
+    return _assembly_and_nodes(problem)[0]
+
+
+def _assembly_and_nodes(problem: Any) -> tuple[Assembly, list[Any]]:
+    """Return the assembly of a problem, read as from a file, and the graph node of each part."""
+    from compas.data import json_dumps
+
+    model, law = problem.model, problem.contact_properties.contact_model
+    friction = None if law is None else getattr(law, "mu", None)
+    if law is not None and friction is None:
         raise InputError("contacts without friction cannot be solved; set a Mohr-Coulomb contact model with mu")
-    draft = Draft.from_blocks(Path(str(model.name or "model")), 1.0, blocks, interfaces)
-    assembly = draft.assemble(density=densities, friction=friction, interfaces="stored" if interfaces else "found")
-    strength = {"cohesion": getattr(law, "c", None), "tension": getattr(law, "t_c", None)}
-    return assembly.replace(joints=Joints.from_uniform(assembly.contacts, **strength))
-
-
-def _loads_of(problem: Any) -> tuple[dict[Any, list[dict[str, Any]]], list[float]]:
-    """Return the point loads by block and the acceleration of all blocks; raise for what verdicts cannot regard."""
-    loads: dict[Any, list[dict[str, Any]]] = {}
-    acceleration = [0.0, 0.0, 0.0]
-    for group in problem.boundary_conditions:
-        if group.surface_loads:
-            raise InputError(f"boundary condition {group.name} has surface loads; give point loads instead")
-        for entry in group.point_loads:
-            named = (("force", entry.force), ("moment", entry.moment), ("at", entry.point))
-            given = {name: list(value) for name, value in named if value is not None}
-            loads.setdefault(entry.block_index, []).append(given)
-        for entry in group.body_forces:
-            acceleration = [a + float(b) for a, b in zip(acceleration, entry.acceleration, strict=True)]
-        for entry in group.displacements:
-            given = getattr(entry, "translation", None) or getattr(entry, "rotation", None) or []
-            if any(component != 0 for component in given):
-                raise InputError(
-                    f"boundary condition {group.name} moves block {entry.block_index} or leaves it free in part; "
-                    "prescribe zero in all directions, or nothing"
-                )
-    return loads, acceleration
+    data = json.loads(json_dumps(problem))
+    data["data"]["model"] = json.loads(json_dumps(model))
+    draft = draft_of(data, str(model.name or "model"))
+    node_of = {str(element.guid): element.graphnode for element in model.elements()}
+    nodes = [node_of[block.key[1]] for block in draft.blocks if isinstance(block.key, tuple)]
+    return draft.assemble(friction=friction, interfaces="stored" if draft.interfaces else "found"), nodes
 
 
 def _gravity(problem: Any) -> float:
@@ -180,9 +142,6 @@ def _set_edges(results: Any, assembly: Assembly, nodes: list[Any], forces: Array
     """Write the contacts of every pair of parts as one edge, as compas_dem has them.
 
     Args:
-        results: to write to.
-        assembly: the structure.
-        nodes: graph node of each part.
         forces: `(n, t1, t2)` in N, shape (points, 3).
     """
     from compas.geometry import Frame, Polygon, Vector

@@ -16,12 +16,11 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.draft import Block, Draft, InterfaceSource
-from falsework.assembly.model import Assembly
+from falsework.assembly.draft import Block, Draft
 from falsework.errors import InputError
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.surface import warn_of, warn_of_curves
-from falsework.interop.compas_shapes import CURVED, box, inner, revolved
+from falsework.interop.compas_shapes import CURVED, inner, shape_mesh
 from falsework.utils.files.formats import Reader
 from falsework.utils.json_text import parse_json
 from falsework.utils.quantity import listed
@@ -57,10 +56,8 @@ def _is_compas(path: Path) -> bool:
         return b'"dtype"' in file.read(65536)
 
 
-def load_compas(
-    path: Path | str, *, unit: str | None = None, interfaces: InterfaceSource = "found", **options: Any
-) -> Assembly:
-    """Read an assembly from a file of COMPAS data.
+def read_compas(path: Path | str, *, unit: str | None = None) -> Draft:
+    """Read the parts and interfaces of a file of COMPAS data, unchecked.
 
     Blocks are meshes in a list or a dictionary, the blocks of a compas_assembly `Assembly`, or the elements of a
     compas_dem `BlockModel` with their transformations, of this version or an older one, alone or in a `Problem`.
@@ -71,33 +68,14 @@ def load_compas(
     Args:
         path: file that `compas.json_dump` wrote.
         unit: unit of the coordinates; metres if not given.
-        interfaces: `found` finds the contacts from the meshes, `stored` takes the interfaces of the file, `compare`
-            finds them and warns where the stored ones differ.
-        options: density, friction, boundary, ground and contact_settings, as for `load_assembly`.
-
-    Raises:
-        InputError: no such file, not COMPAS data, no block in it, no interfaces where they are asked for, or a
-            `Problem` with surface loads or moved blocks.
-        MeshError: a block that does not bound a solid.
-        AssemblyError: the blocks make no assembly, or the stored interfaces do not fit them.
-    """
-    return read_compas(path, unit=unit).assemble(interfaces=interfaces, **options)
-
-
-def read_compas(path: Path | str, *, unit: str | None = None) -> Draft:
-    """Read the parts and interfaces of a file of COMPAS data, unchecked.
-
-    Args:
-        path: file that `compas.json_dump` wrote.
-        unit: unit of the coordinates; metres if not given.
-
-    Raises:
-        InputError: no such file, not COMPAS data, or no block in it.
     """
     path, scale = Path(path), unit_length(unit or "m")
-    reader = _Reader(path)
-    blocks = reader.blocks()
-    return Draft.from_blocks(path, scale, blocks, reader.interfaces)
+    return _Reader(path).draft(None, scale)
+
+
+def draft_of(data: Any, name: str) -> Draft:
+    """Return the parts and interfaces in COMPAS data, JSON values with coordinates in metres, as `read_compas`."""
+    return _Reader(Path(name)).draft(data, 1.0)
 
 
 class _Reader:
@@ -110,14 +88,14 @@ class _Reader:
         self._left_out: Counter[str] = Counter()
         self._curved: list[str] = []
 
-    def blocks(self) -> list[Block]:
-        if not self._path.is_file():
+    def draft(self, data: Any, scale: float) -> Draft:
+        """Return the parts in data, of the file if none are given."""
+        if data is None and not self._path.is_file():
             raise InputError(f"there is no file {self._path}; give one that compas.json_dump wrote")
-        if self._path.stat().st_size > LARGEST_FILE:
+        if data is None and self._path.stat().st_size > LARGEST_FILE:
             self._fail(f"it is larger than {LARGEST_FILE // 2**20} MiB", "write fewer or coarser meshes")
         try:
-            data = parse_json(self._path.read_text(encoding="utf-8"))
-            found = list(self._find(data))
+            found = list(self._find(parse_json(self._path.read_text(encoding="utf-8")) if data is None else data))
         except UnicodeDecodeError:
             self._fail("it is not text")
         except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
@@ -132,7 +110,7 @@ class _Reader:
             kinds = listed([f"{count} {kind}" for kind, count in self._left_out.items()])
             warn_of(self._path, f"what bounds no solid was left out: {kinds}")
         warn_of_curves(self._path, self._curved)
-        return found
+        return Draft.from_blocks(self._path, scale, found, self.interfaces)
 
     def _find(self, data: Any, key: str = "") -> Iterator[Block]:
         """Yield all blocks in a value, in their order; one without a name is called by its key in a dictionary."""
@@ -260,12 +238,7 @@ class _Reader:
     def _conditions(
         self, groups: list[Any], known: Mapping[str, Any]
     ) -> tuple[set[Any], dict[Any, list[dict[str, Any]]], list[float]]:
-        """Return the held blocks, the loads on blocks, and the acceleration of all, of boundary conditions.
-
-        Args:
-            groups: boundary conditions.
-            known: key of the block at each node.
-        """
+        """Return the held blocks, the loads on blocks, and the acceleration of all, of boundary conditions."""
         held: set[Any] = set()
         loads: dict[Any, list[dict[str, Any]]] = {}
         acceleration = [0.0, 0.0, 0.0]
@@ -291,13 +264,7 @@ class _Reader:
         return held - {None}, loads, acceleration
 
     def _read_edges(self, graph: dict[str, Any], name: str, keys: dict[str, Hashable]) -> None:
-        """Keep the interfaces at the edges of a graph.
-
-        Args:
-            graph: its content.
-            name: attribute of an edge that lists them.
-            keys: key of the block at each node.
-        """
+        """Keep the interfaces at the edges of a graph."""
         for one, others in (graph.get("edge") or {}).items():
             for two, attributes in (others or {}).items():
                 found = (attributes or {}).get(name) or []
@@ -324,11 +291,9 @@ class _Reader:
             faces = [[order[str(corner)] for corner in face] for face in content["face"].values()]
         elif "vertices" in content:
             points, faces = content["vertices"], content["faces"]
-        elif "xsize" in content:
-            points, faces = box(content)
-        elif (shape := str(data.get("dtype")).removeprefix("compas.geometry/")) in CURVED:
-            points, faces = revolved(shape, content)
-            self._curved.append(f"{shape} {name}".rstrip())
+        elif (shape := str(data.get("dtype")).removeprefix("compas.geometry/")) in ("Box", *CURVED):
+            points, faces = shape_mesh(shape, content)
+            self._curved += [f"{shape} {name}".rstrip()] * (shape in CURVED)
         else:
             self._fail(f"block {name or '?'} is a {data.get('dtype')}, not a mesh", "convert it to a mesh")
         vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
@@ -385,4 +350,4 @@ def _content(data: dict[str, Any]) -> Any:
     return data["data"] if "data" in data else data["value"]
 
 
-READER = Reader((".json",), load_compas, read_compas, _is_compas)
+READER = Reader((".json",), parts=read_compas, recognizes=_is_compas)

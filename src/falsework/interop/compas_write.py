@@ -5,14 +5,12 @@ from __future__ import annotations
 import json
 import uuid
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from falsework.errors import InputError
-from falsework.utils.files.formats import Exporter
-from falsework.utils.files.output_file import write_whole
+from falsework.utils.files.formats import Exporter, writer_of
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -43,21 +41,6 @@ def to_compas(assembly: Assembly, kind: CompasKind = "meshes") -> Any:
     if kind == "meshes":
         return [_mesh(assembly, part, guid) for part in range(assembly.part_count)]
     return _assembly(assembly, guid) if kind == "assembly" else _model(assembly, guid)
-
-
-def write_compas(assembly: Assembly, path: Path | str, kind: CompasKind = "meshes") -> None:
-    """Write what `to_compas` makes, whole or not at all.
-
-    Args:
-        assembly: the structure; its joints and loads are left out.
-        path: file to write.
-        kind: as for `to_compas`.
-
-    Raises:
-        InputError: an unknown kind, or the file cannot be written.
-    """
-    text = json.dumps(to_compas(assembly, kind), ensure_ascii=False, allow_nan=False)
-    write_whole(path, lambda file: file.write(text.encode("utf-8", "backslashreplace") + b"\n"))
 
 
 class _guids:
@@ -197,7 +180,10 @@ def _frame(origin: np.ndarray, xaxis: np.ndarray, yaxis: np.ndarray) -> dict[str
 
 
 def _exporter(kind: CompasKind, suffixes: tuple[str, ...] = ()) -> Exporter:
-    return Exporter(lambda assembly, path, _: write_compas(assembly, path, kind), suffixes)
+    def text(assembly: Assembly) -> str:
+        return json.dumps(to_compas(assembly, kind), ensure_ascii=False, allow_nan=False) + "\n"
+
+    return Exporter(writer_of(text), suffixes)
 
 
 MESHES, ASSEMBLY, DEM = _exporter("meshes", (".json",)), _exporter("assembly"), _exporter("dem")

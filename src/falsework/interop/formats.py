@@ -12,7 +12,7 @@ from falsework.errors import InputError
 from falsework.files import load_own
 from falsework.robots.cells.cell_file import AnyCell
 from falsework.robots.exports.export import export_plan
-from falsework.robots.plans.presses import has_presses
+from falsework.robots.plans.robot_forces import has_presses
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_source import structure_of_plan
@@ -44,9 +44,6 @@ def read_exportable(
 
     Returns:
         The object read, and the structure, which is not loaded for a robot plan.
-
-    Raises:
-        InputError: none of them.
     """
     found = load_own(path) if Path(path).suffix.lower() == ".json" else None
     if isinstance(found, RobotPlan):

@@ -12,7 +12,7 @@ import base64
 import json
 import struct
 from collections.abc import Sequence
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -22,8 +22,7 @@ from falsework import __version__
 from falsework.errors import InputError
 from falsework.interop.tracks import Track, Tracks, tracks_of
 from falsework.search.plans.steps import NO_ROBOT
-from falsework.utils.files.formats import Exporter
-from falsework.utils.files.output_file import write_whole
+from falsework.utils.files.formats import Exporter, writer_of
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
 
 if TYPE_CHECKING:
@@ -48,10 +47,7 @@ def to_gltf(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb",
     part, and wrench in N and N m about the part's node, in the axes of the file.
 
     Args:
-        assembly: the structure.
-        plan: plan to animate, in its own direction.
         kind: `glb`, one binary file, or `gltf`, the same as text with its data inside.
-        step_seconds: length of a step.
 
     Raises:
         PlanError: the plan is for another structure.
@@ -66,26 +62,6 @@ def to_gltf(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb",
     else:
         document.animate(plan, tracks_of(plan, assembly, step_seconds))
     return document.packed(kind)
-
-
-def write_gltf(
-    assembly: Assembly, path: Path | str, plan: Plan | None = None, *, kind: Kind = "glb", step_seconds: float = 1.0
-) -> None:
-    """Write what `to_gltf` makes, whole or not at all.
-
-    Args:
-        assembly: the structure.
-        path: file to write.
-        plan: shown as an animation; None for the structure at rest.
-        kind: `glb`, one binary file, or `gltf`, JSON with its data in it.
-        step_seconds: duration of a step of the plan.
-
-    Raises:
-        PlanError: the plan is for another structure.
-        InputError: an unknown kind, a step of no length, or the file cannot be written.
-    """
-    content = to_gltf(assembly, plan, kind=kind, step_seconds=step_seconds)
-    write_whole(path, lambda file: file.write(content))
 
 
 class _Document:
@@ -300,9 +276,5 @@ def _linear(color: str) -> list[float]:
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).round(4).tolist()
 
 
-def _write_json(assembly: Assembly, path: Path | str, plan: Plan | None, *, step_seconds: float = 1.0) -> None:
-    write_gltf(assembly, path, plan, kind="gltf", step_seconds=step_seconds)
-
-
-GLB = Exporter(write_gltf, (".glb",), ("Assembly", "Plan"), ("step_seconds",))
-GLTF = Exporter(_write_json, (".gltf",), ("Assembly", "Plan"), ("step_seconds",))
+GLB = Exporter(writer_of(to_gltf), (".glb",), ("Assembly", "Plan"), ("step_seconds",))
+GLTF = Exporter(writer_of(partial(to_gltf, kind="gltf")), (".gltf",), ("Assembly", "Plan"), ("step_seconds",))

@@ -6,7 +6,6 @@ import io
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,11 +16,10 @@ from falsework.interop.instruction_table import (
     AssemblyInstruction,
     AssemblyInstructions,
     sheet,
-    write_sheet,
 )
 from falsework.interop.pdf_text import BOLD, REGULAR, broken_lines, register_fonts, write_line, write_paragraph
-from falsework.utils.files.formats import Exporter
-from falsework.utils.quantity import counted
+from falsework.utils.files.formats import Exporter, writer_of
+from falsework.utils.quantity import counted, listed
 from falsework.viewer.appearance import appearance_at, bounds_of, diagonal
 from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.palette import INK, PRESS, mix, robot_color
@@ -73,8 +71,6 @@ def instructions_pdf(
     """Return a PDF of A4 pages.
 
     Args:
-        sheet: assembly instructions.
-        camera: how the pictures look at the structure.
         progress: called with the number of pictures drawn and of all.
 
     Raises:
@@ -222,7 +218,7 @@ def _head(canvas: Canvas, sheet: AssemblyInstructions) -> float:
             "PRESS: a support pushes its part with the force given while the other part is released, then stays there."
         )
     if sheet.start:
-        lines.append(f"There before step 1: {_shortened(sheet, sheet.start)}.")
+        lines.append(f"There before step 1: {listed([sheet.name(part) for part in sheet.start], _LISTED_PARTS)}.")
     if sheet.holding(0):
         held = ", ".join(f"{sheet.name(part)} by support {support + 1}" for part, support in sheet.holding(0))
         lines.append(f"Held before step 1: {held}.")
@@ -349,24 +345,18 @@ def _jpeg(image: NDArray[np.floating]) -> Any:
     return ImageReader(file)
 
 
-def _shortened(sheet: AssemblyInstructions, parts: tuple[int, ...]) -> str:
-    names = ", ".join(sheet.name(part) for part in parts[:_LISTED_PARTS])
-    return names if len(parts) <= _LISTED_PARTS else f"{names} and {len(parts) - _LISTED_PARTS} more"
-
-
-def _write_pdf(
+def _pdf_of(
     assembly: Assembly,
-    path: Path | str,
     plan: Plan,
     *,
     azimuth: float = CAMERA.azimuth,
     elevation: float = CAMERA.elevation,
     progress: Progress | None = None,
-) -> None:
+) -> bytes:
     if not -90 < elevation < 90 or elevation == 0:
         raise InputError(f"an elevation of {elevation:g} degrees sees nothing; give one such as 24")
     camera = replace(CAMERA, azimuth=azimuth, elevation=elevation)
-    write_sheet(instructions_pdf(sheet(assembly, plan), camera=camera, progress=progress), path)
+    return instructions_pdf(sheet(assembly, plan), camera=camera, progress=progress)
 
 
-PDF = Exporter(_write_pdf, (".pdf",), ("Plan",), ("azimuth", "elevation", "progress"))
+PDF = Exporter(writer_of(_pdf_of), (".pdf",), ("Plan",), ("azimuth", "elevation", "progress"))

@@ -10,7 +10,6 @@ import csv
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,9 +21,9 @@ from falsework.errors import InputError, PlanError
 from falsework.geometry.paths.moves import ExitPath
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import NO_ROBOT, Action, name_together
-from falsework.stability.holds import Press, describe_force
-from falsework.utils.files.formats import Exporter
-from falsework.utils.files.output_file import write_whole
+from falsework.stability.holds import Press
+from falsework.utils.files.formats import Exporter, writer_of
+from falsework.utils.quantity import format_quantity
 from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
@@ -137,7 +136,7 @@ class AssemblyInstructions:
         described = []
         for press in step.presses:
             way = describe_motion(np.array(press.wrench[:3]) / max(press.force, 1e-300))
-            what = f"{self.name(press.part)} with {describe_force(press.force)}"
+            what = f"{self.name(press.part)} with {format_quantity(press.force, 'force')}"
             described.append((what, f"{way} by support {supports[press.part] + 1}"))
         return described
 
@@ -209,15 +208,6 @@ def instructions_csv(sheet: AssemblyInstructions) -> str:
     return text.getvalue()
 
 
-def write_sheet(content: bytes, path: Path | str) -> None:
-    """Write a sheet, whole or not at all.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    write_whole(path, lambda file: file.write(content))
-
-
 def _rows(sheet: AssemblyInstructions) -> Iterator[dict[str, Any]]:
     assembly = sheet.assembly
     for step in sheet.steps:
@@ -255,9 +245,6 @@ def _holding(timeline: Timeline, place: int) -> tuple[tuple[int, int], ...]:
     return tuple(sorted(((int(part), int(robots[part])) for part in held), key=lambda pair: pair[1]))
 
 
-def _write_csv(assembly: Assembly, path: Path | str, plan: Plan) -> None:
-    # The byte order mark is how spreadsheets detect the encoding.
-    write_sheet(instructions_csv(sheet(assembly, plan)).encode("utf-8-sig"), path)
-
-
-CSV = Exporter(_write_csv, (".csv",), ("Plan",))
+# The byte order mark is how spreadsheets detect the encoding.
+_WRITE = writer_of(lambda assembly, plan: instructions_csv(sheet(assembly, plan)).encode("utf-8-sig"))
+CSV = Exporter(_WRITE, (".csv",), ("Plan",))

@@ -8,6 +8,7 @@ parts up, and are not used.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,11 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.draft import Draft
-from falsework.errors import InputError
+from falsework.assembly.state import complete_state
+from falsework.errors import InputError, UntouchedPartError
+from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.surface import warn_of
+from falsework.stability.oracle import StabilityOracle
 from falsework.utils.files.formats import FOLDER, Reader
 from falsework.utils.json_text import parse_json
-from falsework.utils.quantity import listed
+from falsework.utils.quantity import format_quantity, listed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -40,10 +44,11 @@ def load_posed(path: Path | str, *, unit: str | None = None, **options: Any) -> 
     """Read an assembly from a folder of meshes with a file of poses.
 
     Args:
-        path: the folder.
         unit: of the meshes and translations; centimetres if not given.
         options: density, friction, boundary, ground, contact_settings and settle, as for `load_assembly`. Without a
-            boundary a ground is added, with a warning, as their programs do.
+            boundary a ground is added, with a warning, as their programs do. Without a length to settle by, parts
+            settle, with a warning, if one of them touches no other, or if they face each other across gaps and the
+            complete assembly is not stable; 0 leaves them where they are.
 
     Raises:
         InputError: no mesh, or a pose that is none.
@@ -54,7 +59,34 @@ def load_posed(path: Path | str, *, unit: str | None = None, **options: Any) -> 
     if options.get("boundary") is None and not options.get("ground"):
         warn_of(draft.path, "no part is fixed, so a ground was added under the lowest point, as the last part")
         options["ground"] = True
-    return draft.assemble(name=draft.path.resolve().name, **options)
+    options["name"] = draft.path.resolve().name
+    if options.get("settle") is not None:
+        return draft.assemble(**options)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            as_modelled = draft.assemble(**options)
+        except UntouchedPartError:
+            as_modelled = None
+    if as_modelled is not None and _rests(as_modelled):
+        for warning in caught:
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+        return as_modelled
+    parts = [TriangleMesh.from_arrays(*block.triangles(draft.scale)) for block in draft.blocks]
+    play = min(min(part.thickness, float(np.ptp(part.bounds, axis=0).min()) / 2) for part in parts)
+    why = "a part touches no other" if as_modelled is None else "the complete assembly is not stable"
+    warn_of(
+        draft.path,
+        f"{why}, so parts settle into their clearance by at most {format_quantity(play, 'length')}, the thickness of "
+        "the thinnest; --settle 0 (settle=0) leaves them where they are",
+    )
+    return draft.assemble(**options | {"settle": play})
+
+
+def _rests(assembly: Assembly) -> bool:
+    """Return whether a complete assembly is stable as it is modelled, or has no clearance to settle into."""
+    state = complete_state(assembly.boundary)
+    return bool(StabilityOracle(assembly).verdicts(state).stable[0]) or not assembly.clearance_hint
 
 
 def read_posed(path: Path | str, *, unit: str | None = None) -> Draft:
@@ -63,11 +95,7 @@ def read_posed(path: Path | str, *, unit: str | None = None) -> Draft:
     Parts without a pose stay where their meshes are, with a warning if others have one.
 
     Args:
-        path: the folder.
         unit: of the meshes and translations; centimetres if not given.
-
-    Raises:
-        InputError: no mesh, or a pose that is none.
     """
     path = Path(path)
     draft = Draft.from_meshes(path, unit or UNIT)

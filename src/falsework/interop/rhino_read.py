@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.draft import Block, Draft
-from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.polygon import triangles_of
@@ -45,8 +44,8 @@ _DEEPEST = 32
 """Levels of blocks in blocks."""
 
 
-def load_rhino(path: Path | str, *, unit: str | None = None, **options: Any) -> Assembly:
-    """Read an assembly from a Rhino file.
+def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
+    """Read the parts of a Rhino file, unchecked.
 
     Parts are meshes, and Breps and extrusions with the meshes that Rhino stored for display; instances of blocks are
     resolved. Separate solids of one object are parts of their own. Those on a layer `Supports` or `Boundary` are
@@ -56,24 +55,6 @@ def load_rhino(path: Path | str, *, unit: str | None = None, **options: Any) -> 
     A warning names each.
 
     Args:
-        path: the file.
-        unit: unit of the coordinates; that of the file if not given.
-        options: density, friction, boundary, ground and contact_settings, as for `load_assembly`.
-
-    Raises:
-        DependencyError: rhino3dm is not installed.
-        InputError: no Rhino file, no part in it, an object without a mesh, or a unit without a length.
-        MeshError: a part that does not bound a solid.
-        AssemblyError: the parts make no assembly.
-    """
-    return read_rhino(path, unit=unit).assemble(**options)
-
-
-def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
-    """Read the parts of a Rhino file, unchecked.
-
-    Args:
-        path: the file.
         unit: unit of the coordinates; that of the file if not given.
 
     Raises:
@@ -304,4 +285,4 @@ def _is_flat(points: NDArray[np.float64]) -> bool:
     return bool(spread[2] <= _FLAT * spread[0])
 
 
-READER = Reader((".3dm",), load_rhino, read_rhino)
+READER = Reader((".3dm",), parts=read_rhino)

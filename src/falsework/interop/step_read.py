@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from falsework.assembly.draft import Block, Draft
-from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError, InputError
 from falsework.geometry.mesh.surface import warn_of, warn_of_curves
 from falsework.interop.apart import read_apart
@@ -27,32 +26,11 @@ _NAMELESS = "Open CASCADE STEP translator"
 """Beginning of the names that Open CASCADE gives products without one."""
 
 
-def load_step(path: Path | str, *, unit: str | None = None, **options: Any) -> Assembly:
-    """Read an assembly from a STEP file: a part for every solid, in the order of the file.
+def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
+    """Read the solids of a STEP file, unchecked: a part for every solid, in the order of the file.
 
     A part has the name of its solid, or where several solids have that name, or none, the name of its occurrence in an
     assembly or of its product.
-
-    Args:
-        path: the file.
-        unit: may not be given, since the file says it.
-        options: density, friction, boundary, ground and contact_settings, as for `load_assembly`.
-
-    Raises:
-        DependencyError: cadquery-ocp is not installed.
-        InputError: no STEP file, no solid in it, or a unit.
-        MeshError: a part that does not bound a solid.
-        AssemblyError: the parts make no assembly.
-    """
-    return read_step(path, unit=unit).assemble(**options)
-
-
-def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
-    """Read the solids of a STEP file, unchecked.
-
-    Args:
-        path: the file.
-        unit: may not be given, since the file says it.
 
     Raises:
         DependencyError: cadquery-ocp is not installed.
@@ -194,4 +172,4 @@ def _block(solid: Any) -> tuple[Block, bool]:
     return Block("", np.array(vertices, dtype=float).reshape(-1, 3), faces), bent
 
 
-READER = Reader((".step", ".stp"), load_step, read_step)
+READER = Reader((".step", ".stp"), parts=read_step)

@@ -77,11 +77,6 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
     A part that is removed leaves along the collision-free way of the plan, or a straight one if there is one, and then
     disappears; one that is inserted does the opposite.
 
-    Args:
-        plan: plan to animate.
-        assembly: the structure that the plan is for.
-        step_seconds: length of a step.
-
     Raises:
         PlanError: the plan is for another structure, or a part turns on its way in.
         InputError: a step of no length.

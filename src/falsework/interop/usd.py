@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,8 +18,7 @@ from falsework import __version__
 from falsework.interop.tracks import Track, Tracks, tracks_of
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.stability.settings import StabilitySettings
-from falsework.utils.files.formats import Exporter
-from falsework.utils.files.output_file import write_whole
+from falsework.utils.files.formats import Exporter, writer_of
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
 
 if TYPE_CHECKING:
@@ -41,15 +39,6 @@ def to_usd(assembly: Assembly, plan: Plan | None = None, *, step_seconds: float 
     colliders, the others rigid bodies. One physics material carries the friction. With a plan, parts follow it as
     kinematic bodies, appear and disappear, and take the colour of the robot that holds them. Custom attributes of a
     part give the presses on it: steps, forces in N and moments in N m about its centre of mass.
-
-    Args:
-        assembly: the structure.
-        plan: plan to animate, in its own direction.
-        step_seconds: length of a step.
-
-    Raises:
-        PlanError: the plan is for another structure.
-        InputError: a step of no length.
     """
     times = None if plan is None else tracks_of(plan, assembly, step_seconds)
     names = _identifiers((assembly.name, *assembly.names))
@@ -63,23 +52,6 @@ def to_usd(assembly: Assembly, plan: Plan | None = None, *, step_seconds: float 
         presses = [] if plan is None else _presses(plan, part)
         lines += _indent(_body(assembly, part, name, root, track, presses))
     return "\n".join([*lines, "}", ""])
-
-
-def write_usd(assembly: Assembly, path: Path | str, plan: Plan | None = None, *, step_seconds: float = 1.0) -> None:
-    """Write what `to_usd` makes, whole or not at all.
-
-    Args:
-        assembly: the structure; its joints and loads are left out.
-        path: file to write.
-        plan: shown as time samples; None for the structure at rest.
-        step_seconds: duration of a step of the plan.
-
-    Raises:
-        PlanError: the plan is for another structure.
-        InputError: a step of no length, or the file cannot be written.
-    """
-    content = to_usd(assembly, plan, step_seconds=step_seconds).encode("utf-8", "backslashreplace")
-    write_whole(path, lambda file: file.write(content))
 
 
 def _header(root: str, times: Tracks | None) -> list[str]:
@@ -251,4 +223,4 @@ def _number(value: float) -> str:
     return f"{float(value):.9g}"
 
 
-EXPORTER = Exporter(write_usd, (".usd", ".usda"), ("Assembly", "Plan"), ("step_seconds",))
+EXPORTER = Exporter(writer_of(to_usd), (".usd", ".usda"), ("Assembly", "Plan"), ("step_seconds",))

@@ -1,5 +1,6 @@
 from falsework.learn.algorithms.curriculum import Curriculum as Curriculum
 from falsework.learn.algorithms.learner import Learner as Learner
+from falsework.learn.algorithms.learner_context import LearnerContext as LearnerContext
 from falsework.learn.algorithms.ppo import PPO as PPO
 from falsework.learn.algorithms.rollout_storage import collect_transitions as collect_transitions
 from falsework.learn.config.imitation import ImitationPhase as ImitationPhase
@@ -19,5 +20,4 @@ from falsework.learn.networks.policy import masked_log_probabilities as masked_l
 from falsework.learn.training.checkpoint import Run as Run
 from falsework.learn.training.checkpoint import load_run as load_run
 from falsework.learn.training.iteration import Iteration as Iteration
-from falsework.learn.training.learner_context import LearnerContext as LearnerContext
 from falsework.learn.training.result import TrainResult as TrainResult

@@ -18,7 +18,7 @@ from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.factory import transfer
 from falsework.learn.networks.policy import Policy
 from falsework.learn.training.checkpoint import DATA, Run, load_run, read_run, run_folder
-from falsework.learn.training.evaluate import GoalBlindPolicy, Report, Sets, measure_success
+from falsework.learn.training.evaluate import Report, Sets, measure_success
 from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.training_data import find_pairs
 from falsework.search.device.oracle import TensorOracle, tensor_oracle
@@ -85,7 +85,6 @@ def evaluate(
         network: Any = Network(policy, settings.precision if chosen.type == "cuda" else "float32")
         if targets:
             sets = _pairs(trained, assembly, tensor_oracle(oracle, chosen), chosen)
-            network = network if settings.policy.goal_conditioned else GoalBlindPolicy(network)
         else:
             own = other is None and robots is None and criterion in (None, settings.criterion)
             data = _data(Path(run) / DATA if own else None, settings, assembly, tensor_oracle(oracle, chosen), chosen)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from falsework.assembly.state import States
+from falsework.assembly.state import REMOVED, States
 from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.result import Route
@@ -26,17 +26,6 @@ class ExecutedSteps:
             raise PlanError(
                 f"step {self.steps} does not exist; the plan has the steps 1 to {len(self.plan)}, and 0 is the start"
             )
-        if self.plan.parts_at_once > 1:
-            raise PlanError(
-                "the plan moves several parts in one step, which replanning cannot; plan again with --begin for the "
-                "present state"
-            )
-
-        if self.plan.exit_paths:
-            raise PlanError(
-                "the plan has ways out of several moves, which replanning does not search for; plan again with --begin "
-                "for the present state"
-            )
 
     @property
     def state(self) -> States:
@@ -51,7 +40,8 @@ class ExecutedSteps:
 
     def placed_at(self, part: int) -> int | None:
         """Return the step that placed a part last; None if none did."""
-        placing = np.flatnonzero(self.plan.actions[: self.steps] == self.plan.boundary.size + part)
+        there = self.plan.states[: self.steps + 1, part] != REMOVED
+        placing = np.flatnonzero(there[1:] & ~there[:-1])
         return int(placing[-1]) + 1 if len(placing) else None
 
     def extended(self, rest: Route) -> Route:
@@ -69,7 +59,8 @@ class ExecutedSteps:
         Args:
             rest: task of what follows, whose target is the state that is reached.
         """
-        touched = set((self.plan.actions[: self.steps] % rest.part_count).tolist())
+        states = self.history[0]
+        touched = set(np.flatnonzero((states != states[0]).any(axis=0)).tolist())
         return Task.from_rules(
             self.plan.boundary,
             max(rest.robots, self.plan.robots),
@@ -82,4 +73,13 @@ class ExecutedSteps:
             allow_regrasp=self.plan.allow_regrasp or rest.allow_regrasp,
             props=rest.props,
             prop_limit=rest.prop_limit,
+            together=rest.together,
         )
+
+    def with_ways(self, whole: Plan) -> Plan:
+        """Return a plan that begins with these steps, with the ways of several moves on which they were done."""
+        ways = (self.plan.exit_paths or ((),) * len(self.plan))[: self.steps]
+        ways = (*ways, *(whole.exit_paths or ((),) * len(whole))[self.steps :])
+        turns = any(move.turns for way in ways for move in way)
+        moves = max(self.plan.moves, whole.moves)
+        return replace(whole, exit_paths=ways, moves=moves, turns=turns) if any(ways) else whole

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from falsework.assembly.state import REMOVED, States
 from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
@@ -134,20 +134,18 @@ def difference(old: Plan, new: Plan, direction: Direction = Direction.ASSEMBLY, 
         built: steps of the new plan that are done.
 
     Raises:
-        PlanError: the plans are of different structures, or move several parts in one step.
+        PlanError: the plans are of different structures.
     """
     if old.identity != new.identity:
         raise PlanError(f"the plans are of different structures, {old.name} and {new.name}; compare plans of one")
-    if max(old.parts_at_once, new.parts_at_once) > 1:
-        raise PlanError("plans that move several parts in one step cannot be compared; compare plans that move one")
     way = 1 if direction is Direction.ASSEMBLY else -1
     here = np.flatnonzero((old.states[::way] == new.states[::way][0]).all(axis=1))
     begin = int(here[0]) if len(here) else 0
-    left, now = old.actions[::way][begin:], new.actions[::way]
+    left, now = old.states[::way][begin + 1 :], new.states[::way][1:]
     shared = min(len(left), len(now))
-    differs = np.flatnonzero(left[:shared] != now[:shared])
+    differs = np.flatnonzero((left[:shared] != now[:shared]).any(axis=1) | (not len(here)))
     common = int(differs[0]) if len(differs) else shared
-    before, after = _placed(left, new), _placed(now, new)
+    before, after = _placed(old.states[::way][begin:]), _placed(new.states[::way])
     both = [part for part in after if part in set(before)]
     place = {part: number for number, part in enumerate((part for part in before if part in set(after)), 1)}
     moves = [
@@ -172,10 +170,10 @@ def difference(old: Plan, new: Plan, direction: Direction = Direction.ASSEMBLY, 
     )
 
 
-def _placed(actions: NDArray[np.int64], plan: Plan) -> list[int]:
-    """Return parts in the order in which they are inserted, or removed."""
-    parts = len(plan.boundary)
-    return list(dict.fromkeys((actions[actions >= parts] - parts).tolist()))  # a prop is placed and taken away
+def _placed(states: States) -> list[int]:
+    """Return parts in the order in which they are inserted, or removed; of several at once, by number."""
+    changes = np.argwhere((states[1:] != REMOVED) != (states[:-1] != REMOVED))
+    return list(dict.fromkeys(changes[:, 1].tolist()))  # a prop is placed and taken away
 
 
 def _order_kept(places: list[int]) -> float:

@@ -14,10 +14,12 @@ from falsework.assembly.state import HELD, REMOVED, States, held_count
 from falsework.errors import InputError, StateError
 from falsework.replanning.executed_steps import ExecutedSteps
 from falsework.replanning.named_state import StateLike, named_state
+from falsework.search.find import make_task
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.deadline import check_deadline
 from falsework.search.problem.task import STAGE, Direction, Task
+from falsework.search.task_rules import WayRules
 from falsework.utils.quantity import check_seed
 
 MOST_PLANS = 1000
@@ -59,6 +61,13 @@ class Request:
     """Seconds after which the best proven answer so far is returned."""
     removable_only_if_clear: bool = False
     """Move a part only if it has a collision-free straight path in or out."""
+    parts_at_once: int = 1
+    """Parts that a step may move at most, where they lock each other; see `TaskRules`. As for the next two, what the
+    plan that is carried out allows is allowed from now on, too."""
+    moves: int = 1
+    """Moves in which a part leaves at most, where it has no straight way out."""
+    turns: bool = False
+    """Whether the part that leaves may also turn, and screw."""
     confidences: bool = False
     """Return the action probabilities of the policy in every state of the plan."""
 
@@ -101,7 +110,8 @@ class Request:
         state = self.current(assembly)
         if self.target is not None:
             target = _state(self.target, assembly, "target")
-            stage, wanted = STAGE[state], STAGE[target]
+            own = slice(assembly.part_count - len(assembly.props))  # props come and go in either direction
+            stage, wanted = STAGE[state[own]], STAGE[target[own]]
             if (stage > wanted).any() and (stage < wanted).any():
                 part, other = int(np.argmax(stage > wanted)), int(np.argmax(stage < wanted))
                 raise StateError(
@@ -148,22 +158,31 @@ class Request:
                 for part in fixed:
                     if 0 <= part < len(state):
                         start[part] = state[part]
-        task = Task.from_rules(
-            assembly.boundary,
+        task = make_task(
+            assembly,
             self.robots,
             start=start,
             target=end,
             fixed=fixed,
             missing=missing,
-            clearance=assembly.clearance if self.removable_only_if_clear else None,
-            contacts=assembly.contacts.parts,
-            identity=assembly.identity,
+            removable_only_if_clear=self.removable_only_if_clear,
             allow_regrasp=bool(assembly.props),
-            props=[prop.part for prop in assembly.props],
-            prop_limit=self._props_at_once(state, assembly),
+            props=self._props_at_once(state, assembly) if assembly.props else 0,
+            **self._ways(),
         )
         _check_first_step(task, order, assembly)
         return task
+
+    def _ways(self) -> WayRules:
+        """Return how parts may leave: as the request says, and as the plan that is carried out does."""
+        plan = self.plan
+        if plan is None:
+            return {"parts_at_once": self.parts_at_once, "moves": self.moves, "turns": self.turns}
+        return {
+            "parts_at_once": max(self.parts_at_once, plan.parts_at_once),
+            "moves": max(self.moves, plan.moves),
+            "turns": self.turns or plan.turns,
+        }
 
     def _props_at_once(self, state: States, assembly: Assembly) -> int:
         """Return the number of props that the plan allows at a time, and those that stand at least."""
@@ -178,7 +197,7 @@ def _state(given: StateLike, assembly: Assembly, name: str) -> States:
 def _check_first_step(task: Task, order: Direction, assembly: Assembly) -> None:
     """Refuse a state in which the rules allow nothing, before anything is searched."""
     state = task.origin(order)
-    if task.steps == 0 or task.allow_regrasp or task.moves(state[None], order).any():
+    if task.steps == 0 or task.allow_regrasp or task.together is not None or task.moves(state[None], order).any():
         return
     held = np.flatnonzero((state == HELD) & ~task.boundary)
     busy = int(held_count(state[None], task.boundary)[0])

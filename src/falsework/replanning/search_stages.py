@@ -91,7 +91,8 @@ def search_on(session: ReplanSession, guide: Guide) -> Iterator[None]:
         yield from _first_plan(session, guide)
     if session.routes and not session.done:
         yield from _better_plans(session, guide)
-    if not session.decided and not session.clock.passed and not session.task.allow_regrasp:
+    task = session.task  # searches that hold parts again, or move several, end by examining every state themselves
+    if not (session.decided or session.clock.passed or task.allow_regrasp or task.together is not None):
         yield from _finish([TimeSlices(_ReachabilityStage(session), Stage.EXHAUSTIVE, _TURN_LEVELS)], session)
 
 

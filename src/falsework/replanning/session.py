@@ -19,10 +19,10 @@ from falsework.search.plans.alternatives import Alternatives, choose_alternative
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import Outcome, Route, SearchResult, insertion_steps
-from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
 from falsework.search.problem.timed_oracle import TimedOracle
 from falsework.search.problem.timed_replayer import DeadlineReplayer
+from falsework.search.together.moves import graph_with_sets
 from falsework.stability.verdict import Verdict, Verdicts
 
 _SAMPLES_GPU, _SAMPLES_CPU = 16, 4
@@ -172,7 +172,8 @@ class ReplanSession:
         while True:
             given = [route for route in given if self.stands(route)]
             states = states[~self.oracle.rules_out(states)]
-            graph = StateGraph.from_states(task, np.concatenate([states, *(route.states for route in given)]))
+            every = np.concatenate([states, *(route.states for route in given)])
+            graph = graph_with_sets(task, self.context.prover.oracle, every)
             chosen = choose_alternatives(
                 graph,
                 self.request.alternatives,
@@ -243,7 +244,7 @@ class ReplanSession:
                         whole, task = (route, self.task) if self.built is None else self._with_built(route)
                         left = self.clock.left
                         plan = prover.plan(whole, task, self.replayer, built=self._done, forces=forces, seconds=left)
-                        plans = (*plans, plan)
+                        plans = (*plans, plan if self.built is None else self.built.with_ways(plan))
                 except PlanError as error:
                     self._why = str(error) if fallen is None else ""
                     self.outcome, self.decided_by = Outcome.NOT_FOUND, Stage.NONE

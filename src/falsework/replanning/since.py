@@ -90,6 +90,7 @@ class SiteSteps:
             presses=(*(plan.presses or ((),) * len(plan))[:step], *((),) * new),
             loads=(),
             replay=None,
+            exit_paths=(*plan.exit_paths[:step], *((),) * new) if plan.exit_paths else (),
         )
         return whole, wide
 

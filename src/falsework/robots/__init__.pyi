@@ -1,8 +1,8 @@
 from falsework.robots.cells.cell_file import builtin_cells as builtin_cells
-from falsework.robots.cells.home import propose_home as propose_home
 from falsework.robots.cells.urdf import load_urdf as load_urdf
 from falsework.robots.cells.urdf_review import CellWarning as CellWarning
 from falsework.robots.cells.validate import check_cell as check_cell
+from falsework.robots.cells.validate import propose_home as propose_home
 from falsework.robots.exports.export import export_plan as export_plan
 from falsework.robots.grasping.reachability import propose_bases as propose_bases
 from falsework.robots.grasping.reachability import reach_table as reach_table
@@ -18,9 +18,9 @@ from falsework.robots.planning.hybrid_result import HybridSettings as HybridSett
 from falsework.robots.plans.robot_plan import Keyframe as Keyframe
 from falsework.robots.plans.robot_plan import RobotPlan as RobotPlan
 from falsework.robots.plans.robot_plan import RobotStep as RobotStep
-from falsework.robots.plans.robot_plan import Trajectory as Trajectory
 from falsework.robots.plans.temporal_graph import Precedence as Precedence
 from falsework.robots.plans.timeline import interruption as interruption
 from falsework.robots.plans.timeline import nodes_of as nodes_of
-from falsework.robots.schedule.build import schedule_plan as schedule_plan
+from falsework.robots.plans.trajectory import Trajectory as Trajectory
 from falsework.robots.schedule.simulation import simulate as simulate
+from falsework.robots.schedule.solver import schedule_plan as schedule_plan

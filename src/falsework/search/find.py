@@ -18,7 +18,6 @@ from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.props import keep_props, without_props
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
-from falsework.geometry.paths.exit_paths import ExitPaths
 from falsework.search.backend import Backend, beams_on
 from falsework.search.margins.demands import MarginOracle
 from falsework.search.margins.plan_margins import PlanMargins
@@ -42,11 +41,12 @@ from falsework.search.problem.result import (
     SearchResult,
     Stop,
 )
-from falsework.search.problem.state_graph import StateGraph
-from falsework.search.problem.task import Clearance, Task
+from falsework.search.problem.task import Task
 from falsework.search.problem.timed_oracle import timed
+from falsework.search.problem.ways_out import Clearance
 from falsework.search.settings import PlannerSettings
 from falsework.search.task_rules import TaskRules
+from falsework.search.together.moves import graph_with_sets
 from falsework.search.together.rule import InterlockedSets
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
@@ -211,10 +211,6 @@ def make_task(
             "with places for props, as with_props(assembly, prop_places(assembly)) makes it"
         )
     start, target = (without_props(state, assembly) for state in (start, target))
-    if (moves != 1 or turns) and parts_at_once != 1:
-        raise InputError(
-            f"parts_at_once is {parts_at_once}, but sets of parts leave in one straight line; leave moves and turns out"
-        )
     together = None if parts_at_once == 1 else InterlockedSets(assembly, parts_at_once)
     clear = removable_only_if_clear or together is not None or moves != 1 or turns
     untouched = part_ids(fixed, assembly.names, "fixed")
@@ -239,6 +235,8 @@ def _clearance(assembly: Assembly, moves: int, fixed: Sequence[int], *, turns: b
     """Return the clearance of parts that leave in up to some number of moves."""
     if moves == 1 and not turns:
         return assembly.clearance
+    from falsework.geometry.paths.exit_paths import ExitPaths  # few tasks need it
+
     still = assembly.immovable.copy()
     still[list(fixed)] = True
     meshes, contacts = assembly.meshes, assembly.contacts
@@ -308,7 +306,7 @@ def _choose(
     states = np.concatenate([planner.states, *(route.states for route in planner.routes)])
     known = {route.states.tobytes() for route in planner.routes}
     while True:
-        graph = StateGraph.from_states(task, states, name=assembly.name)
+        graph = graph_with_sets(task, oracle, states, name=assembly.name)
         found = choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed, stop=stop)
         others = [route.states for route in found.routes if route.states.tobytes() not in known]
         weak = {state.tobytes() for route in others for state in _weak_states(route, oracle)}

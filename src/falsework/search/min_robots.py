@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from typing import Any, Unpack
 
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, held_count
-from falsework.errors import InputError
 from falsework.search.find import FIRST_SHARE, PLANS, make_task, prove_route
 from falsework.search.planner import Planner
 from falsework.search.plans.plan import Plan
@@ -29,8 +27,10 @@ from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import or_notebook
 from falsework.utils.quantity import listed
 
-DEADLINE = 60.0
-"""Seconds for the whole question unless another deadline is given."""
+EFFORT = 60.0
+"""Seconds for the whole question without a deadline, with so many for a verdict, whatever the load."""
+_VERDICT = 3e-5
+"""Seconds that a verdict takes for each part of the structure, where they are not measured."""
 _FIRST_SHARE, _BELOW_SHARE = 0.1, 0.5
 """Shares of the time left for the first search for a plan with each number of robots and, once there is a plan, with
 one robot fewer before refuting that."""
@@ -66,7 +66,7 @@ class MinRobots(Result[int]):
     interrupted: bool = False
     """Whether the keyboard ended the search."""
     deadline_passed: bool = False
-    """Whether the deadline ended the search."""
+    """Whether the deadline, or without one the limit of verdicts, ended the search."""
 
     @property
     def outcome(self) -> Outcome:
@@ -113,7 +113,7 @@ def min_robots(
     oracle: StabilityOracle | None = None,
     stability: StabilitySettings = PLANS,
     settings: PlannerSettings = PlannerSettings(),
-    deadline: float | None = DEADLINE,
+    deadline: float | None = None,
     progress: Progress | None = None,
     forces: bool = True,
     **rules: Unpack[TaskRules],
@@ -129,7 +129,7 @@ def min_robots(
         stability: criterion, reserve and robots, where no oracle is given. Where no plan keeps the reserve with any
             number of robots, half of the deadline is left to ask for plans without; `Plan.claim` has its reserve.
         settings: effort of the search for each plan.
-        deadline: seconds for all searches together; None for as long as they take.
+        deadline: seconds for all searches together; without one they ask for so many verdicts as take about a minute.
         progress: called after every level of every search; notebooks show it if not given.
         forces: keep the contact forces that prove each state in the plan.
         rules: start, target, fixed, missing, removable_only_if_clear, support and props; see `TaskRules`.
@@ -138,20 +138,19 @@ def min_robots(
         The best that was found by the deadline, or until the keyboard interrupted the search.
 
     Raises:
-        InputError: a deadline of zero or less, steps of several parts, or rules that the structure cannot keep.
+        InputError: a deadline of zero or less, or rules that the structure cannot keep.
     """
-    if rules.get("parts_at_once", 1) > 1:
-        raise InputError("no bound on the robots is known where steps move several parts; give the number of robots")
     clock, assembly = Deadline(deadline), as_assembly(assembly)
     progress = or_notebook(progress, "searching")
     first = oracle or StabilityOracle(assembly, stability)
     again = oracle is None and stability.reserve > 1.0 and first.replayer is not None
     share = Deadline(None if deadline is None else FIRST_SHARE * deadline) if again else clock
-    answer = _Query(assembly, first, settings, share, progress, forces, rules).answer()
+    effort = FIRST_SHARE * EFFORT if again else EFFORT
+    answer = _Query(assembly, first, settings, share, effort, progress, forces, rules).answer()
     if answer.value is not None or not again or answer.interrupted or clock.passed:
         return answer
     weaker = StabilityOracle(assembly, replace(stability, reserve=1.0))
-    return _Query(assembly, weaker, settings, clock, progress, forces, rules).answer()
+    return _Query(assembly, weaker, settings, clock, effort, progress, forces, rules).answer()
 
 
 class _Query:
@@ -163,12 +162,13 @@ class _Query:
         oracle: StabilityOracle,
         settings: PlannerSettings,
         clock: Deadline,
+        effort: float,
         progress: Progress | None,
         forces: bool,
         rules: TaskRules,
     ) -> None:
         self._assembly, self._oracle, self._settings, self._clock = assembly, oracle, settings, clock
-        self._progress, self._forces, self._rules = progress, forces, rules
+        self._effort, self._progress, self._forces, self._rules = effort, progress, forces, rules
         task = make_task(assembly, max(assembly.part_count, 1), **rules)
         self._task = task
         ends = np.stack([task.start, task.target])
@@ -197,7 +197,6 @@ class _Query:
         if robots is None and self._least > self._most:
             impossible = impossible or "a robot for every part does not suffice"
         last = max([self._least, *(n + 1 for n in self._planners)]) if robots is None else robots
-        verdicts = self._bound.asked + sum(planner.counters.asked for planner in self._planners.values())
         return MinRobots(
             value=robots,
             bound=self._least,
@@ -206,11 +205,26 @@ class _Query:
             impossible=impossible,
             certain=self._certain,
             barrier=self._barrier,
-            verdicts=verdicts,
+            verdicts=self._asked,
             seconds=self._clock.seconds,
             interrupted=interrupted,
             deadline_passed=late,
         )
+
+    @property
+    def _asked(self) -> int:
+        """Verdicts requested."""
+        return self._bound.asked + sum(planner.counters.asked for planner in self._planners.values())
+
+    @property
+    def _spent(self) -> float:
+        """Seconds since the beginning: by the clock, or without a deadline by verdicts."""
+        return self._clock.seconds if self._clock.limited else _VERDICT * self._assembly.part_count * self._asked
+
+    @property
+    def _left(self) -> float:
+        """Seconds until the end."""
+        return self._clock.left if self._clock.limited else self._effort - self._spent
 
     def _no_number(self) -> str:
         """Return why no number of robots suffices; empty if that is not known."""
@@ -233,12 +247,12 @@ class _Query:
                 if number == self._least and self._refuted(number, _QUICK):
                     continue
                 if self._plan is None and not self._over(number):
-                    self._look(number, min(_FIRST_SHARE * self._clock.left, seconds))
+                    self._look(number, min(_FIRST_SHARE * self._left, seconds))
             seconds, span = 2 * seconds, span + 1
         while self._plan is not None and self._plan.robots > self._least:
             below = self._plan.robots - 1
             if not self._over(below):
-                self._look(below, min(_BELOW_SHARE * self._clock.left, seconds))
+                self._look(below, min(_BELOW_SHARE * self._left, seconds))
             if self._plan.robots <= below:
                 continue
             if not self._refuted(below, _THOROUGH) and not self._over(below):
@@ -254,7 +268,7 @@ class _Query:
         """Return whether it is proven that no plan exists with so many robots, after another attempt if need be."""
         if robots < self._least:
             return True
-        if self._task.prop_limit:  # which the bound does not cover
+        if self._task.prop_limit or self._task.together is not None:  # which the bound does not cover
             return False
         barrier = self._bound.barrier(robots, budget * self._assembly.part_count)
         if barrier is None:
@@ -279,16 +293,16 @@ class _Query:
             task = replace(self._task, robots=robots)
             guide = SupportGuide(self._assembly)
             self._planners[robots] = Planner(task, self._timed, self._settings, guide=guide)
-        planner, end, told = self._planners[robots], time.perf_counter() + seconds, False
+        planner, end, told = self._planners[robots], self._spent + seconds, False
 
         def stop() -> bool:
             nonlocal told
-            told = time.perf_counter() > end or self._clock.passed
+            told = self._spent > end or self._left <= 0
             return told
 
         result = planner.run(progress=self._progress, stop=stop)
         self._take(robots, result)
-        if self._clock.passed:
+        if self._left <= 0:
             raise DeadlineExceeded
         if result.interrupted and not told:
             raise KeyboardInterrupt
@@ -316,7 +330,7 @@ def unremovable_parts(task: Task) -> NDArray[np.intp]:
     """
     leaving = (task.start != REMOVED) & (task.target == REMOVED)
     if (
-        task.clearance is None or task.caveat or task.moves_out > 1
+        task.clearance is None or task.together is not None or task.caveat or task.moves_out > 1
     ):  # where others move aside, the number of robots matters
         return np.flatnonzero(leaving & False)
     state = task.start.copy()

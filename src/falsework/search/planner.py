@@ -31,11 +31,11 @@ from falsework.search.problem.result import (
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
-from falsework.search.strategies import EDGES, Portfolio, moves_together, regrasps, start
+from falsework.search.strategies import EDGES, TOGETHER, Portfolio, Turn, regrasps, start
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
-FORMAT = "falsework.planner/11"
+FORMAT = "falsework.planner/12"
 
 _MOST_FALLS = 64
 """Number of routes with a failing replay before an attempt is given up."""
@@ -70,10 +70,9 @@ class Planner:
             beams: of the backend to search with, see `falsework.search.backend.beams_on`.
 
         Raises:
-            InputError: a judge or alternatives, where parts are held again, or alternatives, where steps may move
-                several.
+            InputError: a judge or alternatives, where parts are held again.
         """
-        self.regrasps, self.together = regrasps(task, settings), moves_together(task, settings)
+        self.regrasps, self.together = regrasps(task, settings), task.together is not None
         """Whether plans may hold parts again, and whether steps may move several parts."""
         self.task = task.judged_by(oracle)
         self.settings = settings
@@ -94,6 +93,7 @@ class Planner:
         """Strategies of the present search that have not given up."""
         self._round = self._turn = 0
         self._beams: dict[str, Search] = {}
+        self._turns: dict[str, Turn] = {}
         self._last: dict[str, SearchResult] = {}
         """How far each of these came."""
         self._rank, self._high, self._trial_reached = 0, 0, -1
@@ -192,6 +192,7 @@ class Planner:
             "stage": self._stage,
             "left": self._left,
             "trial": list(self._trial),
+            "turns": {name: vars(turn) for name, turn in self._turns.items()},
             "numbers": [getattr(self, name) for name in _NUMBERS],
             "counters": vars(self._counters),
             "seconds": self._seconds,
@@ -230,6 +231,7 @@ class Planner:
         self._trial = tuple(int(steps) for steps in header["trial"])
         for name, number in zip(_NUMBERS, header["numbers"], strict=True):
             setattr(self, name, int(number))
+        self._turns = {name: Turn(**turn) for name, turn in header["turns"].items()}
         self._counters = SearchCounters(**header["counters"])
         self._seconds = float(header["seconds"])
         self.states = arrays["states"]
@@ -247,16 +249,17 @@ class Planner:
         if name not in self._beams:
             rules = self.task.postpone(self._trial), self._oracle, portfolio, self.settings.seed
             self._beams[name] = start(name, *rules, self.beam_guide, self._make_beam)
-        beam, paused = self._beams[name], False
+        beam, turn, paused = self._beams[name], self._turns.setdefault(name, Turn()), False
 
         def halt() -> bool:
             nonlocal paused
-            paused = portfolio.is_over(self._round, name, beam)
+            turn.note(beam, portfolio.narrowest)
+            paused = portfolio.is_over(self._round, turn)
             return paused or (stop is not None and stop())
 
         result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
         if paused and not result.found:
-            self._turn += 1
+            self._turn, turn.owed = self._turn + 1, 0.0
         elif result.interrupted:
             return True
         elif result.found:
@@ -270,7 +273,7 @@ class Planner:
     def _drop_beams(self) -> None:
         """Forget the beams of a search that is over, but not the work that they did."""
         self._counters = self.counters
-        self._beams, self._last = {}, {}
+        self._beams, self._turns, self._last = {}, {}, {}
         self._left = list(self._portfolio.names)
         self._round = self._turn = self._falls = 0
 
@@ -283,8 +286,8 @@ class Planner:
     def _test(self, beam: Search, result: SearchResult, stop: Stop | None) -> None:
         """Test the route found, and go on to the next search, or leave the state out in which it fails."""
         route = result.routes[0]
-        if self._stage == "alternatives" and isinstance(beam, BackjumpingBeam):
-            self.states = np.concatenate([self.states, beam.search.states()])
+        if self._stage == "alternatives":
+            self.states = np.concatenate([self.states, beam.states()])
         if not self.tests.passes(route, beam.replay_summary(), stop):
             self._falls += 1
             if self._falls < _MOST_FALLS:
@@ -307,7 +310,8 @@ class Planner:
         decided = result.outcome is Outcome.PROVED_IMPOSSIBLE and not len(self.tests.forbidden)
         if self.regrasps or self.together:
             # Beams in which parts are held once, or move alone, prove nothing; even without a proof, nothing is left.
-            decided = self._beams[self._left[self._turn]].examined_all
+            name = self._left[self._turn]
+            decided = self._beams[name].examined_all and not (self.regrasps and name.startswith(TOGETHER))
             if not decided:
                 result = replace(result, outcome=Outcome.NOT_FOUND)
         over = self._give_up() or decided

@@ -23,9 +23,9 @@ class PlannerSettings:
     """Number of requested plans."""
     seed: int = 0
     """Same seed, same machine, same result."""
-    share: float = 8.0
-    """Verdicts for each part of the structure that each strategy may ask for in the first round, and twice as many in
-    each further one."""
+    patience: float = 2.0
+    """Verdicts for each part of the structure that each strategy may ask for in its first turn without getting farther,
+    and twice as many in each further one."""
     bound_after: float = 10.0
     """Seconds of processor time without a plan after which `find_plans` pauses to try to prove that robots are too few,
     for half as many seconds at most."""
@@ -45,6 +45,6 @@ class PlannerSettings:
             raise InputError(f"{self.alternatives} alternatives is not a number of plans; ask for at least 1")
         if self.judge and self.alternatives > 1:
             raise InputError("the judge takes minutes for alternatives; ask for one plan, or leave the judge out")
-        if self.share <= 0 or self.bound_after < 0:
-            raise InputError("a share of verdicts must be above 0, and the seconds before a bound not below 0")
+        if self.patience <= 0 or self.bound_after < 0:
+            raise InputError("the patience of a search must be above 0, and the seconds before a bound not below 0")
         check_seed(self.seed)

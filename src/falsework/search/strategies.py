@@ -30,6 +30,27 @@ EVERYWHERE = "everywhere"
 TOGETHER = "together-"
 """Before the name of a direction: beam in which steps may move several parts, at last without a limit."""
 
+_LEVEL_WORTH = 4
+"""Verdicts for each state kept at a level that the search for it may cost: some two to three times what it costs where
+no beam dies."""
+
+
+@dataclass
+class Turn:
+    """What a strategy asked for in its turn and how far it got, since the strategy began."""
+
+    asked: int = 0
+    level: int = 0
+    """Farthest level."""
+    owed: float = 0.0
+    """Verdicts of this turn that new levels do not make up for."""
+
+    def note(self, search: Search, width: int) -> None:
+        """Note how far the search of the strategy is now, whose beams began with some width."""
+        worth = _LEVEL_WORTH * width * max(search.level - self.level, 0)
+        self.owed = max(self.owed + search.asked - self.asked - worth, 0.0)
+        self.asked, self.level = search.asked, max(search.level, self.level)
+
 
 @dataclass(frozen=True)
 class Portfolio:
@@ -41,20 +62,13 @@ class Portfolio:
     """Width of beams to begin with."""
     widest: int
     """Width up to which they restart."""
-    share: float | None = None
-    """Verdicts of the first turn of each; each further turn has twice as many. None: until it gives up."""
+    patience: float = np.inf
+    """Verdicts of the first turn of each that new levels do not make up for, over the width of beams to begin with;
+    each further turn has twice as many."""
 
-    def allowance(self, round: int) -> float:
-        """Return the verdicts that a strategy may ask for up to and with a round, counted from 0."""
-        return np.inf if self.share is None else self.share * (2.0 ** (round + 1) - 1.0)
-
-    def is_over(self, round: int, name: str, search: Search) -> bool:
-        """Return whether the turn of a strategy in a round is over.
-
-        The first turn of the beam of free edges ends at its first dead end too: where edges have to be closed first, it
-        hardly comes to one, and most shells need not.
-        """
-        return (round == 0 and name == EDGES and search.dead_ends > 0) or search.asked >= self.allowance(round)
+    def is_over(self, round: int, turn: Turn) -> bool:
+        """Return whether the turn of a strategy in a round, counted from 0, is over."""
+        return turn.owed >= self.patience * self.narrowest * 2.0**round
 
     @classmethod
     def from_settings(
@@ -71,27 +85,26 @@ class Portfolio:
         """
         if wide:
             narrow = cls.from_settings(settings, stage, task, edges=edges)
-            share = None if narrow.share is None else narrow.widest * narrow.share
-            return replace(narrow, narrowest=narrow.widest, share=share)
+            return replace(narrow, narrowest=narrow.widest)
         names = [direction.value for direction in settings.directions]
+        sets = [TOGETHER + name for name in names] if task.together is not None else []
         if stage == "postpone":
-            return cls(tuple(names), 1, min(WIDENING, settings.width))
+            return cls((*names, *sets), 1, min(WIDENING, settings.width))
         if stage == "alternatives":
             # Disassembly leaves more freedom in the order of removal than assembly.
-            names.sort(key=lambda name: name != Direction.DISASSEMBLY)
+            names = sorted(sets or names, key=lambda name: direction_of(name) is not Direction.DISASSEMBLY)
             # One state a level leaves no choice.
             narrowest, widest = (min(width, settings.width) for width in (WIDENING, WIDENING**2))
             return cls(tuple(names), narrowest, widest)
-        share = settings.share * task.part_count
+        patience = settings.patience * task.part_count
         if regrasps(task, settings):
             again = [REGRASP + name for name in names]
             once = names[:1] if (STAGE[task.target] >= STAGE[task.start]).all() else []
-            return cls((again[0], EVERYWHERE, *again[1:], *once), 1, settings.width, share)
-        if moves_together(task, settings):  # plans that move one part at a time come first, as they are simpler
-            names += [TOGETHER + name for name in names]
+            return cls((again[0], EVERYWHERE, *again[1:], *once, *(sets if once else ())), 1, settings.width, patience)
+        names += sets  # plans that move one part at a time come first, as they are simpler
         if edges and Direction.ASSEMBLY in settings.directions:
             names.insert(0, EDGES)
-        return cls(tuple(names), 1, settings.width, share)
+        return cls(tuple(names), 1, settings.width, patience)
 
 
 def regrasps(task: Task, settings: PlannerSettings) -> bool:
@@ -110,17 +123,6 @@ def regrasps(task: Task, settings: PlannerSettings) -> bool:
         what = "judge yet; leave it out" if settings.judge else "alternatives yet; ask for one plan"
         raise InputError(f"plans with repeated holds have no {what}")
     return True
-
-
-def moves_together(task: Task, settings: PlannerSettings) -> bool:
-    """Return whether steps may move several parts.
-
-    Raises:
-        InputError: they may, and the settings ask for alternatives.
-    """
-    if task.together is not None and settings.alternatives > 1:
-        raise InputError("plans with several parts in one step have no alternatives yet; ask for one plan")
-    return task.together is not None
 
 
 def direction_of(name: str) -> Direction:
@@ -147,7 +149,9 @@ def start(
         assert guide is not None
         return RegraspBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
     if name.startswith(TOGETHER):
-        return TogetherBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
+        return TogetherBeam(
+            replace(task, allow_regrasp=False), oracle, direction, guide=guide, width=portfolio.narrowest
+        )
     settings = BackjumpingSettings(direction, portfolio.narrowest, seed)
     alone = replace(task, allow_regrasp=False, together=None)
     return BackjumpingBeam(alone, oracle, settings, guide=guide, beams=beams)

@@ -8,7 +8,21 @@ from typing import TypedDict
 from numpy.typing import ArrayLike
 
 
-class TaskRules(TypedDict, total=False):
+class WayRules(TypedDict, total=False):
+    """Ways on which parts leave."""
+
+    parts_at_once: int
+    """Parts that a step may insert or remove at most, where they lock each other and leave together only. More than 1
+    implies `removable_only_if_clear`."""
+    moves: int
+    """Moves in which a part leaves at most, where it has no straight way out; other parts that robots hold may move
+    aside meanwhile. More than 1 implies `removable_only_if_clear`."""
+    turns: bool
+    """Whether the part that leaves may also turn about an axis, and screw; a turn counts as a move. Implies
+    `removable_only_if_clear`."""
+
+
+class TaskRules(WayRules, total=False):
     """Rules of a task in addition to the number of robots, all of them optional."""
 
     start: ArrayLike | None
@@ -25,12 +39,3 @@ class TaskRules(TypedDict, total=False):
     """Release held parts without removing them, and hold parts again."""
     props: int
     """Props that may be in place at a time, of those that the structure has places for; needs `allow_regrasp`."""
-    parts_at_once: int
-    """Parts that a step may insert or remove at most, where they lock each other and leave together only. More than 1
-    implies `removable_only_if_clear`."""
-    moves: int
-    """Moves in which a part leaves at most, where it has no straight way out; other parts that robots hold may move
-    aside meanwhile. More than 1 implies `removable_only_if_clear`."""
-    turns: bool
-    """Whether the part that leaves may also turn about an axis, and screw; a turn counts as a move. Implies
-    `removable_only_if_clear`."""

@@ -143,6 +143,10 @@ class TogetherBeam(Search):
         """See `Search.route`."""
         return Route.back_from(self.task.goal(self.direction), self.parent, self.direction)
 
+    def states(self) -> States:
+        """See `Search.states`."""
+        return np.stack([state_of_key(key) for key in self.parent])
+
     def _failure(self) -> tuple[Outcome, str]:
         if self.gave_up:
             return (

@@ -16,6 +16,7 @@ from starlette.exceptions import HTTPException
 from falsework import __version__
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
+from falsework.replanning.since import SiteSteps
 from falsework.service import schema
 from falsework.service.docs_page import page_of
 from falsework.service.metrics import Metrics
@@ -49,14 +50,7 @@ _WORDS = {
 
 
 def application(assembly: Assembly, pool: Pool, settings: ServiceSettings, metrics: Metrics) -> App:
-    """Return the application of one service inside its middleware; it starts and stops the pool.
-
-    Args:
-        assembly: the structure.
-        pool: does the work.
-        settings: bounds.
-        metrics: counts.
-    """
+    """Return the application of one service inside its middleware; it starts and stops the pool."""
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
@@ -94,6 +88,7 @@ def _add_questions(app: FastAPI, assembly: Assembly, pool: Pool, settings: Servi
             if wanted.plan is not None and wanted.state is not UNSET:
                 raise InputError("state: a plan with its step says what the state is; leave one of the two out")
             given = {name: value for name, value in structs.asdict(wanted).items() if name != "deadline"}
+            given["since"] = SiteSteps(**structs.asdict(wanted.since))
             if wanted.plan is not None:
                 given["state"] = None
                 given = {name: value for name, value in given.items() if value is not UNSET}  # those of the plan

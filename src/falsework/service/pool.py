@@ -172,9 +172,7 @@ class Pool:
         """Have a worker answer a request, by its deadline at the latest.
 
         Args:
-            kind: of the request.
             payload: as `Item` says.
-            seconds: time that it has from now on.
         """
         loop = asyncio.get_running_loop()
         if kind == "picture" and not self._draws:
@@ -369,6 +367,7 @@ def not_yet(seconds: float, criterion: Criterion) -> bytes:
         "outcome": NOT_YET,
         "decided_by": "none",
         "direction": None,
+        "built": 0,
         "steps": None,
         "reached": 0,
         "seconds": round(seconds, 6),

@@ -57,6 +57,17 @@ class NamedState(FileModel, frozen=True):
     """Parts that robots hold."""
 
 
+class SiteActions(FileModel, frozen=True):
+    """What was done on site after the last step of a plan that is done; the next steps of the new plan."""
+
+    props: Parts = []
+    """Parts under each of which a prop was placed."""
+    held: Parts = []
+    """Parts that stand, of which a robot has taken hold."""
+    released: Parts = []
+    """Held parts of which the robot has let go."""
+
+
 State = Annotated[list[Literal[0, 1, 2]], Meta(min_length=1)] | Literal["complete", "empty"] | NamedState
 """One value a part: 0 removed, 1 installed, 2 held; boundary parts are always 2."""
 
@@ -72,6 +83,8 @@ class ReplanRequest(FileModel, frozen=True):
     are done."""
     step: Annotated[int, Meta(ge=0, lt=2**31)] | None = None
     """Last step of the plan that is done; 0 for none."""
+    since: SiteActions = SiteActions()
+    """What was done on site after that step."""
     target: State | None = None
     """Target state; by default complete in assembly, else empty."""
     direction: Literal["assembly", "disassembly"] | None = None

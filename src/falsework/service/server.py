@@ -71,14 +71,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def server_of(assembly: Assembly, pool: Pool, settings: ServiceSettings, metrics: Metrics) -> uvicorn.Server:
-    """Return a server that is not running yet; it keeps clients to the bounds of the settings.
-
-    Args:
-        assembly: the structure.
-        pool: does the work.
-        settings: bounds.
-        metrics: counts.
-    """
+    """Return a server that is not running yet; it keeps clients to the bounds of the settings."""
     config = uvicorn.Config(
         application(assembly, pool, settings, metrics),  # type: ignore[arg-type]
         http=_protocol(settings),

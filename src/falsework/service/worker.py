@@ -12,7 +12,7 @@ import os
 import signal
 import time
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -21,10 +21,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.errors import DependencyError, InputError
-from falsework.search.plans.plan_file import plan_to_dict
+from falsework.assembly.props import with_props
+from falsework.assembly.state import States
+from falsework.errors import DependencyError, InputError, PlanError
+from falsework.search.plans.plan import Plan
+from falsework.search.plans.plan_check import check_identity
+from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.result import Outcome
-from falsework.service.picture import PictureOrder, draw_png, read_plan
 from falsework.stability.motion import motion_of
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import NumericalSettings, StabilitySettings
@@ -32,6 +35,7 @@ from falsework.stability.verdict import Criterion, Proof, Verdict, Verdicts
 
 if TYPE_CHECKING:
     from falsework.replanning.replanner import Replanner, ReplanResult
+    from falsework.replanning.since import SiteSteps
 
 Kind = Literal["replan", "stability", "picture"]
 
@@ -45,6 +49,8 @@ _BACKGROUND = 5
 """Niceness of the planning processes, so that the process that answers clients goes first."""
 _MOVES = 0.05
 """A part counts as moving at this share of the fastest part's velocity."""
+_UNSEEN = frozenset({"forces", "displacements"})
+"""Entries of a plan that the service does not use; packed in a short text they may take any amount of memory."""
 
 log = logging.getLogger("falsework.service")
 
@@ -82,8 +88,9 @@ class Item:
 
     number: int
     payload: Any
-    """Fields of `falsework.replanning.request.Request` with the `holds` and the `reserve` of the settings of stability,
-    or of `falsework.service.picture.PictureOrder`, or for stability `(states, explain)`."""
+    """Fields of `falsework.replanning.request.Request` with the `holds` and the `reserve` of the settings of stability
+    and the `SiteSteps` since the plan; or of `PictureRequest` with the state as an array; or for stability
+    `(states, explain)`."""
     seconds: float
     """Time that is left for it."""
 
@@ -183,30 +190,39 @@ class _Planner:
         os.nice(_BACKGROUND)
         self._assembly, self._settings = config.assembly, one_thread(config.criterion)
         self._policy, self.policy = _load_policy(config)
-        self._replanners: OrderedDict[StabilitySettings, Replanner] = OrderedDict()
-        self._replanner(self._settings)
+        self._replanners: OrderedDict[tuple[str, StabilitySettings], Replanner] = OrderedDict()
+        self._replanner(self._assembly, self._settings)
 
-    def _replanner(self, settings: StabilitySettings) -> Replanner:
-        """Return the replanner for some robots and a reserve; the last few are kept."""
+    def _replanner(self, assembly: Assembly, settings: StabilitySettings) -> Replanner:
+        """Return the replanner for a structure with some props, some robots and a reserve; the last few are kept."""
         from falsework.replanning.replanner import Replanner
 
-        replanner = self._replanners.pop(settings, None)
+        key = assembly.identity, settings
+        replanner = self._replanners.pop(key, None)
         if replanner is None or replanner.oracle.counters.cpu + replanner.oracle.counters.exact > REMEMBERED:
-            replanner = Replanner(self._assembly, self._policy, StabilityOracle(self._assembly, settings))
-        self._replanners[settings] = replanner
+            policy = None if assembly.props else self._policy
+            replanner = Replanner(assembly, policy, StabilityOracle(assembly, settings))
+        self._replanners[key] = replanner
         while len(self._replanners) > _KEPT:
             self._replanners.popitem(last=False)
         return replanner
 
     def answer(self, items: Sequence[Item], pipe: Connection) -> None:
-        """Answer the requests for the same robots and reserve together."""
+        """Answer the requests for the same props, robots and reserve together."""
         begun = time.monotonic()
-        groups: dict[StabilitySettings, list[Item]] = {}
-        for item in _with_plans(items, self._assembly, pipe):
-            stability = {name: item.payload[name] for name in ("holds", "reserve") if name in item.payload}
-            groups.setdefault(replace(self._settings, **stability), []).append(item)
-        for settings, some in groups.items():
-            replanner, passed = self._replanner(settings), time.monotonic() - begun
+        groups: dict[tuple[str, StabilitySettings], tuple[Assembly, list[Item]]] = {}
+        for item in items:
+            try:
+                assembly, payload = _on_site(item.payload, self._assembly)
+            except InputError as error:
+                pipe.send(Done(item.number, 422, refusal(str(error)), "refused"))
+                continue
+            stability = {name: payload.pop(name) for name in ("holds", "reserve") if name in payload}
+            settings = replace(self._settings, **stability)
+            some = groups.setdefault((assembly.identity, settings), (assembly, []))[1]
+            some.append(replace(item, payload=payload))
+        for (_, settings), (assembly, some) in groups.items():
+            replanner, passed = self._replanner(assembly, settings), time.monotonic() - begun
             self._answer(replanner, [replace(item, seconds=item.seconds - passed) for item in some], pipe)
 
     def _answer(self, replanner: Replanner, items: Sequence[Item], pipe: Connection) -> None:
@@ -215,10 +231,9 @@ class _Planner:
 
         good: list[tuple[Item, Request]] = []
         for item in items:
-            asked = {name: value for name, value in item.payload.items() if name not in ("holds", "reserve")}
-            request = Request(**asked, deadline=max(item.seconds, 0.001))
+            request = Request(**item.payload, deadline=max(item.seconds, 0.001))
             try:
-                request.task(self._assembly)
+                request.task(replanner.assembly)
             except InputError as error:
                 pipe.send(Done(item.number, 422, refusal(str(error)), "refused"))
             else:
@@ -252,13 +267,13 @@ class _Painter:
 
     def __init__(self, config: WorkerConfig) -> None:
         os.nice(_BACKGROUND)
-        self._oracle = StabilityOracle(config.assembly, one_thread(config.criterion))
+        self._assembly, self._criterion = config.assembly, config.criterion
 
     def answer(self, items: Sequence[Item], pipe: Connection) -> None:
         """Draw one picture after the other."""
         for item in items:
             try:
-                pipe.send(Done(item.number, 200, draw_png(self._oracle, PictureOrder(**item.payload)), "drawn"))
+                pipe.send(Done(item.number, 200, self._draw(**item.payload), "drawn"))
             except DependencyError as error:
                 pipe.send(Done(item.number, 501, refusal(str(error)), "refused"))
             except InputError as error:
@@ -268,20 +283,68 @@ class _Painter:
                 reason = f"the picture failed inside ({type(error).__name__})"
                 pipe.send(Done(item.number, 500, refusal(reason), "failed"))
 
+    def _draw(
+        self, *, state: States, plan: dict[str, Any] | None, proof: bool, width: int | None, **options: Any
+    ) -> bytes:
+        """Return a PNG of a state, of a step of a plan, or of all its steps."""
+        from falsework.viewer.show import picture
 
-def _with_plans(items: Sequence[Item], assembly: Assembly, pipe: Connection) -> Iterator[Item]:
-    """Yield the requests with their plans read, and with the robots and holds of these where others are not given."""
-    for item in items:
-        if item.payload.get("plan") is None:
-            yield item
-            continue
+        subject, assembly = (state, self._assembly) if plan is None else read_plan(plan, self._assembly)
+        forces = proof and (plan is None or options["step"] is not None)
+        return picture(
+            subject, None, assembly, forces=forces, width=width or 0, criterion=self._criterion, **options
+        ).content
+
+
+def read_plan(values: Mapping[str, Any], assembly: Assembly) -> tuple[Plan, Assembly]:
+    """Return the plan of a request, and the structure with its props.
+
+    Raises:
+        PlanError: it is malformed or of another number of parts, on which the memory that it takes depends.
+        AssemblyError: a prop for which there is no place.
+    """
+    structure = values.get("structure")
+    entries = structure if isinstance(structure, dict) else {}
+    names, props = (entry if isinstance(entry, list) else [] for entry in map(entries.get, ("parts", "props")))
+    if names and (len(names) - len(props) != assembly.part_count or len(props) > assembly.part_count):
+        raise PlanError(
+            f"the plan is of {len(names) - len(props)} parts, {assembly.name} has {assembly.part_count}; send a plan "
+            "of this service"
+        )
+    plan = plan_from_dict({key: value for key, value in values.items() if key not in _UNSEEN})
+    return plan, with_props(assembly, plan.props)
+
+
+def _on_site(given: Mapping[str, Any], assembly: Assembly) -> tuple[Assembly, dict[str, Any]]:
+    """Return the structure with the props on site, and a request for it with its plan read and gone on with.
+
+    Robots and holds are those of the plan where others are not given.
+    """
+    since: SiteSteps | None = given.get("since")
+    payload: dict[str, Any] = {name: value for name, value in given.items() if name != "since"}
+    if payload.get("plan") is None:
+        if since:
+            raise InputError("since: this is told of a step of a plan; give the plan and its step too")
+        return assembly, payload
+    try:
+        plan, wide = read_plan(payload["plan"], assembly)
+    except InputError as error:
+        raise InputError(f"plan: {error}") from None
+    defaults: dict[str, Any] = {"robots": plan.robots, "holds": plan.claim.holds}
+    payload = {**defaults, **payload, "plan": plan}
+    if since:
+        if payload["step"] is None:
+            raise InputError("since: this is told of a step of the plan; give the step too")
+        check_identity(plan, wide)
         try:
-            plan = read_plan(item.payload["plan"], assembly)
+            plan, wide = since.after(plan, payload["step"], wide, payload["robots"])
         except InputError as error:
-            pipe.send(Done(item.number, 422, refusal(f"plan: {error}"), "refused"))
-        else:
-            defaults = {"robots": plan.robots, "holds": plan.claim.holds}
-            yield replace(item, payload={**defaults, **item.payload, "plan": plan})
+            raise InputError(f"since: {error}") from None
+        payload |= {"plan": plan, "step": len(plan)}
+    if (target := payload["target"]) is not None:  # given without places for props, which are absent there
+        absent = np.zeros(wide.part_count - assembly.part_count, dtype=np.uint8)
+        payload["target"] = np.concatenate([target, absent])
+    return wide, payload
 
 
 def replan_record(answer: ReplanResult, criterion: Criterion) -> dict[str, Any]:

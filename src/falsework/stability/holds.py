@@ -19,7 +19,6 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
@@ -154,8 +153,9 @@ def limits_of(assembly: Assembly, settings: HoldSettings, gravity: float = 9.81)
     if settings.force and settings.force < heaviest:
         part = int(np.flatnonzero(movable)[np.argmax(weight[movable])])
         raise InputError(
-            f"robots that hold with at most {describe_force(force)} cannot carry part {assembly.names[part]}, "
-            f"which weighs {describe_force(heaviest)}; raise the largest force of holds"
+            f"robots that hold with at most {format_quantity(force, 'force')} cannot carry part "
+            f"{assembly.names[part]}, which weighs {format_quantity(heaviest, 'force')}; raise the largest force of "
+            "holds"
         )
     reach = float(assembly.mass.gyration[movable].max(initial=0.0))
     moment = _LEVER * force * reach if settings.moment is None else settings.moment
@@ -163,19 +163,15 @@ def limits_of(assembly: Assembly, settings: HoldSettings, gravity: float = 9.81)
     return HoldLimits(np.full(parts, force or np.inf), np.full(parts, moment or np.inf))
 
 
-def describe_force(force: float) -> str:
-    """Return a force in N as text, such as `885 N` or `3.89 kN`."""
-    return format_quantity(force, "force")
-
-
 def describe_presses(presses: Sequence[Press], names: Sequence[str]) -> str:
     """Describe presses, such as `robot presses block-25 with 3.9 kN`; empty if there are none."""
-    return ", ".join(f"robot presses {names[press.part]} with {describe_force(press.force)}" for press in presses)
+    forces = [(names[press.part], format_quantity(press.force, "force")) for press in presses]
+    return ", ".join(f"robot presses {name} with {force}" for name, force in forces)
 
 
 def describe_loads(loads: Sequence[HoldLoad], names: Sequence[str]) -> str:
     """Describe what robots bear in a state, such as `robot bears 1.2 kN for block-25`; empty if they hold nothing."""
-    return ", ".join(f"robot bears {describe_force(load.force)} for {names[load.part]}" for load in loads)
+    return ", ".join(f"robot bears {format_quantity(load.force, 'force')} for {names[load.part]}" for load in loads)
 
 
 def pack_presses(presses: Sequence[Sequence[Press]]) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
@@ -200,6 +196,8 @@ def inexact_wrenches() -> Array:
 
     Shape (errors, 6, 6), the identity first.
     """
+    from scipy.spatial.transform import Rotation  # few structures need it
+
     maps = [np.eye(6), (1 - _OFF_SIZE) * np.eye(6), (1 + _OFF_SIZE) * np.eye(6)]
     for axis in np.eye(3):
         for angle in (-_OFF_DIRECTION, _OFF_DIRECTION):

@@ -70,12 +70,10 @@ def appearance_at(
     """Return the appearance of all parts at a timeline position.
 
     Args:
-        timeline: states and holders.
         position: place in the timeline; between whole numbers parts are in transit.
         state: state shown instead of the one at this step, such as one with parts missing; shape (parts,).
         action_probabilities: probability of the action that concerns each part, NaN where none does; coloured on a
             scale, shape (parts,).
-        marks: colours of highlighted parts.
         travelling: whether to show parts in transit.
     """
     assembly = timeline.assembly
@@ -165,7 +163,6 @@ def pick(
     """Return the part that a ray hits first, or None.
 
     Args:
-        assembly: the structure.
         appearance: where the parts are; invisible parts are not hit.
         origin: origin of the ray, metres, shape (3,).
         direction: direction of the ray, any length, shape (3,).

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD
 from falsework.robots.cells.visuals import VisualShape, link_visuals, shape_of_pieces
-from falsework.robots.plans.loads import Load, load_of, loads_at, loads_beside
+from falsework.robots.plans.loads import Load
 from falsework.robots.plans.timeline import activities_at
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
@@ -68,10 +68,6 @@ class ArmPoses:
     poses: Array
     """Of every link in the frame of the structure, rotation and translation, shape (links, 4, 4)."""
     carried: tuple[CarriedPart, ...] = ()
-    arrived: int | None = None
-    """Part that has come to its place in this step, before the step is over."""
-    gone: int | None = None
-    """Part that has left in this step, before the step is over."""
 
 
 class Arms:
@@ -81,7 +77,6 @@ class Arms:
         """Prepare the links.
 
         Args:
-            robot_plan: the motions.
             cell: where the robots stand.
             direction: order in which the steps are shown.
         """
@@ -92,7 +87,7 @@ class Arms:
         self._to_structure = _similar(cell.placement.pose, scale)
         self.scale = scale
         self.clock = Clock.from_plan(self._plan)
-        """Times of the schedule, in the order shown; None if one motion comes after the other."""
+        """Times in the order shown."""
         self.links = [link for number, robot in enumerate(cell.robots) for link in links_of(number, robot, 1 / scale)]
 
     @property
@@ -123,20 +118,8 @@ class Arms:
             who[row], who[row, part] = who[row - 1], robot if states[row, part] == HELD else NO_ROBOT
         return who
 
-    def seconds(self, step: int) -> float:
-        """Return the duration of an action and of the hand-overs before it, counted from 0 as they are executed."""
-        return sum(self._plan.steps[index].seconds for index in self._steps(step))
-
-    def _steps(self, step: int) -> range:
-        """Return the steps of the robots from one action of the plan to the next; the last action has the rest."""
-        done = self._plan.done
-        first = int(np.searchsorted(done, step))
-        last = len(self._plan) if step + 1 == done[-1] else int(np.searchsorted(done, step + 1))
-        return range(first, last)
-
     def at_time(self, seconds: float) -> ArmPoses:
-        """Return the poses at a time of the schedule, in the order shown."""
-        assert self.clock is not None
+        """Return the poses at a time of the plan in the order shown."""
         configurations, carried = [], []
         for arm in activities_at(self._plan, self.clock.starts, seconds):
             values = arm.at(np.array([seconds]))[0]
@@ -146,62 +129,8 @@ class Arms:
         return ArmPoses(self._poses(configurations), tuple(carried))
 
     def at(self, position: float) -> ArmPoses:
-        """Return the poses at a place in the plan, in steps of assembly done, one motion after the other."""
-        first, last = self._plan.done[[0, -1]].tolist()
-        position = position if self.direction is Direction.ASSEMBLY else len(self._plan.plan) - position
-        position = min(max(position, float(first)), float(last))
-        step = max(min(int(position), last - 1), first)
-        if first == last or position == int(position):
-            return self._still(int(position))
-        return self._moving(step, position - step)
-
-    def _still(self, state: int) -> ArmPoses:
-        last = state == self._plan.done[-1]
-        frame = len(self._plan) if last else self._steps(state).start
-        configurations = self._plan.keyframes[frame].configurations
-        loads = loads_at(self._plan, frame).items()
-        carried = tuple(self._loaded(load, robot, configurations[robot]) for robot, load in loads)
-        return ArmPoses(self._poses(configurations), carried)
-
-    def _moving(self, number: int, share: float) -> ArmPoses:
-        steps, left = self._steps(number), share * self.seconds(number)
-        index = steps.start
-        while left > self._plan.steps[index].seconds and index + 1 < steps.stop:
-            left -= self._plan.steps[index].seconds
-            index += 1
-        step = self._plan.steps[index]
-        before, after = self._plan.keyframes[index], self._plan.keyframes[index + 1]
-        done, current, load = [], None, None
-        for motion, trajectory in enumerate(step.trajectories):
-            if left <= trajectory.seconds:
-                current, load = trajectory, load_of(self._plan, index, motion)
-                break
-            left -= trajectory.seconds
-            done.append(trajectory)
-        configurations = list(before.configurations)
-        configurations[step.robot] = (
-            after.configurations[step.robot] if current is None else current.sample(np.array([left]))[0]
-        )
-        parts = len(self._plan.plan.boundary)
-        action = int(self._plan.actions[int(np.flatnonzero(np.diff(self._plan.done))[number - self._plan.done[0]])])
-        part, moves = action % parts, action >= parts
-        removing = moves and self.direction is Direction.DISASSEMBLY
-        poses = self._poses(configurations)
-        beside = loads_beside(self._plan, index)
-        carried = tuple(self._loaded(other, robot, configurations[robot]) for robot, other in beside.items())
-        if load is not None:
-            carried = (self._loaded(load, step.robot, configurations[step.robot]), *carried)
-        if step.transit:
-            return ArmPoses(poses, carried)
-        if not moves or self._plan.done[index] > number:
-            come = part if moves and not removing else None
-            return ArmPoses(poses, carried, arrived=come, gone=part if removing else None)
-        if step.hands_over is not None or load is not None:
-            return ArmPoses(poses, carried)
-        was = any(trajectory.part is not None for trajectory in done)
-        arrived = part if was and not removing else None
-        gone = part if was and removing else None
-        return ArmPoses(poses, carried, arrived=arrived, gone=gone)
+        """Return the poses where a place in the plan is reached, in steps of assembly done."""
+        return self.at_time(self.clock.seconds(position))
 
     def _loaded(self, load: Load, robot: int, values: Array) -> CarriedPart:
         """Return the load of a robot whose joint values are given, shape (joints,)."""
@@ -227,13 +156,9 @@ class Arms:
 
 
 def appearance_with_arms(look: Appearance, arm_poses: ArmPoses) -> Appearance:
-    """Return the parts without the one that is carried, and with those that have come or gone within the step."""
+    """Return the parts without those that are carried."""
     opacity = look.opacity.copy()
     opacity[[carried.part for carried in arm_poses.carried]] = 0.0
-    if arm_poses.gone is not None:
-        opacity[arm_poses.gone] = 0.0
-    if arm_poses.arrived is not None:
-        opacity[arm_poses.arrived] = 1.0
     return replace(look, opacity=opacity)
 
 
@@ -241,9 +166,7 @@ def solids_of_arms(arms: Arms, arm_poses: ArmPoses, assembly: Assembly) -> list[
     """Return arms, and the parts that they carry, as meshes.
 
     Args:
-        arms: the robots.
         arm_poses: where they are.
-        assembly: the structure.
     """
     solids = [
         ColoredSolid(link.vertices @ pose[:3, :3].T + pose[:3, 3], link.faces, link.color)
@@ -283,13 +206,7 @@ def _similar(pose: Array, scale: float) -> Array:
 
 
 def links_of(number: int, robot: CellRobot, size: float = 1.0) -> list[Link]:
-    """Return what a robot looks like, base first, gripper last; a link of several colours is several pieces.
-
-    Args:
-        number: index of the robot, which gives its colour.
-        robot: the robot.
-        size: factor on lengths.
-    """
+    """Return what a robot looks like, base first, gripper last; a link of several colours is several pieces."""
     own = np.array(unit_rgb(robot_color(number)))
 
     def link(frame: int, shape: VisualShape, share: float) -> Link:

@@ -13,7 +13,7 @@ from falsework.assembly.state import INSTALLED, REMOVED, States
 from falsework.geometry.contact.grouping import segment_sum
 from falsework.stability.holds import Press
 from falsework.viewer.appearance import bounds_of, diagonal
-from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, INK, MOTION, PRESS, SLIDING
+from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, INK, MOTION, PRESS, SLIDING, unit_rgb
 from falsework.viewer.pictures.render import ColoredSolid
 
 if TYPE_CHECKING:
@@ -75,8 +75,10 @@ class Arrows:
         Args:
             thickness: diameter of a shaft, metres.
         """
-        color = tuple(int(self.color[i : i + 2], 16) / 255 for i in (1, 3, 5))
-        return [ColoredSolid(*arrow_mesh(tail, tip, thickness * self.breadth), color) for tail, tip in self.ends]
+        return [
+            ColoredSolid(*arrow_mesh(tail, tip, thickness * self.breadth), unit_rgb(self.color))
+            for tail, tip in self.ends
+        ]
 
 
 def arrows_of_forces(
@@ -89,7 +91,6 @@ def arrows_of_forces(
     the points by the size of their normal forces.
 
     Args:
-        assembly: the structure.
         state: shape (parts,).
         forces: `(n, t1, t2)` in N, shape (points, 3).
         presses: of the step that leads to the state; drawn as `arrows_of_step` does.
@@ -135,7 +136,6 @@ def arrows_of_motion(assembly: Assembly, state: States, velocity: Array, kind: s
     """Return arrows of the motion of the free parts in an unstable state, up to scale.
 
     Args:
-        assembly: the structure.
         state: shape (parts,).
         velocity: `(linear, angular)` about the centres of mass, shape (parts, 6).
         kind: `motion` of an unstable state, `sliding` of one that slides.
@@ -148,12 +148,7 @@ def arrows_of_motion(assembly: Assembly, state: States, velocity: Array, kind: s
 
 
 def scale_arrow(assembly: Assembly, arrows: Iterable[Arrows]) -> tuple[Arrows, float] | None:
-    """Return an arrow of a round force beside the structure, and the force in N; None where no arrow is a force.
-
-    Args:
-        assembly: the structure.
-        arrows: those that are drawn, all on one scale.
-    """
+    """Return an arrow of a round force beside the structure, and the force in N; None where no arrow is a force."""
     forces = [some for some in arrows if some.longest > 0]
     if not forces:
         return None
@@ -170,7 +165,6 @@ def moved_parts(assembly: Assembly, state: States, velocity: Array) -> dict[int,
     """Return vertices of the free parts that move, a little further along their motion.
 
     Args:
-        assembly: the structure.
         state: shape (parts,).
         velocity: `(linear, angular)` about the centres of mass, shape (parts, 6).
 

@@ -1,4 +1,4 @@
-"""Time of a scheduled robot plan and the states that the structure reaches."""
+"""Time of a robot plan and the states that the structure reaches."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.robots.plans.timeline import event_times
+from falsework.robots.plans.timeline import event_times, schedule_of
 from falsework.search.problem.task import Direction
 
 if TYPE_CHECKING:
@@ -36,12 +36,11 @@ class Clock:
     """Order in which the motions are executed."""
 
     @classmethod
-    def from_plan(cls, plan: RobotPlan) -> Clock | None:
-        """Return the clock of a plan; None without a schedule."""
-        if plan.schedule is None:
-            return None
-        events = np.maximum.accumulate(event_times(plan, plan.schedule))[np.diff(plan.rows) != 0]
-        return cls(plan.schedule.starts(), events, int(plan.done[0]), len(plan.plan), plan.makespan, plan.direction)
+    def from_plan(cls, plan: RobotPlan) -> Clock:
+        """Return the clock of a plan; without a schedule, one motion comes after the other."""
+        graph = schedule_of(plan)
+        events = np.maximum.accumulate(event_times(plan, graph))[np.diff(plan.rows) != 0]
+        return cls(graph.starts(), events, int(plan.done[0]), len(plan.plan), plan.makespan, plan.direction)
 
     def position(self, seconds: float) -> float:
         """Return the place in the plan at a time: steps of assembly done, and the share of the time to the next."""

@@ -22,11 +22,6 @@ def margin_strip(plan: Plan | None, place: int, built: int = 0) -> str:
     """Return rows of coloured columns, one row per margin that the plan records, in HTML; empty if it records none.
 
     Dark columns are weak; a mark shows the weakest, and a frame the current step. A click on a column goes there.
-
-    Args:
-        plan: plan to show.
-        place: current place, steps done.
-        built: steps that were done before the plan.
     """
     if plan is None or plan.margins is None or not plan.margins.measured:
         return ""
@@ -67,13 +62,7 @@ def margin_strip(plan: Plan | None, place: int, built: int = 0) -> str:
 
 
 def weakness(kind: str, values: tuple[float | None, ...], friction: float) -> np.ndarray:
-    """Return the weakness of each state, from 0 without a bound to 1 without any margin left. Shape (states,).
-
-    Args:
-        kind: name of the margin.
-        values: values of the margin, one per state.
-        friction: coefficient of friction of the structure.
-    """
+    """Return the weakness of each state, from 0 without a bound to 1 without any margin left. Shape (states,)."""
     found = np.array([np.nan if value is None else value for value in values], float)
     if kind == "friction":
         return np.clip(np.nan_to_num(found, nan=0.0) / max(friction, 1e-300), 0.0, 1.0)

@@ -20,7 +20,7 @@ from falsework.search.planning import Planning
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.stability.verdict import Proof, Verdict, Verdicts
-from falsework.utils.quantity import counted
+from falsework.utils.quantity import counted, format_quantity
 from falsework.viewer.appearance import bounds_of
 from falsework.viewer.page.step_list import step_list
 from falsework.viewer.show import picture
@@ -49,7 +49,7 @@ def _(thing: Assembly) -> str:
         "structure": thing.name,
         "parts": f"{thing.part_count}, {int(thing.boundary.sum())} of them boundary",
         "size": f"{size} m",
-        "mass without boundary": _mass(float(thing.mass.mass[~thing.boundary].sum())),
+        "mass without boundary": format_quantity(float(thing.mass.mass[~thing.boundary].sum()), "mass"),
         "contacts": f"{len(thing.contacts)}, friction {thing.friction:g}",
     }
     return _page([_picture(lambda: picture(thing, width=_WIDE))], facts)
@@ -165,7 +165,3 @@ def _picture(draw: Callable[[], Picture]) -> str:
 
 def _remark(error: FalseworkError) -> str:
     return f"<div><i>no picture: {html_text(' '.join(str(error).split()))}</i></div>"
-
-
-def _mass(kilograms: float) -> str:
-    return f"{kilograms:.3g} kg" if kilograms < 1000 else f"{kilograms / 1000:.3g} t"

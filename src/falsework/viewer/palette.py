@@ -5,6 +5,8 @@ The robots' colours are those of Okabe and Ito (2008).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -49,6 +51,12 @@ def unit_rgb(color: str) -> tuple[float, float, float]:
     """Return red, green, blue from 0 to 1."""
     red, green, blue = rgb(color)
     return red / 255, green / 255, blue / 255
+
+
+def bytes_of(color: Sequence[float]) -> tuple[int, int, int]:
+    """Return red, green, blue from 0 to 255 of those from 0 to 1."""
+    red, green, blue = (round(255 * channel) for channel in color)
+    return red, green, blue
 
 
 def robot_color(robot: int) -> str:

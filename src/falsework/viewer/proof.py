@@ -22,6 +22,7 @@ from falsework.stability.motion import motion_of
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
+from falsework.utils.quantity import listed
 from falsework.viewer.arrows import Arrows, arrows_of_forces, arrows_of_motion, moved_parts
 from falsework.viewer.palette import MOTION, SLIDING
 
@@ -31,7 +32,7 @@ _TIPS = "forces balance every part, but a small motion grows"
 _WHY = "balancing forces exist, but the contacts do not develop them"
 _REST, _REACHED = "from rest", "as reached in assembly"
 _AT_ONCE = 64
-"""States whose contact forces are in memory at the same time."""
+"""States whose contact forces are in memory at the same time, and proofs that are kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,11 +76,7 @@ def proof_of_state(oracle: StabilityOracle, state: States) -> StateProof:
     """Request the verdict on a state, under `contact` from rest, and convert its proof into arrows.
 
     Args:
-        oracle: decides stability.
         state: shape (parts,).
-
-    Raises:
-        StateError: not a state of the oracle's structure.
     """
     return proofs_of_states(oracle, state[None])[0]
 
@@ -88,11 +85,7 @@ def proofs_of_states(oracle: StabilityOracle, states: States) -> list[StateProof
     """Prove several states as `proof_of_state`.
 
     Args:
-        oracle: decides stability.
         states: shape (states, parts).
-
-    Raises:
-        StateError: not states of the oracle's structure.
     """
     how = _REST if oracle.settings.criterion == "contact" else ""
     proofs = []
@@ -114,7 +107,6 @@ class BuildProofs:
         """Begin before the first step.
 
         Args:
-            plan: the plan.
             oracle: of its structure, under `contact`; judges from rest what the build does not reach.
         """
         settings = replace(oracle.settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
@@ -154,6 +146,40 @@ class BuildProofs:
             self._reached += 1
 
 
+class ProofCache:
+    """The last proofs of states: of a plan as they are reached in assembly, under `contact`; of others from rest."""
+
+    def __init__(self, *, contact: bool) -> None:
+        self._contact = contact
+        self._proofs: dict[int | bytes, StateProof] = {}
+        self._plan: Plan | None = None
+        self._build: BuildProofs | None = None
+
+    def find(self, plan: Plan | None, row: int, state: States) -> StateProof | None:
+        """Return a proof that is known; the arguments are those of `prove`."""
+        return self._proofs.get(self._key(plan, row, state))
+
+    def prove(self, oracle: StabilityOracle, plan: Plan | None, row: int, state: States) -> StateProof:
+        """Return the proof of a state, shape (parts,): a row of a plan; without a plan one that none has reached."""
+        key = self._key(plan, row, state)
+        if key not in self._proofs:
+            if len(self._proofs) >= _AT_ONCE:
+                del self._proofs[next(iter(self._proofs))]
+            if plan is not None and self._contact:
+                self._build = self._build or BuildProofs(plan, oracle)
+            self._proofs[key] = self._build.at(row) if self._build and plan else proof_of_state(oracle, state)
+        return self._proofs[key]
+
+    def _key(self, plan: Plan | None, row: int, state: States) -> int | bytes:
+        """Return the row of a state of a plan under `contact`, else the state; another plan begins anew."""
+        if plan is None or not self._contact:
+            return state.tobytes()
+        if plan is not self._plan:
+            self._plan, self._build = plan, None
+            self._proofs.clear()
+        return row
+
+
 def _stable(
     assembly: Assembly, state: States, forces: NDArray[np.float64], how: str, presses: Sequence[Press] = ()
 ) -> StateProof:
@@ -187,15 +213,9 @@ def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int, how:
     kind = "sliding" if slides else "motion"
     arrows[kind] = arrows_of_motion(assembly, state, motion, kind)
     speed = np.linalg.norm(motion[:, :3], axis=1)
-    named = _named(assembly, sorted(moved, key=lambda part: -speed[part]))
+    named = listed([assembly.names[part] for part in sorted(moved, key=lambda part: -speed[part])], _NAMED)
     # Velocities that prove a state unstable do so however it was reached.
     words = f"slides: {named} would slide; {_WHY}{_said(how)}" if slides else f"unstable: {named} would move"
     if tips:
         words = f"tips: {named} would move; {_TIPS}{_said(how)}"
     return StateProof(False, True, words, arrows, moved, slides, tips)
-
-
-def _named(assembly: Assembly, parts: Sequence[int]) -> str:
-    """Return the first parts by name, and how many more there are."""
-    more = f" and {len(parts) - _NAMED} more" if len(parts) > _NAMED else ""
-    return ", ".join(assembly.names[part] for part in parts[:_NAMED]) + more

@@ -77,7 +77,6 @@ def _cap(outline: Array, plane: Plane) -> Array:
 
     Args:
         outline: ends of its segments, shape (segments, 2, 3).
-        plane: the plane.
     """
     none = np.zeros((0, 3, 3))
     if not hasattr(shapely, "constrained_delaunay_triangles"):  # before shapely 2.1

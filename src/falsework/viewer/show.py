@@ -84,7 +84,8 @@ def view(
         InputError: nothing that can be shown, or the address cannot be listened at.
         DependencyError: viser is not installed, or torch for a policy.
     """
-    from falsework.viewer.page.page import Page, serve
+    from falsework.viewer.page.page import Page
+    from falsework.viewer.web.served_page import serve
 
     check_view(robots, host, port, deadline)
     shown = viewable_of(subject, structure, robots=robots, **options).with_policy(policy)
@@ -105,8 +106,8 @@ def check_view(robots: int, host: str, port: int, deadline: float | None) -> Non
         InputError: a number out of range, or no host.
         DependencyError: viser is not installed.
     """
-    from falsework.viewer.page.page import check_host
     from falsework.viewer.web.origin_guard import import_viser
+    from falsework.viewer.web.served_page import check_host
 
     check_robots(robots)
     if not 0 <= port <= 65535:
@@ -278,9 +279,9 @@ def animate(
         subject: an object or a file as `open_file` takes it, with steps to animate.
         path: file to write; it ends in .mp4 or .gif.
         structure: structure of a plan or graph that does not name it.
-        seconds: length of a step; a robot plan with a schedule plays by its own clock instead.
+        seconds: length of a step; a robot plan plays by its own clock instead.
         rate: pictures a second.
-        speed: seconds of a schedule that pass in a second.
+        speed: seconds of a robot plan that pass in a second.
         verdicts: decide the stability of every state, and mark those that are not stable.
         criterion: stability criterion.
         width: pixels across.

@@ -104,6 +104,7 @@ class Timeline:
         presses = (*(self.presses or ((),) * len(self))[:place], *(plan.presses or ((),) * len(plan)))
         known = self.verdicts or (Verdict.UNDECIDED,) * len(self.states)
         loads = (*(self.loads or ((),) * len(self.states))[:place], *(plan.loads or ((),) * len(plan.states)))
+        paths = (*(self.exit_paths or ((),) * len(self))[:place], *(plan.exit_paths or ((),) * len(plan)))
         return replace(
             self,
             states=states,
@@ -113,7 +114,7 @@ class Timeline:
             presses=presses if any(presses) else (),
             verdicts=(*known[:place], *plan.verdicts),
             loads=loads if any(loads) else (),
-            exit_paths=(),  # plans with such ways are not planned again
+            exit_paths=paths if any(paths) else (),
         )
 
     def with_places(self, assembly: Assembly) -> Timeline:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from falsework.assembly.load import as_assembly, load_structure
+from falsework.assembly.load import AnyStructure, as_assembly, load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
@@ -31,6 +31,7 @@ from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from falsework.learn.networks.policy import Policy
+    from falsework.robots.cells.cell_file import AnyCell
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +49,7 @@ class Viewable:
     """Robots of a robot plan."""
 
     def with_policy(self, policy: Policy | Path | str | None) -> Viewable:
-        """Add a policy, or that of a run in a folder; None leaves everything as it is.
-
-        Raises:
-            InputError: no such run, or one for another structure.
-            DependencyError: torch is not installed.
-        """
+        """Add a policy, or that of a run in a folder; None leaves everything as it is."""
         if policy is None:
             return self
         if isinstance(policy, (str, Path)):
@@ -78,54 +74,27 @@ Showable = Viewable | Plan | RobotPlan | StateGraph | Assembly | str | Path | Ar
 """Values that can be shown: objects of this package, a state, or what `open_file` takes."""
 
 
-def open_file(
-    path: str | Path,
-    structure: Assembly | str | Path | None = None,
-    *,
-    cell: Cell | str | Path | None = None,
-    direction: Direction = Direction.ASSEMBLY,
-    robots: int = 2,
-    **options: Any,
-) -> Viewable:
+def open_file(path: str | Path, structure: AnyStructure | None = None, **options: Any) -> Viewable:
     """Open a plan, run, robot plan, state graph or structure, whichever the file is.
 
     Args:
         path: file, folder of a run or of meshes, or the name of a built-in structure.
         structure: structure of a plan, graph or run, where the file does not name it or it has moved.
-        cell: cell of a robot plan, where the file does not name it or it has moved.
-        direction: order in which the steps are shown.
-        robots: number of robots of a structure.
-        options: as for `load_structure`.
+        options: cell of a robot plan, where the file does not name it or it has moved; `direction`, the order in which
+            steps are shown; `robots`, the number of robots of a structure; and those of `load_structure`.
 
     Raises:
         InputError: nothing that can be shown.
         DependencyError: a run without torch.
     """
-    file = Path(path)
-    if file.suffix.lower() == ".toml":
-        raise InputError(
-            f"{path} is a cell, which has no steps; falsework view and picture show it (view_cell in Python)"
-        )
-    known = load_own(path)
-    if isinstance(known, Plan):
-        return _plan(known, file, structure, direction, options)
-    if isinstance(known, RobotPlan):
-        return _robot_plan(known, file, structure, cell, direction, options)
-    if isinstance(known, StateGraph):
-        return _graph(known, str(file), structure, direction, options)
-    if known is not None:
-        return _run(known if structure is None else _load_run(file, as_assembly(structure, **options)))
-    if structure is not None:
-        raise InputError(f"{path} is a structure itself; leave --structure out")
-    assembly = load_structure(path, **options)
-    return Viewable("structure", assembly, _still(assembly, complete_state(assembly.boundary), robots, direction))
+    return viewable_of(path, structure, **options)
 
 
 def viewable_of(
     subject: Showable,
-    structure: Assembly | str | Path | None = None,
+    structure: AnyStructure | None = None,
     *,
-    cell: Cell | str | Path | None = None,
+    cell: AnyCell | None = None,
     direction: Direction = Direction.ASSEMBLY,
     robots: int = 2,
     **options: Any,
@@ -135,73 +104,66 @@ def viewable_of(
     Args:
         subject: what `open_file` takes, a plan, robot plan, state graph or assembly, or a state of shape (parts,) of
             the given structure.
-        structure: as for `open_file`.
-        cell: as for `open_file`.
-        direction: as for `open_file`.
-        robots: as for `open_file`.
-        options: as for `load_structure`.
+        structure: as for `open_file`, like the rest.
 
     Raises:
         InputError: nothing that can be shown, or a state without a structure.
     """
     if isinstance(subject, Viewable):
         return subject
-    if isinstance(subject, (str, Path)):
-        return open_file(subject, structure, cell=cell, direction=direction, robots=robots, **options)
-    if isinstance(subject, Plan):
-        return _plan(subject, None, structure, direction, options)
-    if isinstance(subject, RobotPlan):
-        return _robot_plan(subject, None, structure, cell, direction, options)
-    if isinstance(subject, StateGraph):
-        return _graph(subject, "the graph", structure, direction, options)
-    if isinstance(subject, Assembly):
-        return Viewable("structure", subject, _still(subject, complete_state(subject.boundary), robots, direction))
-    if not (isinstance(subject, (list, tuple)) or hasattr(subject, "__array__")):
-        raise InputError(
-            f"{type(subject).__name__} cannot be shown; give a plan, structure, state graph, state or file"
-        )
+    file = Path(subject) if isinstance(subject, (str, Path)) else None
+    known: Any = _opened(subject, structure, options) if isinstance(subject, (str, Path)) else subject
+
+    def still(assembly: Assembly, state: ArrayLike) -> Timeline:
+        return Timeline.from_state(assembly, state, robots).turned(direction)
+
+    if isinstance(known, Plan):
+        assembly = structure_of_plan(known, file, structure, **options)
+        return Viewable("plan", assembly, Timeline.from_plan(known, assembly, direction), known)
+    if isinstance(known, RobotPlan):
+        assembly = structure_of_plan(known.plan, file, structure, **options)
+        arms = Arms(known, _cell_of(known, file, cell, assembly), direction)
+        timeline = Timeline.from_plan(known.plan, assembly, direction, arms.holders())
+        return Viewable("robot plan", assembly, timeline, known.plan, arms=arms)
+    if isinstance(known, StateGraph):
+        return _graph(known, str(file or "the graph"), structure, direction, options)
+    if isinstance(known, Assembly):
+        return Viewable("structure", known, still(known, complete_state(known.boundary)))
+    if file is not None:  # a run; a policy disassembles: its next actions are shown for the complete structure
+        state, robots = complete_state(known.assembly.boundary), getattr(known.settings, "robots", 2)
+        timeline = Timeline.from_state(known.assembly, state, robots).turned(Direction.DISASSEMBLY)
+        return Viewable("run", known.assembly, timeline, policy=known.policy)
+    if not (isinstance(known, (list, tuple)) or hasattr(known, "__array__")):
+        raise InputError(f"{type(known).__name__} cannot be shown; give a plan, structure, state graph, state or file")
     if structure is None:
         raise InputError("a state alone does not say which structure it is of; give the structure too")
     assembly = as_assembly(structure, **options)
-    return Viewable("structure", assembly, _still(assembly, subject, robots, direction))
+    return Viewable("structure", assembly, still(assembly, known))
 
 
-def _still(assembly: Assembly, state: ArrayLike, robots: int, direction: Direction) -> Timeline:
-    return Timeline.from_state(assembly, state, robots).turned(direction)
+def _opened(path: str | Path, structure: AnyStructure | None, options: dict[str, Any]) -> Any:
+    """Return what a file holds: a plan, robot plan, state graph, run or structure."""
+    if Path(path).suffix.lower() == ".toml":
+        raise InputError(
+            f"{path} is a cell, which has no steps; falsework view and picture show it (view_cell in Python)"
+        )
+    known = load_own(path)
+    if known is None:
+        if structure is not None:
+            raise InputError(f"{path} is a structure itself; leave --structure out")
+        return load_structure(path, **options)
+    if structure is None or isinstance(known, (Plan, RobotPlan, StateGraph)):
+        return known
+    return _load_run(path, as_assembly(structure, **options))
 
 
-def _plan(
-    plan: Plan,
-    file: Path | None,
-    structure: Assembly | str | Path | None,
-    direction: Direction,
-    options: dict[str, Any],
-) -> Viewable:
-    assembly = structure_of_plan(plan, file, structure, **options)
-    return Viewable("plan", assembly, Timeline.from_plan(plan, assembly, direction), plan)
-
-
-def _robot_plan(
-    robot_plan: RobotPlan,
-    file: Path | None,
-    structure: Assembly | str | Path | None,
-    cell: Cell | str | Path | None,
-    direction: Direction,
-    options: dict[str, Any],
-) -> Viewable:
+def _cell_of(plan: RobotPlan, file: Path | None, cell: AnyCell | None, assembly: Assembly) -> Cell:
+    """Return the cell of a robot plan: the one that is given, else the one that it names, beside its file."""
     from falsework.robots.cells.cell_file import as_cell
 
-    assembly = structure_of_plan(robot_plan.plan, file, structure, **options)
-    if cell is None:
-        if robot_plan.cell_source is None:
-            raise InputError(f"{file or 'the robot plan'} does not say where its cell is; name it (--cell)")
-        beside = (Path() if file is None else file.resolve().parent) / robot_plan.cell_source
-        cell = str(beside) if beside.is_file() else robot_plan.cell_source
-    cell = as_cell(cell)
-    robot_plan.check_identity(assembly, cell)
-    arms = Arms(robot_plan, cell, direction)
-    timeline = Timeline.from_plan(robot_plan.plan, assembly, direction, arms.holders())
-    return Viewable("robot plan", assembly, timeline, robot_plan.plan, arms=arms)
+    found = as_cell(plan.cell_place(file or "the robot plan") if cell is None else cell)
+    plan.check_identity(assembly, found)
+    return found
 
 
 def _load_run(folder: Path | str, assembly: Assembly | None) -> Any:
@@ -213,17 +175,10 @@ def _load_run(folder: Path | str, assembly: Assembly | None) -> Any:
     return load_run(folder, assembly=assembly)
 
 
-def _run(run: Any) -> Viewable:
-    robots = getattr(run.settings, "robots", 2)
-    # A policy disassembles: its next actions are shown for the complete structure.
-    still = _still(run.assembly, complete_state(run.assembly.boundary), robots, Direction.DISASSEMBLY)
-    return Viewable("run", run.assembly, still, policy=run.policy)
-
-
 def _graph(
     graph: StateGraph,
     name: str,
-    structure: Assembly | str | Path | None,
+    structure: AnyStructure | None,
     direction: Direction,
     options: dict[str, Any],
 ) -> Viewable:
@@ -238,7 +193,7 @@ def _graph(
         raise InputError(f"{name} is of another structure than {assembly.name}; name the right one (--structure)")
     route = graph.sample_route(np.random.default_rng(0))
     if route is None:
-        still = _still(assembly, graph.task.start, graph.task.robots, direction)
+        still = Timeline.from_state(assembly, graph.task.start, graph.task.robots).turned(direction)
         return Viewable("graph", assembly, still, graph=graph)
     states = route.states[::-1]
     who = holders(states, assembly.boundary)

@@ -18,6 +18,7 @@ from falsework.learn import (  # noqa: E402  # noqa: E402
     Curriculum,
     CurriculumSettings,
     Environment,
+    LearnerContext,
     PolicySettings,
     make_policy,
     roll_out,
@@ -156,9 +157,8 @@ def test_a_policy_learns_an_arch_from_a_curriculum() -> None:
     search.run()
     states = torch.from_numpy(search.states())
     policy = make_policy(assembly, PolicySettings(kind="mlp"), "cpu", 0)
-    ppo = PPO(
-        environment, policy, Curriculum(states, environment.rules), replace(REINFORCEMENT, batch=512, rollouts=64)
-    )
+    settings = replace(REINFORCEMENT, batch=512, rollouts=64)
+    ppo = PPO(LearnerContext(environment, policy, Curriculum(states, environment.rules), settings))
     before = float(roll_out(environment, policy, states, keep="ends").success.float().mean())
     for _ in range(120):  # five seeds of five succeed on nineteen of twenty states by then, one falls back on the way
         report = ppo.block(1, (0.0, 1.0))

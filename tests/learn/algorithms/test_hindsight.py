@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ from falsework.learn.algorithms.hindsight import relabel  # noqa: E402
 from falsework.learn.algorithms.rollout_storage import Transitions  # noqa: E402
 from falsework.learn.data.goal_pairs import PairSource  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
-from falsework.learn.training.evaluate import GoalBlindPolicy  # noqa: E402
+from falsework.learn.networks.autocast import Network  # noqa: E402
 from falsework.stability import ExactSolver  # noqa: E402
 
 
@@ -86,13 +88,14 @@ def test_a_goal_blind_policy_ignores_the_target(bottle: Assembly, bottle_graph: 
     environment = Environment(bottle, 2, device="cpu")
     seen = []
 
-    def policy(states, targets=None):
-        seen.append(targets)
-        return torch.zeros(len(states), 2 * states.shape[1]), torch.zeros(len(states))
+    class Blind(torch.nn.Module):
+        def forward(self, states: torch.Tensor, targets: Any = None) -> tuple[torch.Tensor, torch.Tensor]:
+            seen.append(targets)
+            return torch.zeros(len(states), 2 * states.shape[1]), torch.zeros(len(states))
 
-    pairs = PairSource(bottle_graph).draw(50, np.random.default_rng(0))
-    states, targets, _ = pairs.tensors(environment.device)
-    rollouts = roll_out(environment, GoalBlindPolicy(policy), states, targets)
+    pairs = PairSource(bottle_graph).draw(np.random.default_rng(0), 50)
+    states, targets = pairs.tensors(environment.device)
+    rollouts = roll_out(environment, Network(Blind()), states, targets)
     assert all(one is None for one in seen)
     kept = targets == 1
     assert (rollouts.last[kept] == 1).all()

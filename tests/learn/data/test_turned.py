@@ -11,10 +11,10 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
 
 from falsework import Assembly, StabilityOracle, StateGraph, load_structure  # noqa: E402
-from falsework.assembly.symmetry import symmetries  # noqa: E402
 from falsework.learn import Environment, PolicySettings, TrainSettings  # noqa: E402
 from falsework.learn.data.goal_dataset import GoalDataset, build_goal_dataset  # noqa: E402
 from falsework.learn.data.random_walks import RandomWalkGoals  # noqa: E402
+from falsework.learn.data.symmetry import symmetries  # noqa: E402
 from falsework.learn.data.symmetry_augmentation import SymmetryAugmentation, turned_states  # noqa: E402
 from falsework.learn.training.run_context import RunContext  # noqa: E402
 from falsework.learn.training.training_data import collect_training_data  # noqa: E402

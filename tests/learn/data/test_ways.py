@@ -29,10 +29,11 @@ def test_the_action_leads_to_the_target_inside_the_graph(bottle_graph: StateGrap
     graph = bottle_graph
     states, targets, valid = drawn(RandomWalkGoals(graph, device=CPU), 500)
     assert (valid.sum(dim=1) == 1).all()
-    source = PairSource(graph)
     ends = graph.index.find(targets.numpy())
-    leads = source.leads_to(ends)
-    after = source.after[graph.index.find(states.numpy()), valid.numpy().argmax(axis=1)]
+    leads = PairSource(graph).leads_to(ends)
+    edges = dict(zip(zip(graph.source, graph.action, strict=True), graph.target, strict=True))
+    starts, actions = graph.index.find(states.numpy()), valid.numpy().argmax(axis=1)
+    after = np.array([edges[edge] for edge in zip(starts, actions, strict=True)])
     column = np.arange(len(ends))
     assert (leads[after, column // 64] >> (column % 64).astype(np.uint64) & np.uint64(1)).all()
 

@@ -17,7 +17,7 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 from falsework import load_structure  # noqa: E402
 from falsework.assembly.store import save_assembly  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
-from falsework.learn import PolicySettings, TrainSettings, load_run, make_policy  # noqa: E402
+from falsework.learn import PolicySettings, PpoPhase, TrainSettings, load_run, make_policy  # noqa: E402
 from falsework.learn.config.train import from_dict, to_dict  # noqa: E402
 from falsework.learn.networks.factory import describe  # noqa: E402
 from falsework.learn.training import checkpoint as module  # noqa: E402
@@ -200,3 +200,12 @@ def test_a_source_that_could_not_be_read_again_is_refused_at_once(arch: Any) -> 
     with pytest.raises(InputError, match=r"cannot be recorded: structure\.source\.colour is not known"):
         describe_structure(arch, {"built_in": "arch:blocks=5", "colour": "red"})
     assert describe_structure(arch, {"path": Path("a") / "b"})["source"] == {"path": "a/b"}
+
+
+def test_settings_that_earlier_versions_had_are_left_out() -> None:
+    """Of a phase in a file; elsewhere they are as unknown as any."""
+    phase = {**to_dict(PpoPhase(rollouts=7)), "hindsight": 0.0, "target_divergence": 0.0}
+    read = from_dict(TrainSettings, {**to_dict(TrainSettings()), "phases": [phase]})
+    assert read.phases == (PpoPhase(rollouts=7),)
+    with pytest.raises(InputError, match="'hindsight' is not a setting of PpoPhase"):
+        from_dict(PpoPhase, phase)

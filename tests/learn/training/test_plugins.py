@@ -230,7 +230,7 @@ class Reinforce(Learner):
             logits, _ = self.policy(played.states, played.targets)
             taken = masked_log_probabilities(logits, played.mask).gather(1, played.actions[:, None])[:, 0]
             loss = -(taken * played.returns).mean()
-            self.optimizer.step(loss, {"states": played.states}, learning_rate=1e-2, average=0.0)
+            self.optimizer.step(loss, learning_rate=1e-2, average=0.0)
             numbers = {"loss": float(loss.detach()), "rollout_success": float(played.success.float().mean())}
             self.listener(numbers)
         return numbers

@@ -11,8 +11,7 @@ import pytest
 from falsework.errors import CellError
 from falsework.robots import Cell, check_cell, propose_home
 from falsework.robots.cells.cell_file import parse_cell
-from falsework.robots.cells.home import home_faults, home_text, missing_homes
-from falsework.robots.cells.validate import no_parts
+from falsework.robots.cells.validate import home_faults, home_text, missing_homes, no_parts
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import block
 from falsework.robots.motion.collision_world import CollisionWorld, Scene

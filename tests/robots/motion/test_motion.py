@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from falsework.errors import InputError
-from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import block
 from falsework.robots.motion.collision_world import CollisionQuery
-from falsework.robots.motion.path_planner import follow_line, plan_free, resolution_of
+from falsework.robots.motion.path_planner import follow_line, plan_free
 from falsework.robots.motion.timing import time_path
 
 LEFT, RIGHT = np.array([0.9, 0.5, 0.0, 0, 0.5, 0]), np.array([-0.9, 0.5, 0.0, 0, 0.5, 0])
@@ -31,9 +30,7 @@ def path_is_free(view: CollisionQuery, path: np.ndarray) -> bool:
     """Prove that all straight edges of a path, shape (points, joints), keep the margin of the view."""
     if view.collides(path[[0, -1]]).any():
         return False
-    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
-    opened = np.empty((2, INTERVALS), np.int64)
-    return int(edges_free(path, resolution_of(view), *arrays, opened)) == len(path) - 1
+    return view.is_free(path)
 
 
 def test_the_straight_edge_is_taken_where_it_is_free(make_view: Callable[..., CollisionQuery]) -> None:

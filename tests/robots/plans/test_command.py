@@ -251,7 +251,6 @@ def test_motions_at_the_same_time(run: Callable, cell_file: Path, tmp_path: Path
     check = ("robots", "check", tmp_path / "plan.json", "--motions-only")
     code, answer, _ = run(*check, "--delays", "20", "--max-delay", "0.5", "--json")
     assert code == 0
-    assert answer["timed_samples"] > 0
     assert answer["delays"]["overlaps"] > 0
     runs = answer["delayed_runs"]
     assert runs["runs"] == 20

@@ -19,11 +19,10 @@ from falsework.cli.main import main
 from falsework.errors import InputError, PlanError
 from falsework.robots import Cell, CellRobot, Gripper, RobotPlan, Signals, export_plan
 from falsework.robots.exports.commands import Grip, events_of
-from falsework.robots.exports.controller import ToolLoad, rapid_load, tool_load, ur_payload
 from falsework.robots.exports.export import export_notes
-from falsework.robots.exports.part_loads import part_loads, together
+from falsework.robots.exports.payloads import ToolLoad, part_loads, rapid_load, together, tool_load, ur_payload
 from falsework.robots.kinematics.forward import flange_pose
-from falsework.robots.model.maker import maker_of
+from falsework.robots.model.cell import maker_of
 from falsework.robots.model.shapes import block
 from falsework.robots.plans.robot_plan_file import save_robot_plan
 
@@ -39,7 +38,7 @@ def renamed(cell: Cell, name: str, **changes: Any) -> Cell:
 def planned_for(plan: RobotPlan, cell: Cell) -> RobotPlan:
     """The plan as if it were for another cell."""
     from falsework.robots.model.cell import cell_identity
-    from falsework.robots.plans.robot_record import records_of
+    from falsework.robots.plans.robot_plan import records_of
 
     return replace(plan, robots=records_of(cell), cell_identity=cell_identity(cell))
 

@@ -16,13 +16,13 @@ from falsework import Assembly
 from falsework.errors import PlanError
 from falsework.robots import Cell, Precedence, RobotPlan, schedule_plan, simulate
 from falsework.robots.checks.check import check_robot_plan
-from falsework.robots.checks.delays import check_delays
+from falsework.robots.checks.delays import BodyPath, SeparationProver, check_delays
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
-from falsework.robots.checks.schedule import check_schedule
-from falsework.robots.checks.separation import BodyPath, SeparationProver
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.plans.reachable_positions import Overlap, ReachablePositions, Segment
+from falsework.robots.plans.reachable_positions import Overlap, ReachablePositions
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
+from falsework.robots.plans.timeline import Segment
+from tests.robots.plans.sampled_schedule import check_schedule
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +203,7 @@ def test_no_point_moves_farther_than_its_bound(scheduled: RobotPlan, judge: Pino
             for k, shape in enumerate(path.shapes):
                 corners = shape.center + shape.radius * rng.normal(size=(8, 3)) / 3
                 corners = corners[np.linalg.norm(corners - shape.center, axis=1) <= shape.radius]
-                ends = [corners @ at.poses[k].getRotation().T + at.poses[k].getTranslation() for at in (one, other)]
+                ends = [corners @ at[k].getRotation().T + at[k].getTranslation() for _, at in (one, other)]
                 assert (np.linalg.norm(ends[1] - ends[0], axis=1) <= bound[k] + 1e-9).all()
 
 

@@ -23,8 +23,8 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.shapes import block
+from falsework.robots.plans.robot_plan import records_of
 from falsework.robots.plans.robot_plan_file import robot_plan_from_dict, robot_plan_to_dict
-from falsework.robots.plans.robot_record import records_of
 from falsework.search.plans.plan_check import validate_plan
 from falsework.stability.holds import Press
 

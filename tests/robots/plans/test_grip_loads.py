@@ -13,7 +13,7 @@ from falsework.robots import Cell, Placement, RobotPlan
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.plans.grip_loads import grip_loads, heaviest, overloads
+from falsework.robots.plans.robot_forces import grip_loads, heaviest, overloads
 
 GRAVITY = 9.81
 

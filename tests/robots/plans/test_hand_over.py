@@ -20,17 +20,16 @@ from falsework.robots import Cell, RobotPlan, export_plan, nodes_of
 from falsework.robots.checks.check import CheckReport, check_robot_plan
 from falsework.robots.exports.commands import Begin, Grip, PublishCount, Wait, commands_of
 from falsework.robots.model.cell import cell_identity
+from falsework.robots.plans.robot_plan import records_of
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
     robot_plan_from_dict,
     robot_plan_to_dict,
     save_robot_plan,
 )
-from falsework.robots.plans.robot_record import records_of
-from falsework.robots.plans.timeline import arm_shares, event_times
+from falsework.robots.plans.timeline import arm_shares, bars_of, event_times
 from falsework.search.plans.plan_check import validate_plan
 from falsework.viewer.arms import Arms
-from falsework.viewer.pictures.gantt import bars_of
 from tests.robots.plans.sunk_cubes import FAR, NEAR, begin, cubes, make_task, planned
 
 
@@ -235,7 +234,7 @@ def test_a_schedule_keeps_the_order_of_both_halves(timed: RobotPlan, falling: As
         report = check_robot_plan(one, falling, roofed)
         assert report.good, what(report)
         assert simulate(one, runs=100).good
-        for share in arm_shares(one, one.schedule):
+        for share in arm_shares(one):
             assert share.moves + share.holds + share.waits == pytest.approx(1.0)
 
 
@@ -298,12 +297,11 @@ def test_a_chart_shows_both_arms_at_the_part(timed: RobotPlan) -> None:
 def test_the_page_plays_both_halves(plan: RobotPlan, roofed: Cell, direction: Direction) -> None:
     """Both halves belong to the action that they come before, and configurations go on without a jump."""
     arms = Arms(plan, roofed, Direction.DISASSEMBLY).turned(direction)
-    total = sum(arms.seconds(step) for step in range(len(plan.plan)))
-    assert total == pytest.approx(plan.seconds)
+    assert arms.clock.makespan == pytest.approx(plan.seconds)
     holders = arms.holders()
     assert holders.shape == plan.plan.states.shape
     held = (plan.plan.states == HELD) & ~plan.plan.boundary
     np.testing.assert_array_equal(holders >= 0, held)
-    places = np.linspace(0.0, len(plan.plan), 2000)
-    poses = np.array([[pose[:3, 3] for pose in arms.at(place).poses] for place in places])
+    times = np.linspace(0.0, arms.clock.makespan, 2000)
+    poses = np.array([[pose[:3, 3] for pose in arms.at_time(time).poses] for time in times])
     assert np.abs(np.diff(poses, axis=0)).max() < 0.05

@@ -10,7 +10,7 @@ import pytest
 from falsework import Assembly
 from falsework.robots import Cell, KeyframeGraph
 from falsework.robots.motion.collision_world import NO_CONTACT, Attached, Scene
-from falsework.robots.motion.motion_cache import MotionCache, scene_digest
+from falsework.robots.motion.path_planner import MotionCache, scene_digest
 
 
 @pytest.fixture(scope="module")

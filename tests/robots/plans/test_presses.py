@@ -24,8 +24,7 @@ from falsework.robots.exports.commands import Begin, Grip, Pressing, PublishCoun
 from falsework.robots.kinematics.forward import flange_pose, tool_pose
 from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.cell_holds import CellScale, stability_in
-from falsework.robots.plans.grip_loads import grip_loads, overloads
-from falsework.robots.plans.presses import timed_presses
+from falsework.robots.plans.robot_forces import grip_loads, overloads, timed_presses
 from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
 from falsework.robots.plans.timeline import event_times, schedule_of
 from falsework.search.plans.plan_check import validate_plan

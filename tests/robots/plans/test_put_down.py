@@ -21,8 +21,8 @@ from falsework.errors import PlanError
 from falsework.robots import Cell, HybridSettings, KeyframeGraph, Obstacle, RobotPlan, RobotStep, export_plan
 from falsework.robots.checks.check import CheckReport, check_robot_plan
 from falsework.robots.checks.delays import check_delays
+from falsework.robots.checks.handling import unrest
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
-from falsework.robots.checks.put_down import unrest
 from falsework.robots.exports.commands import Grip, events_of
 from falsework.robots.kernels.coordination import conflicts, still
 from falsework.robots.keyframes.putting_down import downwards
@@ -41,13 +41,11 @@ from falsework.robots.plans.robot_plan_file import (
     save_robot_plan,
 )
 from falsework.robots.plans.robot_plan_model import robot_plan_schema
-from falsework.robots.plans.timeline import activities_at, event_times
-from falsework.robots.schedule.conflicts import choices
-from falsework.robots.schedule.itinerary import Itineraries
+from falsework.robots.plans.timeline import activities_at, bars_of, event_times
+from falsework.robots.schedule.conflicts import Itineraries, choices
 from falsework.robots.schedule.swept_bodies import SweptBodies
 from falsework.search.plans.plan_check import validate_plan
 from falsework.viewer.arms import Arms
-from falsework.viewer.pictures.gantt import bars_of
 from tests.robots.plans.bag_reading import corners, planning_scenes
 from tests.robots.plans.roofed_slab import SLAB, make_task, slab, tabled
 
@@ -470,10 +468,11 @@ def test_a_chart_shows_the_part_carried_twice(timed: RobotPlan) -> None:
 def test_the_page_shows_the_part_all_the_way(plan: RobotPlan, one: Cell, direction: Direction) -> None:
     """The part moves without a jump, and lies still in between."""
     arms = Arms(plan, one, Direction.DISASSEMBLY).turned(direction)
-    places = np.linspace(1e-6, 1 - 1e-6, 3000)
-    shown = [arms.at(place).carried for place in places]
-    assert all(len(entry) == 1 for entry in shown)
-    poses = np.array([entry[0].pose for entry in shown])
+    shown = [arms.at_time(time).carried for time in np.linspace(0.0, arms.clock.makespan, 4000)]
+    carried = np.flatnonzero([len(entry) for entry in shown])
+    assert (np.diff(carried) == 1).all()
+    assert max(map(len, shown)) == 1
+    poses = np.array([shown[row][0].pose for row in carried])
     assert np.abs(np.diff(poses, axis=0)).max() < 0.03
     assert (np.abs(poses - detour_of(plan)[2]).max(axis=(1, 2)) < 1e-9).sum() > 100
 

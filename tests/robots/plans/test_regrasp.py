@@ -27,13 +27,13 @@ from falsework.robots.plans.robot_plan_file import (
     robot_plan_to_dict,
     save_robot_plan,
 )
-from falsework.robots.plans.timeline import arm_shares, event_times
+from falsework.robots.plans.timeline import arm_shares, bars_of, event_times
 from falsework.search import Oracle
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.result import Route
+from falsework.search.problem.ways_out import Clearance
 from falsework.search.together.rule import InterlockedSets
 from falsework.stability import Verdicts
-from falsework.viewer.pictures.gantt import bars_of
 from tests.robots.plans.orders import APART
 from tests.robots.plans.sunk_cubes import FAR, NEAR, begin, cubes, make_task, planned
 
@@ -177,7 +177,7 @@ def test_a_schedule_keeps_the_order_of_release_and_hold(sunk: Assembly, roofed: 
         assert report.good, [str(problem) for problem in report.problems]
         assert validate_plan(one.plan, sunk).good
         assert simulate(one, runs=100).good
-        for share in arm_shares(one, one.schedule):
+        for share in arm_shares(one):
             assert share.moves + share.holds + share.waits == pytest.approx(1.0)
 
 
@@ -215,7 +215,7 @@ def test_a_grasp_that_cannot_leave_is_the_last_choice(sunk: Assembly, roofed: Ce
     assert next(graph.edges(stays.node, NEAR), None) is None  # the next grasp must be one that can leave
 
 
-class Rules(Oracle):
+class Rules(Oracle, Clearance):
     """Five parts that can leave in one order only, and the sets of them that must be held where others are gone."""
 
     holds_keep_stable, replayer = True, None

@@ -22,8 +22,7 @@ from falsework.robots.keyframes.trajectory_assembly import make_robot_plan
 from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.planning.initial_keyframe import task_in_cell
 from falsework.robots.planning.solvability import SolvabilityCheck
-from falsework.robots.schedule.conflicts import choices, fixed_precedences
-from falsework.robots.schedule.itinerary import Itineraries
+from falsework.robots.schedule.conflicts import Itineraries, choices, fixed_precedences
 from falsework.robots.schedule.solver import solve
 
 
@@ -166,15 +165,6 @@ def test_steps_whose_motions_fail_are_not_taken_there_again(case: Case) -> None:
     search.run()
     again = zip(search.best, search.best[-1].steps, strict=False)
     assert not any(taken.unit is step.unit and (at.node.state == state).all() for at, taken in again)
-
-
-def test_an_arm_takes_a_part_from_behind_the_end_of_a_window(case: Case) -> None:
-    search = case.search()
-    behind = search.behind(2)
-    assert [unit.part for unit in behind] == [unit.part for unit in search.units[1:]]
-    for order in search.completed(0, 2, 1, 0, behind):
-        assert sorted(step.edge.action for step in order.steps) == sorted(edge.action for edge in case.chain)
-    assert {order.steps[0].unit.part for order in search.completed(0, 2, 1, 0, behind)} - {search.units[0].part}
 
 
 def test_a_search_that_goes_on_never_ends_with_a_worse_order(case: Case) -> None:

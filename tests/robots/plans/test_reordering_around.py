@@ -15,11 +15,11 @@ from falsework import Assembly, Direction, Task, plan_robots
 from falsework.assembly import HELD, INSTALLED
 from falsework.robots import Cell, HybridSettings, KeyframeGraph, RobotPlan, schedule_plan, simulate
 from falsework.robots.checks.check import check_robot_plan
-from falsework.robots.interleaving.next_steps import grippers_allow
+from falsework.robots.interleaving.orders import grippers_allow
 from falsework.robots.interleaving.reordering import follow, lies_free, reorder, views
 from falsework.robots.keyframes.keyframes import Edge, Node
 from falsework.robots.motion.collision_world import CollisionQuery
-from falsework.robots.planning import plan_builder
+from falsework.robots.planning import hybrid_search
 from falsework.robots.plans.timeline import event_times
 from tests.robots.plans.beam_in_turn import bridge_with
 from tests.robots.plans.roofed_slab import slab, tabled
@@ -56,7 +56,7 @@ def planned(request: pytest.FixtureRequest, cell_of: Callable[..., Cell]) -> Pla
             return reorder(graph, oracle, root, chain, timed, **more) if change else list(chain)
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(plan_builder, "reorder", ordered)
+            patch.setattr(hybrid_search, "reorder", ordered)
             plans.append(plan_robots(assembly, cell, task=task, settings=settings, concurrent=True).value)
     better, as_found = plans
     assert better is not None

@@ -10,7 +10,6 @@ import pytest
 from falsework import (
     Assembly,
     Direction,
-    PlannerSettings,
     StabilityOracle,
     StabilitySettings,
     find_plans,
@@ -19,11 +18,9 @@ from falsework import (
 )
 from falsework.assembly import complete_state
 from falsework.search import SupportGuide
-from falsework.search.beam.backjumping import BackjumpingBeam
 from falsework.search.find import Planning
 from falsework.search.planner import Planner
 from falsework.search.problem.edge_rows import edge_rows
-from falsework.search.strategies import EDGES, Portfolio
 from falsework.stability.settings import EQUILIBRIUM
 
 _LENGTH, _COURSES = 12, 13
@@ -105,21 +102,6 @@ def test_one_robot_and_standing_parts_leave_the_guide_as_it_is(vault: Assembly) 
     target = complete_state(vault.boundary)
     target[np.flatnonzero(~vault.boundary)[3:]] = 0
     assert guide.edges_first(make_task(vault, 3, target=target)) is None
-
-
-def test_the_first_turn_of_edges_ends_at_their_first_dead_end(vault: Assembly) -> None:
-    """Whatever the number of parts; all other turns end by verdicts alone."""
-    oracle = StabilityOracle(vault, EQUILIBRIUM)
-    task = make_task(vault, 2).judged_by(oracle)
-    portfolio, search = (
-        Portfolio.from_settings(PlannerSettings(), "plan", task, edges=True),
-        BackjumpingBeam(task, oracle),
-    )
-    assert portfolio.names[0] == EDGES
-    assert not any(portfolio.is_over(0, name, search) for name in portfolio.names)
-    search.search.conflicts.learn(task.target, 0)
-    over = {(number, name) for number in (0, 1) for name in portfolio.names if portfolio.is_over(number, name, search)}
-    assert over == {(0, EDGES)}
 
 
 def test_under_equilibrium_most_parts_wait_for_the_rows_before() -> None:

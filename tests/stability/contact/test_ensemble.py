@@ -13,6 +13,9 @@ from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.varied_replay import GROUPS, EnsembleReplayer, changed, variations
 from falsework.stability.holds import Press
 
+CLOSE = 0.05
+"""Share by which forces and displacements of a member, which is left sooner, may differ from those of its own replay.
+"""
 CONTACT = StabilitySettings(criterion="contact", reserve=1.1)
 
 
@@ -43,8 +46,9 @@ def test_histories_are_those_of_single_replays(stiffness: float) -> None:
     assert whole.good == all(replay.good for replay in alone)
     for row, history in enumerate(whole.histories):
         for own, replay in zip(history.changed, alone, strict=True):
-            np.testing.assert_array_equal(own.springs, replay.histories[row].springs)
-            np.testing.assert_array_equal(own.displacement, replay.histories[row].displacement)
+            other = replay.histories[row]
+            for some, same in ((own.springs, other.springs), (own.displacement, other.displacement)):
+                assert np.linalg.norm(some - same) <= CLOSE * np.linalg.norm(same)
     middle = len(whole.histories) // 2
     stands, after = ensemble.step(
         whole.histories[middle - 1], plan.states[middle - 1], plan.states[middle], plan.presses_before[middle]

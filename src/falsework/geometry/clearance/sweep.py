@@ -14,6 +14,7 @@ from falsework.geometry.clearance.cones import Cones, Pieces, cones_between
 from falsework.geometry.clearance.directions import sphere_directions
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.collision import Body, shrink
+from falsework.geometry.mesh.edges import components, directed_edges
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.utils.bits import intersect, pack
 
@@ -305,7 +306,7 @@ class _Edges:
     """Edges of a closed mesh with the two faces of each."""
 
     def __init__(self, faces: NDArray[np.int32]) -> None:
-        tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
+        tail, head = directed_edges(faces.astype(np.int64))
         owner = np.repeat(np.arange(len(faces)), 3)
         # A closed surface passes each edge as often forwards as backwards: sorting both ways pairs them up.
         up, down = tail < head, tail > head
@@ -314,10 +315,5 @@ class _Edges:
         self.ends = np.stack([tail[up], head[up]], axis=1)[up_order]
         self.one = owner[up][up_order]
         self.two = owner[down][down_order]
-        from scipy.sparse import csr_matrix
-        from scipy.sparse.csgraph import connected_components
-
-        graph = csr_matrix((np.ones(len(self.one)), (self.one, self.two)), shape=(len(faces), len(faces)))
-        _, surface = connected_components(graph, directed=False)
-        _, sample = np.unique(surface[self.one], return_index=True)
+        _, sample = np.unique(components(self.one, self.two, len(faces))[self.one], return_index=True)
         self.samples = self.ends[sample]

@@ -42,6 +42,24 @@ class ClearanceTable:
     sampled: int
     """Directions that were tried for each of the other parts."""
 
+    @property
+    def moves(self) -> int:
+        """Moves of a way out."""
+        return 1
+
+    @property
+    def turns(self) -> bool:
+        """Whether parts that leave turn."""
+        return False
+
+    def judged_by(self, oracle: object) -> ClearanceTable:
+        """Return the same clearance: straight ways do not depend on what stands."""
+        return self
+
+    def exit_path(self, state: NDArray[np.uint8], part: int) -> tuple[()] | None:
+        """Return no moves, which is a straight way, or None if there is none; see `ExitPaths.exit_path`."""
+        return () if self._first_exits(np.asarray(state)[None])[0, part] >= 0 else None
+
     def can_leave(self, states: NDArray[np.uint8]) -> NDArray[np.bool_]:
         """Return whether each part has a straight exit past the parts that are present.
 

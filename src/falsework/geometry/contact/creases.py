@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.mesh.edges import directed_edges
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 
 Array = NDArray[np.float64]
@@ -87,7 +88,7 @@ class Creases:
 
         Edges that more than two faces share are left out: which of them bound one solid wedge is not known.
         """
-        tail, head = surface.faces.ravel(), surface.faces[:, [1, 2, 0]].ravel()
+        tail, head = directed_edges(surface.faces)
         count = len(surface.points)
         ways, sides = tail * count + head, head * count + tail
         up, down = np.flatnonzero(tail < head), np.flatnonzero(tail > head)

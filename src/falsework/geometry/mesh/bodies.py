@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.collision import inside
+from falsework.geometry.mesh.edges import components, directed_edges, equal_faces
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -31,13 +32,10 @@ def merge_equal(points: Array, corners: Faces) -> tuple[Array, Faces]:
 def weld(points: Array) -> NDArray[np.int64]:
     """Return for every vertex the representative of all vertices within the welding distance."""
     reach = _WELD * float(np.linalg.norm(np.ptp(points, axis=0)))
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
 
     pairs = KDTree(points).query_pairs(reach, output_type="ndarray")
-    graph = csr_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
-    _, label = connected_components(graph, directed=False)
+    label = components(pairs[:, 0], pairs[:, 1], len(points))
     _, first = np.unique(label, return_index=True)
     return first[label]
 
@@ -90,14 +88,13 @@ def _labels(vertices: Array, faces: Faces) -> NDArray[np.int64] | None:
     if not len(solid):
         return label
     corners = corners[solid]
-    turned = np.take_along_axis(corners, (np.argmin(corners, axis=1)[:, None] + np.arange(3)) % 3, axis=1)
-    _, first, copy = np.unique(turned, axis=0, return_index=True, return_inverse=True)
+    first, copy = equal_faces(corners)
     found = _solids_by_index(faces[solid][first])
     if found is None:
         found = surfaces_of(points, corners[first])
     if found is None:
         return None
-    label[solid] = _with_hollows(points, corners[first], found)[copy.ravel()]
+    label[solid] = _with_hollows(points, corners[first], found)[copy]
     return label
 
 
@@ -107,7 +104,7 @@ def _open(vertices: Array, faces: Faces, label: NDArray[np.int64]) -> list[int]:
     corners, of = corners[label >= 0], np.repeat(label[label >= 0], 3)
     if not len(corners):
         return []
-    tail, head, count = corners.ravel(), corners[:, [1, 2, 0]].ravel(), int(corners.max()) + 1
+    (tail, head), count = directed_edges(corners), int(corners.max()) + 1
     forward, backward = ((of * count + a) * count + b for a, b in ((tail, head), (head, tail)))
     return np.unique(of[~np.isin(forward, backward)]).tolist()
 
@@ -133,7 +130,7 @@ def surfaces_of(points: Array, corners: Faces) -> NDArray[np.int64] | None:
     local = points[corners] - points.mean(axis=0)
     if np.einsum("ij,ij->", local[:, 0], np.cross(local[:, 1], local[:, 2])) < 0:
         corners = corners[:, ::-1]  # inside out as a whole
-    tail, head = corners.ravel(), corners[:, [1, 2, 0]].ravel()
+    tail, head = directed_edges(corners)
     low, high = np.minimum(tail, head), np.maximum(tail, head)
     _, edge, uses = np.unique(low * len(points) + high, return_inverse=True, return_counts=True)
     edge = edge.ravel()
@@ -142,11 +139,11 @@ def surfaces_of(points: Array, corners: Faces) -> NDArray[np.int64] | None:
     one, two = simple[::2], simple[1::2]
     shared = np.flatnonzero(uses[edge] > 2)
     if not len(shared):
-        return _components(one // 3, two // 3, len(corners))
+        return components(one // 3, two // 3, len(corners))
     more = _pairs_around(points, corners, shared, edge[shared])
     # Solids that share edges and overlap do not alternate; each may be closed by its other edges.
     for a, b in ([more] if more else []) + [(one[:0], two[:0])]:
-        label = _components(np.concatenate([one, a]) // 3, np.concatenate([two, b]) // 3, len(corners))
+        label = components(np.concatenate([one, a]) // 3, np.concatenate([two, b]) // 3, len(corners))
         half = np.repeat(np.isin(label, np.unique(label[shared // 3])), 3)
         of, count = np.repeat(label, 3), len(points)
         if np.array_equal(
@@ -156,23 +153,15 @@ def surfaces_of(points: Array, corners: Faces) -> NDArray[np.int64] | None:
     return None
 
 
-def _components(one: NDArray, two: NDArray, count: int) -> NDArray[np.int64]:
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    graph = csr_matrix((np.ones(len(one)), (one, two)), shape=(count, count))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
-
-
 def _solids_by_index(faces: Faces) -> NDArray[np.int64] | None:
     """Return the solid of each face where solids have no vertex in common and all are closed; None otherwise."""
-    tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
+    tail, head = directed_edges(faces)
     count = int(faces.max()) + 1
     forward, backward = np.sort(tail * count + head), np.sort(head * count + tail)
     if not np.array_equal(forward, backward) or (forward[1:] == forward[:-1]).any():
         return None
     order = np.argsort(np.minimum(tail, head) * count + np.maximum(tail, head), kind="stable")
-    return _components(order[::2] // 3, order[1::2] // 3, len(faces))
+    return components(order[::2] // 3, order[1::2] // 3, len(faces))
 
 
 def _pairs_around(points: Array, corners: Faces, half: NDArray, edge: NDArray) -> tuple[NDArray, NDArray] | None:

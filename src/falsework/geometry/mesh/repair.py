@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import MeshError, ReadWarning
 from falsework.geometry.mesh.bodies import merge_equal, weld
+from falsework.geometry.mesh.edges import edge_mates, equal_faces, is_closed, open_edges
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
 from falsework.geometry.mesh.sheets import is_sheet, plane_normal, thickened
-from falsework.geometry.mesh.shells import Shells, directed_edges, edge_mates, is_closed
+from falsework.geometry.mesh.shells import Shells
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -144,9 +145,7 @@ def closes(vertices: Array, faces: Faces) -> bool:
 
 def _drop_copies(corners: Faces, done: list[str]) -> Faces:
     """Drop second copies of faces of a closed surface, which would count its volume twice."""
-    first_corner = np.argmin(corners, axis=1)[:, None]
-    turned = np.take_along_axis(corners, (first_corner + np.arange(3)) % 3, axis=1)
-    kept = np.sort(np.unique(turned, axis=0, return_index=True)[1])
+    kept = np.sort(equal_faces(corners)[0])
     if len(kept) == len(corners) or not is_closed(corners[kept]):
         return corners
     done.append("dropped faces that are doubled")
@@ -220,16 +219,13 @@ def _wind(corners: Faces) -> Faces | None:
 
 def _close_flat_holes(name: str, points: Array, corners: Faces) -> Faces:
     """Cap holes whose rims are flat simple loops; raise for any other opening."""
-    tail, head = directed_edges(corners)
-    count = len(points)
-    forward = np.sort(tail * count + head)
-    lonely = ~np.isin(head * count + tail, forward)
-    following = dict(zip(head[lonely].tolist(), tail[lonely].tolist(), strict=True))  # rims run against their faces
+    tail, head = open_edges(corners)
+    following = dict(zip(head.tolist(), tail.tolist(), strict=True))  # rims run against their faces
     error = MeshError(
-        f"part {name} is not closed: {int(lonely.sum())} edges have a face on one side only; "
+        f"part {name} is not closed: {len(tail)} edges have a face on one side only; "
         "close it in the modeller (join, cap, weld) and export it again"
     )
-    if not lonely.any() or len(following) != lonely.sum() or is_sheet(points, corners):
+    if not len(tail) or len(following) != len(tail) or is_sheet(points, corners):
         raise error
     caps: list[NDArray[np.int64]] = []
     while following:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.mesh.edges import open_edges
 from falsework.geometry.mesh.mesh import triangle_normals
-from falsework.geometry.mesh.shells import directed_edges
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -24,7 +24,7 @@ _LEVEL = np.cos(np.radians(60))
 def is_sheet(points: Array, faces: Faces) -> bool:
     """Return whether an open surface is so flat that it bounds no solid, whatever closes it."""
     used = points[np.unique(faces)]
-    if len(used) < 3 or not np.isfinite(used).all() or not _open_edges(faces)[0].size:
+    if len(used) < 3 or not np.isfinite(used).all() or not open_edges(faces)[0].size:
         return False
     normal = plane_normal(used)
     corners = points[faces]
@@ -63,17 +63,9 @@ def thickened(points: Array, faces: Faces, others: Sequence[Array]) -> tuple[Arr
     if triangle_normals(corners).sum(axis=0) @ normal < 0:
         faces = faces[:, ::-1]
     count = len(front)
-    tail, head = _open_edges(faces)
+    tail, head = open_edges(faces)
     walls = np.concatenate(
         [np.stack([head, tail, tail + count], axis=1), np.stack([head, tail + count, head + count], axis=1)]
     )
     solid = np.concatenate([faces, faces[:, ::-1] + count, walls])
     return np.concatenate([front, front - thickness * normal]), solid, thickness
-
-
-def _open_edges(faces: Faces) -> tuple[Faces, Faces]:
-    """Return tails and heads of the edges that have a face on one side only."""
-    tail, head = directed_edges(faces)
-    count = int(faces.max()) + 1
-    lonely = ~np.isin(tail * count + head, head * count + tail)
-    return tail[lonely], head[lonely]

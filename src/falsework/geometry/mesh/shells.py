@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from falsework.errors import MeshError
 from falsework.geometry.mesh.bodies import surfaces_of
 from falsework.geometry.mesh.collision import Body, inside, interpenetrate, shrink
+from falsework.geometry.mesh.edges import components, edge_mates, is_closed
 from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
@@ -128,35 +129,10 @@ class Shells:
         return bool((np.minimum(one[1], other[1]) - np.maximum(one[0], other[0]) > self._shallow).all())
 
 
-def directed_edges(corners: Faces) -> tuple[Faces, Faces]:
-    """Start and end of the three edges of every face, shapes (3 faces,); edges of one face are consecutive."""
-    return corners.ravel(), corners[:, [1, 2, 0]].ravel()
-
-
-def is_closed(corners: Faces) -> bool:
-    """Return whether every edge is passed equally often in both directions, so that the surface is closed."""
-    tail, head = directed_edges(corners)
-    count = int(corners.max()) + 1
-    return bool((tail != head).all() and (np.sort(tail * count + head) == np.sort(head * count + tail)).all())
-
-
-def edge_mates(corners: Faces) -> tuple[Faces, Faces, bool]:
-    """Return pairs of directed edges between the same vertices, and whether any edge has more than two faces."""
-    tail, head = directed_edges(corners)
-    low, high = np.minimum(tail, head), np.maximum(tail, head)
-    order = np.lexsort((high, low))
-    same = (low[order][1:] == low[order][:-1]) & (high[order][1:] == high[order][:-1])
-    return order[:-1][same], order[1:][same], bool((same[1:] & same[:-1]).any())
-
-
 def _surfaces(points: Array, corners: Faces) -> NDArray[np.int64]:
     """Return the shell of each face: a surface that is closed by itself, or faces connected by edges otherwise."""
     surface = surfaces_of(points, corners)
     if surface is not None and all(is_closed(corners[surface == shell]) for shell in range(int(surface.max()) + 1)):
         return surface
     one, two, _ = edge_mates(corners)
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    graph = csr_matrix((np.ones(len(one)), (one // 3, two // 3)), shape=(len(corners), len(corners)))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
+    return components(one // 3, two // 3, len(corners))

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from falsework.errors import MeshError, ReadWarning
 from falsework.geometry.mesh.bodies import merge_equal, separate_solids
+from falsework.geometry.mesh.edges import is_closed
 from falsework.geometry.mesh.repair import closes
-from falsework.geometry.mesh.shells import is_closed
 from falsework.utils.quantity import listed
 
 _UNIT = re.compile(

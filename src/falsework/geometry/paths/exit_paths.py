@@ -16,7 +16,7 @@ from falsework.geometry.clearance.table import ClearanceTable
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.paths.motions import PartMotions
-from falsework.geometry.paths.moves import ExitPath, after
+from falsework.geometry.paths.moves import MOST_MOVES, ExitPath, after
 from falsework.geometry.paths.path_search import PathSearch
 from falsework.utils.bits import Words, pack
 
@@ -25,8 +25,6 @@ States = NDArray[np.uint8]
 
 HELD = 2
 """Value of a part in a state that a robot holds."""
-MOST = 100
-"""Moves of a way out at most."""
 
 
 class StandsOracle(Protocol):
@@ -75,8 +73,8 @@ class ExitPaths:
         Raises:
             InputError: no number of moves from 1 to 100.
         """
-        if not (isinstance(moves, int | np.integer) and 1 <= moves <= MOST):
-            raise InputError(f"{moves} is not a number of moves of a way out; give 1 (one move) to {MOST}")
+        if not (isinstance(moves, int | np.integer) and 1 <= moves <= MOST_MOVES):
+            raise InputError(f"{moves} is not a number of moves of a way out; give 1 (one move) to {MOST_MOVES}")
         self._meshes, self._contacts, self._straight, self._motions = meshes, contacts, straight, motions
         self._fixed, self.moves, self.turns, self._oracle = fixed, int(moves), turns, oracle
         self._ways: dict[int, list[_KeptWay]] = {}

@@ -8,6 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+MOST_MOVES = 100
+"""Moves of a way out at most."""
+
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Poses = Mapping[int, Array]

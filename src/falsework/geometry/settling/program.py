@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.near import NearPoints
-from falsework.geometry.settling.settlement import Poses
+from falsework.geometry.settling.poses import Poses
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

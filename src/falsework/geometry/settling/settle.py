@@ -24,8 +24,9 @@ from falsework.errors import AssemblyError, ReadWarning
 from falsework.geometry.contact.interfaces import default_gap
 from falsework.geometry.contact.near import NearPoints, near_points
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh
+from falsework.geometry.settling.poses import Poses
 from falsework.geometry.settling.program import AT_REST, gravity_motion
-from falsework.geometry.settling.settlement import Poses, Settlement
+from falsework.geometry.settling.settlement import Settlement
 from falsework.utils.quantity import format_quantity, listed
 
 Array = NDArray[np.float64]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import torch
 
@@ -63,7 +62,6 @@ class Imitation(Learner):
         precision: str = "float32",
         compiled: bool = False,
         shards: ProcessGroup = ProcessGroup(),
-        folder: Path | str | None = None,
         copies: Sequence[Policy] = (),
     ) -> None:
         """Begin with the weights that the policy has.
@@ -77,7 +75,6 @@ class Imitation(Learner):
             precision: of the network.
             compiled: compile the network.
             shards: processes that share every batch and average their gradients.
-            folder: for the batch of a step that is not finite.
             copies: policies with the very same weights for copies of the structure, as of
                 `falsework.learn.networks.factory.share`; steps take the policy and them in turn.
 
@@ -96,7 +93,6 @@ class Imitation(Learner):
             weight_decay=_WEIGHT_DECAY,
             only_matrices=True,
             betas=_BETAS,
-            folder=folder,
         )
         self._solved, self._settings, self._tasks = solved, settings, tasks
         self._share = settings.batch // shards.size
@@ -113,10 +109,8 @@ class Imitation(Learner):
             valid = self._solved.valid_actions(states, mask) if valid is None else valid
             logits, value = self._networks[self.steps % len(self._networks)](states, targets)
             loss = imitation_loss(logits, mask, valid) + _VALUE_WEIGHT * (value - 1.0).square().mean()
-            batch = {"states": states} if targets is None else {"states": states, "targets": targets}
             norm = self.optimizer.step(
                 loss,
-                batch,
                 learning_rate=self._settings.learning_rate * self.schedule(self.steps, place),
                 # The first averages are over few steps, or they would remember the random initial weights.
                 average=min(_AVERAGE, (2 + self.steps) / (11 + self.steps)),

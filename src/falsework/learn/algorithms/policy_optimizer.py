@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import torch
 
-from falsework.learn.algorithms.nan_guard import NanGuard
+from falsework.errors import TrainingError
 from falsework.utils.collectives import average_gradients
 from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import below
@@ -30,7 +29,6 @@ class PolicyOptimizer:
         betas: tuple[float, float] = (0.9, 0.999),
         epsilon: float = 1e-8,
         shards: ProcessGroup = ProcessGroup(),
-        folder: Path | str | None = None,
     ) -> None:
         """Begin with the weights that the policy has.
 
@@ -42,7 +40,6 @@ class PolicyOptimizer:
             betas: decay of the moments.
             epsilon: added to the root of the second moment.
             shards: processes that average their gradients.
-            folder: for the batch of a step that is not finite.
         """
         self.policy = policy
         self.steps = 0
@@ -54,16 +51,14 @@ class PolicyOptimizer:
         others = [one for one in self._weights if one.dim() <= 1 and only_matrices]
         groups = [{"params": decayed, "weight_decay": weight_decay}, {"params": others, "weight_decay": 0.0}]
         self._adam: Any = torch.optim.AdamW(groups, lr=learning_rate, betas=betas, eps=epsilon, fused=True)
-        self._guard = NanGuard(folder, rank=shards.rank)
+        self._pending: tuple[torch.Tensor, torch.cuda.Event | None, int] | None = None
+        """Whether the last step was finite, the event after which the host knows, and the number of the step."""
 
-    def step(
-        self, loss: torch.Tensor, batch: Mapping[str, torch.Tensor], *, learning_rate: float, average: float
-    ) -> torch.Tensor:
+    def step(self, loss: torch.Tensor, *, learning_rate: float, average: float) -> torch.Tensor:
         """Take one step; one that is not finite changes no weight and is reported by the next step or by `check`.
 
         Args:
             loss: of this process, differentiable.
-            batch: its input, saved if the step is not finite; must not change until the next step.
             learning_rate: of this step.
             average: decay of the moving average of the weights.
 
@@ -83,17 +78,28 @@ class PolicyOptimizer:
         self._adam.step()
         self.steps += 1
         _blend(self._average, self._weights, 1.0 - average)
-        # Of several processes all see the same norm, so all of them stop.
-        self._guard.watch(norm, batch, f"step {self.steps}")
+        self.check()
+        finite, event = norm.detach().isfinite(), None
+        if finite.is_cuda:  # looked at after the next step, so that the host does not wait for the device
+            finite, event = finite.to("cpu", non_blocking=True), torch.cuda.Event()
+            event.record()
+        self._pending = finite, event, self.steps
         return norm.detach()
 
     def check(self) -> None:
         """Check the last step, for instance at the end of a block.
 
         Raises:
-            TrainingError: it was not finite.
+            TrainingError: it was not finite; of several processes all see the same norm, so all of them stop.
         """
-        self._guard.check()
+        (finite, event, step), self._pending = self._pending or (True, None, 0), None
+        if event is not None:
+            event.synchronize()
+        if not finite:
+            raise TrainingError(
+                f"the loss is not a finite number at step {step}; continue from the last checkpoint with a lower "
+                "learning rate"
+            )
 
     def export_policy(self, policy: torch.nn.Module) -> None:
         """Write the moving average of the weights, and all else that a policy remembers, into another of its kind."""

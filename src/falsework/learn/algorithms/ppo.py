@@ -8,26 +8,18 @@ head that estimates the return, and an additional imitation loss on known states
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import torch
 
 from falsework.learn.algorithms.advantages import explained_variance, normalized
-from falsework.learn.algorithms.hindsight import relabel
 from falsework.learn.algorithms.imitation import imitation_loss
 from falsework.learn.algorithms.learner import Learner
+from falsework.learn.algorithms.learner_context import LearnerContext
 from falsework.learn.algorithms.ppo_loss import Loss, ppo_loss
-from falsework.learn.algorithms.reward import Reward, environment_reward
 from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions
-from falsework.learn.algorithms.start_states import StartBatch, StartSampler
-from falsework.learn.config.ppo import PpoPhase
-from falsework.learn.data.random_walks import GoalSampler
-from falsework.learn.data.solvable_states import SolvableStates
-from falsework.learn.env.environment import Environment
+from falsework.learn.algorithms.start_states import StartBatch
 from falsework.learn.networks.autocast import Network
-from falsework.learn.networks.policy import Policy
 from falsework.utils.collectives import summed
-from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import below
 
 _IMITATED = 0.25
@@ -48,63 +40,30 @@ Demonstrations = tuple[torch.Tensor, torch.Tensor | None, torch.Tensor | None]
 class PPO(Learner):
     """Proximal policy optimisation from the outcomes of the policy's own rollouts.
 
-    No loss is taken at held-out states: not by gradients of rollouts, not by imitation, not by hindsight.
+    No loss is taken at held-out states: not by gradients of rollouts, not by imitation.
     """
 
-    def __init__(
-        self,
-        environment: Environment,
-        policy: Policy,
-        starts: StartSampler,
-        settings: PpoPhase,
-        *,
-        solved: SolvableStates | None = None,
-        tasks: GoalSampler | None = None,
-        begin: float = 0.0,
-        seed: int = 0,
-        precision: str = "float32",
-        compiled: bool = False,
-        shards: ProcessGroup = ProcessGroup(),
-        folder: Path | str | None = None,
-        reward: Reward = environment_reward,
-    ) -> None:
-        """Begin with the weights that the policy has.
-
-        Args:
-            environment: rules and verdicts.
-            policy: trained in place.
-            starts: chooses start states.
-            settings: resolved, see `PpoPhase.resolved`.
-            solved: states known to be solvable, which grow by successes, and held-out states; none if None.
-            tasks: draws states with targets and valid actions, to imitate.
-            begin: progress of the whole training at which this phase begins.
-            seed: of starts, rollouts and batches.
-            precision: of the network.
-            compiled: compile the network for its updates.
-            shards: processes, each with its own rollouts, that average their gradients.
-            folder: for the batch of a step that is not finite.
-            reward: of each action.
-        """
+    def __init__(self, given: LearnerContext) -> None:
+        """Begin with the weights that the policy has."""
+        settings, shards = given.phase, given.shards
         super().__init__(
-            policy,
-            environment.generator(seed * 1009 + 700 + shards.rank),
-            seed,
+            given.policy,
+            given.environment.generator(given.seed * 1009 + 700 + shards.rank),
+            given.seed,
             shards,
             learning_rate=settings.learning_rate,
             weight_decay=settings.weight_decay,
             betas=settings.betas,
             epsilon=settings.epsilon,
-            folder=folder,
         )
         self.updates = 0
         """Collections learned from."""
         self.entropy_factor = 1.0
         """Of the weight of the entropy; above 1 where the entropy was below its floor."""
-        self.environment, self.sampler, self._settings = environment, starts, settings
-        self.solved = SolvableStates(environment.rules) if solved is None else solved
-        self._tasks, self._begin, self._reward = tasks, begin, reward
-        self.network = Network(policy, precision, compiled=compiled)
-        self._playing = Network(policy, precision)
+        self.environment, self.sampler, self.solved = given.environment, given.starts, given.solved
+        self._settings, self._tasks, self._begin, self._reward = settings, given.tasks, given.begin, given.reward
+        self.network = Network(given.policy, given.precision, compiled=given.compiled)
+        self._playing = Network(given.policy, given.precision)
         self._share = max(settings.batch // shards.size, 1)
         """Transitions per step of this process."""
 
@@ -175,31 +134,23 @@ class PPO(Learner):
         weight = torch.ones(rollouts, device=device) if batch.weight is None else batch.weight
         rate = self.learning_rate(progress)
         sums, surrogate = torch.zeros(6, device=device), torch.zeros(rollouts, device=device)
-        epochs = begun = 0
         taken = self.steps
         self.policy.train()
         for _ in range(settings.epochs):
             pieces = self.minibatches(count, most)
             imitated = self.demonstrations(transitions, len(pieces))
-            divergence = torch.zeros((), device=device)
             for (rows, counts), shown in zip(pieces, imitated, strict=True):
                 piece = learnable.take(rows)
                 weights = weight[piece.rollout] * counts
                 loss, total = self._loss(piece, weights, entropy[piece.rollout], shown)
-                self.optimizer.step(total, _named(piece), learning_rate=rate, average=settings.average)
+                self.optimizer.step(total, learning_rate=rate, average=settings.average)
                 surrogate.index_add_(0, piece.rollout, loss.surrogate.abs() * counts)
                 sums += torch.cat([total.detach()[None], loss.statistics])
-                divergence += loss.statistics[3]
-            epochs += 1
-            limit = settings.target_divergence * (self.steps - taken - begun) * self.shards.size
-            begun = self.steps - taken
-            if limit and summed([float(divergence)], self.shards, device)[0] > limit:
-                break  # all processes see the same sum
         self.optimizer.check()
         self.policy.eval()
         self.updates += 1
         seen = torch.bincount(learnable.rollout[:count], minlength=rollouts)
-        self.sampler.record(batch, transitions, surrogate / (epochs * seen).clamp(min=1), self.generator)
+        self.sampler.record(batch, transitions, surrogate / (settings.epochs * seen).clamp(min=1), self.generator)
         numbers = self._report(transitions, sums / max(self.steps - taken, 1))
         low = numbers["entropy"] < settings.entropy_floor * (1.0 - self._through(progress))
         factor = self.entropy_factor * (_ENTROPY_STEP if low else 1.0 / _ENTROPY_STEP)
@@ -258,59 +209,39 @@ class PPO(Learner):
         used = (torch.arange(number * size, device=device) < len(order)).float()
         return list(zip(rows.split(size), used.split(size), strict=True)) if number else []
 
-    def demonstrations(self, transitions: Transitions, steps: int) -> list[list[tuple[float, Demonstrations]]]:
-        """Draw the demonstrations for each of some steps, with their weight in the loss."""
-        settings, generator = self._settings, self.generator
-        shown: list[list[tuple[float, Demonstrations]]] = [[] for _ in range(steps)]
+    def demonstrations(self, transitions: Transitions, steps: int) -> list[Demonstrations | None]:
+        """Draw what is imitated in each of some steps; None where nothing is."""
         count = max(round(self._share * _IMITATED), 1)
-        if steps and settings.imitation and self._tasks is not None:
-            drawn = (column.split(count) for column in self._tasks.draw(steps * count, generator))
-            for one, columns in zip(shown, zip(*drawn, strict=True), strict=True):
-                one.append((settings.imitation, columns))
-        elif settings.imitation and transitions.targets is None and len(self.solved):
-            device = transitions.states.device
-            for one in shown:
-                rows = torch.randint(len(self.solved), (count,), generator=generator, device=device)
-                one.append((settings.imitation, (self.solved.states[rows], None, None)))
-        if steps and settings.hindsight and transitions.targets is not None:
-            failed = transitions.take((~transitions.success[transitions.rollout]).nonzero()[:, 0])
-            states, goals, actions = relabel(failed, steps * count, self.solved, generator)
-            valid = torch.zeros((len(states), transitions.mask.shape[1]), dtype=torch.bool, device=states.device)
-            valid.scatter_(1, actions[:, None], True)
-            for one, columns in zip(
-                shown, zip(*(all.tensor_split(steps) for all in (states, goals, valid)), strict=True), strict=True
-            ):
-                one.append((settings.hindsight, columns))
-        return shown
+        if steps and self._settings.imitation and self._tasks is not None:
+            drawn = (column.split(count) for column in self._tasks.draw(steps * count, self.generator))
+            return list(zip(*drawn, strict=True))
+        if self._settings.imitation and transitions.targets is None and len(self.solved):
+            size, device = (steps, count), transitions.states.device
+            rows = torch.randint(len(self.solved), size, generator=self.generator, device=device)
+            return [(self.solved.states[row], None, None) for row in rows]
+        return [None] * steps
 
     def _loss(
         self,
         batch: Transitions,
         weight: torch.Tensor,
         entropy_weight: torch.Tensor,
-        shown: list[tuple[float, Demonstrations]],
+        shown: Demonstrations | None,
     ) -> tuple[Loss, torch.Tensor]:
         """Compute the PPO loss, and the total with the imitation loss, in one call of the network."""
-        states = torch.cat([batch.states, *(one[0] for _, one in shown)])
-        targets = batch.targets
-        if targets is not None:
-            targets = torch.cat([targets, *(one[1] for _, one in shown if one[1] is not None)])
+        states, targets = batch.states, batch.targets
+        if shown is not None:
+            states = torch.cat([states, shown[0]])
+            targets = None if targets is None or shown[1] is None else torch.cat([targets, shown[1]])
         logits, value = self.network(states, targets)
-        sizes = [len(batch), *(len(one[0]) for _, one in shown)]
-        own, *others = logits.split(sizes)
-        loss = ppo_loss(
-            own,
-            value[: len(batch)],
-            batch,
-            weight=weight,
-            entropy_weight=entropy_weight,
-        )
-        total = loss.total
-        for (share, (known, goals, valid)), answer in zip(shown, others, strict=True):
-            mask = self.environment.rules.moves(known, goals)
-            valid = self.solved.valid_actions(known, mask) if valid is None else valid
-            total = total + share * imitation_loss(answer, mask, valid)
-        return loss, total
+        count = len(batch)
+        loss = ppo_loss(logits[:count], value[:count], batch, weight=weight, entropy_weight=entropy_weight)
+        if shown is None:
+            return loss, loss.total
+        known, goals, valid = shown
+        mask = self.environment.rules.moves(known, goals)
+        valid = self.solved.valid_actions(known, mask) if valid is None else valid
+        return loss, loss.total + self._settings.imitation * imitation_loss(logits[count:], mask, valid)
 
     def _report(self, transitions: Transitions, means: torch.Tensor) -> dict[str, float]:
         rollouts = transitions.success
@@ -320,10 +251,6 @@ class PPO(Learner):
         averages = {name: total / self.shards.size for name, total in zip(names, totals, strict=True)}
         played = {"rollout_success": success / max(count, 1.0), "rollout_return": returns / max(count, 1.0)}
         return {**played, "transitions": moves, **averages}
-
-
-def _named(batch: Transitions) -> dict[str, torch.Tensor]:
-    return {name: column for name, column in vars(batch).items() if column is not None}
 
 
 def _padding(batch: StartBatch, parts: int) -> Transitions:

@@ -15,10 +15,11 @@ from falsework.search.device.rules import TensorRules
 
 _FROM_DATA = 0.5
 """Share of rollouts that start where searches found states."""
-_FROM_FAILURES = 0.25
-"""Share that starts where a rollout failed lately; without goals, the others start at any solvable state."""
-_FROM_HINDSIGHT = 0.25
-"""With goals: share between two states of an earlier rollout."""
+_FROM_FAILURES, _WITH_GOALS = 0.25, 0.5
+"""Share that starts where a rollout failed lately, without and with goals: random actions solve half of the pairs that
+are drawn. Without goals, the others start at any solvable state."""
+_FROM_HINDSIGHT = 0.1
+"""With goals: share between two states of an earlier rollout; the others are drawn anew."""
 _REMEMBERED = 4
 """Failures and hindsight pairs that are kept, in collections."""
 _MEASURED = 4096
@@ -122,8 +123,8 @@ class MixedStarts:
 
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
         """See `StartSampler`."""
-        failures = round(count * _FROM_FAILURES) if len(self._failed.states) else 0
         goals = self._targets is not None
+        failures = round(count * (_WITH_GOALS if goals else _FROM_FAILURES)) if len(self._failed.states) else 0
         passed = round(count * _FROM_HINDSIGHT) if goals and len(self._passed.states) else 0
         anywhere = 0 if goals else count - round(count * (_FROM_DATA + _FROM_FAILURES))
         fresh = count - failures - passed - anywhere

@@ -55,12 +55,11 @@ class PpoPhase:
     """Start states of rollouts. `mixed`: states that searches found, recent failures, and hindsight goals or any state
     known to be solvable; `curriculum`: the curriculum of the paper; `complete`: the complete structure alone."""
     rollouts: int = 0
-    """Rollouts per collection, over all processes; 0: of `mixed` 16,384 on a GPU and 512 on a CPU, and on a GPU three
-    times as many with goals, whose rollouts are shorter: a collection takes as long as its longest; of others 4,096 and
-    512."""
+    """Rollouts per collection, over all processes; 0: 512 on a CPU; on a GPU 4,096, of `mixed` 2,048, or with one epoch
+    16,384, and three times that with goals, whose rollouts are shorter: a collection takes as long as its longest."""
     batch: int = 0
-    """Transitions per step of the optimizer, over all processes; 0: of `mixed` 8,192 on a GPU and 512 on a CPU, of
-    others 4,096 and 1,024."""
+    """Transitions per step of the optimizer, over all processes; 0: 4,096 on a GPU and 1,024 on a CPU; of `mixed` with
+    one epoch 8,192 and 512."""
     epochs: int = 1
     """Passes over a collection. One pass takes full batches only and ends with the block; several take every transition
     and always finish."""
@@ -91,11 +90,6 @@ class PpoPhase:
     searches, which moves in the direction of assembly find during the training."""
     imitation: float = 0.1
     """Weight of imitating states known to be solvable, or paths to goals, which preserves what imitation learned."""
-    hindsight: float = 0.0
-    """With goals: weight of imitating failed rollouts as successes at states that they passed. Pays where few pairs of
-    start and goal are known, and costs where thousands are (docs/decisions/learning-protocol.md)."""
-    target_divergence: float = 0.0
-    """Kullback-Leibler divergence from the old policy after which an update ends early; 0: never."""
     curriculum: CurriculumSettings = CurriculumSettings()
     """Of `starts="curriculum"`."""
 
@@ -116,15 +110,17 @@ class PpoPhase:
             )
         if not 0 <= self.average < 1:
             raise InputError(f"average is {self.average:g}; give 0 or more, and less than 1")
-        for name in ("weight_decay", "entropy", "entropy_floor", "imitation", "hindsight", "target_divergence"):
+        for name in ("weight_decay", "entropy", "entropy_floor", "imitation"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} is {getattr(self, name):g}; give 0 or more")
 
     def resolved(self, device: str, *, goal_conditioned: bool = False) -> PpoPhase:
         """Replace every 0 by the default for a kind of device, `cpu` or `cuda`."""
         gpu = device == "cuda"
-        if self.starts == "mixed":
+        if self.starts == "mixed" and self.epochs == 1:
             rollouts, batch = (49_152 if goal_conditioned else 16_384, 8_192) if gpu else (512, 512)
+        elif self.starts == "mixed":
+            rollouts, batch = (2_048, 4_096) if gpu else (512, 1_024)
         else:
             rollouts, batch = (4_096, 4_096) if gpu else (512, 1_024)
         return replace(
@@ -150,3 +146,6 @@ REINFORCEMENT = PpoPhase(
 )
 """Reinforcement learning from scratch: the curriculum of the paper (section 5.2), states that rollouts passed, and
 states far from the data."""
+
+FINE_TUNING = replace(REINFORCEMENT, starts="mixed", anywhere=0.0, explored=0.0, imitation=0.1)
+"""Reinforcement from the weights of another run: from states of the searches at all distances at once."""

@@ -11,11 +11,11 @@ from falsework.errors import InputError
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.import_path import is_import_path
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.ppo import REINFORCEMENT, PpoPhase
+from falsework.learn.config.ppo import FINE_TUNING, REINFORCEMENT, PpoPhase
 from falsework.utils.quantity import check_seed
 
 Phase = ImitationPhase | PpoPhase
-Method = Literal["default", "reinforcement"]
+Method = Literal["default", "reinforcement", "fine-tuning"]
 Data = Literal["wide", "width64"]
 Criterion = Literal["contact", "equilibrium"]
 """As `falsework.stability.verdict.Criterion`, which would load more than the command line needs to show its help."""
@@ -24,11 +24,15 @@ METHODS: dict[Method, tuple[Phase, ...]] = {
     # More imitation overfits the states of the searches, which makes the fine-tuning slower and worse.
     "default": (ImitationPhase(until=0.5, steps=1000), PpoPhase()),
     "reinforcement": (REINFORCEMENT,),
+    "fine-tuning": (FINE_TUNING,),
 }
 """Presets of `TrainSettings.phases` by the name that `falsework train --method` takes."""
 
 _EVALUATE_EVERY = 25.0
 """Seconds between two evaluations."""
+
+_FORMER = ("hindsight", "target_divergence")
+"""Settings of PPO in the files of earlier versions, which were off."""
 
 T = TypeVar("T")
 
@@ -57,7 +61,7 @@ class TrainSettings:
     widths: tuple[int, ...] = ()
     """Widths of the wider searches; none given: by the number of parts and the device."""
     pairs: int = 20_000
-    """Start-goal pairs in the training set of a goal-conditioned policy, drawn from its first search."""
+    """Start-goal pairs of the curriculum of a goal-conditioned policy; other starts are drawn anew."""
     minutes: float = 0.0
     """Total time, data included; 0: by the number of parts and the device."""
     steps: int = 0
@@ -205,4 +209,5 @@ def _read_phase(value: Any, name: str) -> Phase:
     algorithm = value.get("algorithm") if isinstance(value, Mapping) else None
     if algorithm not in ("imitation", "ppo"):
         raise InputError(f"{name} has a phase of the algorithm {algorithm!r}; choose imitation or ppo")
-    return from_dict(ImitationPhase if algorithm == "imitation" else PpoPhase, value)
+    known = {name: one for name, one in value.items() if name not in _FORMER}
+    return from_dict(ImitationPhase if algorithm == "imitation" else PpoPhase, known)

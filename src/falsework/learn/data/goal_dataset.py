@@ -58,8 +58,6 @@ class GoalDataSettings:
     """Width of the search that unseen pairs come from."""
     widths: tuple[int, ...] = ()
     """Widths of further searches to learn from."""
-    pairs: int = 20_000
-    """Pairs of the training set, drawn from the first graph."""
     test_pairs: int = 2_000
     """Unseen pairs at most."""
     seed: int = 0
@@ -69,8 +67,8 @@ class GoalDataSettings:
         for width in (self.train_width, self.test_width, *self.widths):
             if width < 1:
                 raise InputError(f"a search of width {width} finds nothing; give at least 1")
-        if self.pairs < 1 or self.test_pairs < 1:
-            raise InputError("pairs and test_pairs are counts; give at least 1")
+        if self.test_pairs < 1:
+            raise InputError("test_pairs is a count; give at least 1")
         check_seed(self.seed)
 
 
@@ -79,7 +77,7 @@ class GoalDataset:
     """Pairs of start and target of one structure; no start or target of a test pair is one of the training states."""
 
     train: Pairs
-    """From the search of the training width."""
+    """From the search of the training width, as many as test pairs at most; no others are learned from."""
     test: Pairs
     """Unseen: neither start nor target is in the training graph."""
     validation: Pairs
@@ -134,14 +132,14 @@ class SearchStates:
             enough: asked before each lot of further searches, in all processes alike, whether they and those after
                 them can be left out.
         """
-        first = []
+        # A search from the complete structure passes many states that a GPU leaves open, each a wait for the processor.
+        judge, first = without_fallback(oracle), []
         for number, width in enumerate((settings.train_width, settings.test_width)):
             if report is not None:
                 report(f"search {number + 1} of {2 + len(settings.widths)}, width {width}")
             seed, way = settings.seed + number, Direction.DISASSEMBLY
-            first.append(search_states(task, oracle, width, seed, device=device, shards=shards, direction=way)[0])
-        # States to test on are judged to the last one; of those to learn from a few may be missing.
-        judge, together = without_fallback(oracle), _TOGETHER if device.type == "cuda" else _FEW
+            first.append(search_states(task, judge, width, seed, device=device, shards=shards, direction=way)[0])
+        together = _TOGETHER if device.type == "cuda" else _FEW
         more, done, way = [first[0][:0]], 0, Direction.DISASSEMBLY
         while done < len(settings.widths) and not (enough is not None and enough()):
             width = settings.widths[done]
@@ -222,9 +220,9 @@ def build_goal_dataset(
     graph = StateGraph.from_states(task, searched.train, name=assembly.name)
     wider = StateGraph.from_states(task, searched.test, name=assembly.name)
     rng = np.random.default_rng(settings.seed)
-    train = PairSource(graph).draw(settings.pairs, rng)
+    train = PairSource(graph).draw(rng, settings.test_pairs)
     wanted = settings.test_pairs + -(-settings.test_pairs // _VALIDATION)
-    unseen = _unseen(wider, graph.states, wanted, TensorRules(task, where), asked, rng)
+    unseen = _unseen(wider, graph.states, wanted, TensorRules(task, where), without_fallback(asked), rng)
     count = min(settings.test_pairs, len(unseen) - len(unseen) // _VALIDATION)
     test = unseen[:count]
     validation = unseen[count:]
@@ -246,11 +244,11 @@ def _unseen(
     try:
         source = PairSource(wider, held_out=seen)
     except InputError:
-        return PairSource(wider).draw(1, rng)[:0]
+        return PairSource(wider).draw(rng, 1)[:0]
     kept: list[Pairs] = []
     known = VerdictTable(rules)
     for number in range(_ROUNDS):
-        drawn = source.one_for_each_end(rng)[: 2 * count]
+        drawn = source.draw(rng, 2 * count)
         kept.append(drawn[unsolved_at_random(drawn, rules, oracle, known, _RANDOM_TRIES, number)])
         pairs = joined_pairs(kept)
         both = np.concatenate([pairs.states, pairs.targets], axis=1)

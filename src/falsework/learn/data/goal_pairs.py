@@ -1,4 +1,4 @@
-"""Pairs of start and target with all actions that are known to lead from one to the other (paper, section 5.3).
+"""Pairs of start and target (paper, section 5.3).
 
 Any state on a stable path can serve as the target of that path, since the actions that led to it keep its parts. So a
 state graph searched in disassembly order contains a task for every pair of states that a path connects.
@@ -29,25 +29,23 @@ _TARGETS = 1024
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """States with targets and the actions that are known to lead there."""
+    """States with targets."""
 
     states: States
     """Shape (count, parts)."""
     targets: States
     """Shape (count, parts)."""
-    valid: Mask
-    """At least one a row, shape (count, 2 parts)."""
 
     def __len__(self) -> int:
         return len(self.states)
 
     def __getitem__(self, rows: slice | Mask | NDArray[np.intp]) -> Pairs:
         """Return some of the pairs."""
-        return Pairs(self.states[rows], self.targets[rows], self.valid[rows])
+        return Pairs(self.states[rows], self.targets[rows])
 
-    def tensors(self, device: torch.device) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return states, targets and valid actions on a device."""
-        return put(self.states, device), put(self.targets, device), put(self.valid, device)
+    def tensors(self, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return states and targets on a device."""
+        return put(self.states, device), put(self.targets, device)
 
 
 class PairSource:
@@ -70,9 +68,6 @@ class PairSource:
         if held_out is not None and len(held_out):
             self._allowed = StateIndex(np.unique(held_out, axis=0)).find(states) < 0
         self._levels = [edges for edges in graph.edges_by_level() if edges.stop > edges.start]
-        # Rows of `after` are the successors of each state; the last row, which holds no target, belongs to no state.
-        self.after = np.full((len(states), 2 * states.shape[1]), len(states), dtype=np.int32)
-        self.after[graph.source, graph.action] = graph.target
         has_way = np.zeros(len(states), dtype=bool)
         has_way[graph.target] = True
         self._ends = np.flatnonzero(self._allowed & has_way)
@@ -84,58 +79,44 @@ class PairSource:
         """States that can be targets, as rows of the graph."""
         return self._ends
 
-    def draw(self, count: int, rng: np.random.Generator) -> Pairs:
-        """Draw pairs: targets uniformly, and starts uniformly from those with a path to the target.
+    def draw(self, rng: np.random.Generator, count: int | None = None) -> Pairs:
+        """Draw one pair for every state that can be a target and has an allowed start, in random order.
 
         Args:
-            count: how many; fewer come back only if a target has no allowed start.
-            rng: source of randomness.
+            rng: source of randomness, of the order and of the start of each target.
+            count: pairs, at most; all if not given.
         """
-        per_target = max(1, count // _TARGETS)
-        pieces: list[Pairs] = []
-        missing = count
-        for _ in range(4 * (1 + count // (_TARGETS * per_target))):
-            if missing <= 0:
-                break
-            ends = rng.choice(self._ends, size=min(_TARGETS, -(-missing // per_target)))
-            pieces.append(self._pairs(ends, per_target, rng))
-            missing -= len(pieces[-1])
-        return joined_pairs(pieces, count)
-
-    def one_for_each_end(self, rng: np.random.Generator) -> Pairs:
-        """Draw one pair for every state that can be a target and has an allowed start, in random order."""
         ends = rng.permutation(self._ends)
-        pieces = [self._pairs(ends[begin : begin + _TARGETS], 1, rng) for begin in range(0, len(ends), _TARGETS)]
-        return joined_pairs(pieces, len(ends))
+        pieces: list[Pairs] = []
+        for begin in range(0, len(ends), _TARGETS):
+            if count is None or sum(map(len, pieces)) < count:
+                pieces.append(self._pairs(ends[begin : begin + _TARGETS], rng))
+        return joined_pairs(pieces)[: len(ends) if count is None else count]
 
-    def _pairs(self, ends: NDArray[np.intp], per_target: int, rng: np.random.Generator) -> Pairs:
-        graph = self.graph
+    def _pairs(self, ends: NDArray[np.intp], rng: np.random.Generator) -> Pairs:
         leads = self.leads_to(ends)
         chosen = []
         block = np.empty((0, 0), dtype=bool)
         for column, end in enumerate(ends):
             if column % _WORD == 0:
-                bits = leads[:-1, column // _WORD, None].view(np.uint8)
+                bits = leads[:, column // _WORD, None].view(np.uint8)
                 block = np.ascontiguousarray(np.unpackbits(bits, axis=1, bitorder="little").T).astype(bool)
             starts = block[column % _WORD] & self._allowed
             starts[end] = False
             rows = np.flatnonzero(starts)
             if len(rows):
-                chosen.append(np.stack([rng.choice(rows, size=per_target), np.full(per_target, column)]))
-        row, column = np.concatenate(chosen, axis=1) if chosen else np.empty((2, 0), dtype=np.intp)
-        word, bit = column // _WORD, (column % _WORD).astype(np.uint64)
-        after = self.after[row]
-        valid = (leads[after, word[:, None]] >> bit[:, None]) & np.uint64(1)
-        return Pairs(graph.states[row], graph.states[ends[column]], valid.astype(bool))
+                chosen.append((rng.choice(rows), end))
+        found = np.array(chosen, dtype=np.intp).reshape(-1, 2)
+        return Pairs(self.graph.states[found[:, 0]], self.graph.states[found[:, 1]])
 
     def leads_to(self, ends: NDArray[np.intp]) -> NDArray[np.uint64]:
         """Return the ends that each state leads to: bit `k` of a row is set if a path leads to `ends[k]`.
 
         Returns:
-            Shape (states + 1, words); the last row is empty.
+            Shape (states, words).
         """
         words = -(-len(ends) // _WORD)
-        leads = np.zeros((len(self.graph) + 1, words), dtype=np.uint64)
+        leads = np.zeros((len(self.graph), words), dtype=np.uint64)
         place = np.arange(len(ends))
         bits = np.uint64(1) << (place % _WORD).astype(np.uint64)
         np.bitwise_or.at(leads, (ends, place // _WORD), bits)
@@ -155,17 +136,20 @@ def unsolved_at_random(
         rules: of disassembly, on the device where verdicts are computed.
         oracle: verdicts.
         known: verdicts that earlier calls learned; this one adds its own.
-        tries: rollouts of each pair, at most; the first that succeeds is the last.
+        tries: rollouts of each pair; one, and the others together if it fails.
         seed: of the actions.
 
     Returns:
         Shape (pairs,).
     """
     generator = torch.Generator(rules.device).manual_seed(seed)
-    starts, targets, _ = pairs.tensors(rules.device)
+    starts, targets = pairs.tensors(rules.device)
     left = torch.arange(len(pairs), device=rules.device)
-    for _ in range(tries):
-        left = left[~_solved_at_random(starts[left], targets[left], rules, oracle, known, generator)]
+    # Most pairs are solved early or never, and a GPU takes as long for many rollouts as for one.
+    for repeated in (1, tries - 1):
+        rows = left.repeat(repeated)
+        solved = _solved_at_random(starts[rows], targets[rows], rules, oracle, known, generator)
+        left = left[~solved.view(repeated, len(left)).any(dim=0)]
     unsolved = np.zeros(len(pairs), dtype=bool)
     unsolved[left.cpu().numpy()] = True
     return unsolved
@@ -203,8 +187,6 @@ def _solved_at_random(
     return solved
 
 
-def joined_pairs(pieces: list[Pairs], count: int | None = None) -> Pairs:
-    """Concatenate pairs, all of them or the first `count`."""
-    columns = ([getattr(piece, name) for piece in pieces] for name in ("states", "targets", "valid"))
-    whole = Pairs(*(np.concatenate(column) for column in columns))
-    return whole if count is None else whole[:count]
+def joined_pairs(pieces: list[Pairs]) -> Pairs:
+    """Concatenate pairs."""
+    return Pairs(*(np.concatenate([getattr(piece, name) for piece in pieces]) for name in ("states", "targets")))

@@ -21,7 +21,7 @@ def symmetric_images(states: States, images: NDArray[np.intp]) -> States:
 
     Args:
         states: shape (count, parts).
-        images: as of `falsework.assembly.symmetry.symmetries`, shape (symmetries, parts).
+        images: as of `falsework.learn.data.symmetry.symmetries`, shape (symmetries, parts).
 
     Returns:
         Shape (images, parts).
@@ -38,7 +38,7 @@ def turned_states(states: torch.Tensor, images: NDArray[np.intp], most: int) -> 
 
     Args:
         states: shape (count, parts).
-        images: as of `falsework.assembly.symmetry.symmetries`, the first of which changes nothing, shape
+        images: as of `falsework.learn.data.symmetry.symmetries`, the first of which changes nothing, shape
             (symmetries, parts).
         most: number of states.
 
@@ -63,7 +63,7 @@ class SymmetryAugmentation:
 
         Args:
             tasks: sampler whose tasks are transformed.
-            images: as of `falsework.assembly.symmetry.symmetries`, shape (symmetries, parts).
+            images: as of `falsework.learn.data.symmetry.symmetries`, shape (symmetries, parts).
             device: where tasks are drawn.
             held_out: states that no task may begin or end with; a task that would is left unchanged. Shape (count,
                 parts).

@@ -32,7 +32,8 @@ class Network(torch.nn.Module):
         self._call = (call,)
 
     def forward(self, states: torch.Tensor, targets: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
-        """See `Policy`; both results in float32."""
+        """See `Policy`; both results in float32. A policy without goals is not told of targets."""
+        targets = targets if self.goal_conditioned else None
         with torch.autocast(states.device.type, torch.bfloat16) if self._half else nullcontext():
             logits, value = self._call[0](states, targets)
         return logits.float(), value.float()

@@ -10,6 +10,7 @@ from falsework.learn.algorithms.curriculum import Curriculum
 from falsework.learn.algorithms.exploration import Exploration
 from falsework.learn.algorithms.imitation import Imitation
 from falsework.learn.algorithms.learner import Learner
+from falsework.learn.algorithms.learner_context import LearnerContext
 from falsework.learn.algorithms.ppo import PPO
 from falsework.learn.algorithms.start_states import MixedStarts, StartSampler
 from falsework.learn.config.imitation import ImitationPhase
@@ -17,7 +18,6 @@ from falsework.learn.config.train import Phase
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.policy import Policy
-from falsework.learn.training.learner_context import LearnerContext
 from falsework.learn.training.plugins import Plugins
 from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.training_data import TrainingData
@@ -65,7 +65,6 @@ def learner_of(
             precision=settings.precision,
             compiled=compiled,
             shards=run.shards,
-            folder=run.folder,
         )
     rules, starts, targets = environment.rules, data.starts, data.targets
     if phase.starts == "mixed":
@@ -94,11 +93,8 @@ def learner_of(
         settings.precision,
         compiled,
         run.shards,
-        run.folder,
     )
-    if plugins.learner is None:
-        return PPO(environment, policy, sampler, phase, **context.options)
-    learner = plugins.learner(context)
+    learner = (plugins.learner or PPO)(context)
     if not isinstance(learner, Learner):
         raise InputError(f"{settings.learner} gives no falsework.learn.Learner; derive its class from that")
     return learner

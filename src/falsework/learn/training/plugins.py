@@ -8,12 +8,12 @@ from typing import Any
 
 from falsework.errors import InputError
 from falsework.learn.algorithms.learner import Learner
+from falsework.learn.algorithms.learner_context import LearnerContext
 from falsework.learn.algorithms.reward import Reward, environment_reward
 from falsework.learn.config.import_path import import_by_path, import_path_of
 from falsework.learn.config.train import TrainSettings
 from falsework.learn.networks.custom_policy import PolicyOrClass, settings_of_custom
 from falsework.learn.training.iteration import Callback
-from falsework.learn.training.learner_context import LearnerContext
 
 LearnerMaker = Callable[[LearnerContext], Learner]
 """Function, or class, that makes the learner in place of PPO."""

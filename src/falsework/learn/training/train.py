@@ -20,8 +20,11 @@ from falsework.errors import InputError
 from falsework.learn.algorithms.reward import Reward, environment_reward
 from falsework.learn.config.train import TrainSettings
 from falsework.learn.data.dataset import Dataset
+from falsework.learn.data.goal_dataset import SearchStates
 from falsework.learn.networks.custom_policy import PolicyOrClass
-from falsework.learn.training.checkpoint import FILE, check_structure, read_run, settings_of
+from falsework.learn.networks.factory import transfer
+from falsework.learn.networks.policy import Policy
+from falsework.learn.training.checkpoint import FILE, check_structure, load_policy, read_run, run_folder, settings_of
 from falsework.learn.training.iteration import Callback
 from falsework.learn.training.logger import check_logs
 from falsework.learn.training.plugins import LearnerMaker, Plugins
@@ -41,6 +44,7 @@ def train(
     *,
     folder: Path | str | None,
     policy: PolicyOrClass | None = None,
+    begin: Path | str | None = None,
     reward: Reward = environment_reward,
     learner: LearnerMaker | None = None,
     callbacks: Sequence[Callback] = (),
@@ -49,7 +53,7 @@ def train(
     resume: bool = False,
     logs: Sequence[str] = ("tensorboard",),
     report: Report | None = None,
-    dataset: Dataset | None = None,
+    dataset: Dataset | SearchStates | None = None,
 ) -> TrainResult:
     """Train a policy for one structure, and write a run that `load_run` reads.
 
@@ -62,6 +66,9 @@ def train(
         policy: a network of your own in place of that of the settings: a module, whose weights are copied, or a class,
             called with the assembly, as `falsework.learn.networks.custom_policy` describes it. A resumed run that
             cannot import it needs it again; so with the reward and the learner.
+        begin: folder of a run whose weights come in place of random ones, and whose network in place of that of the
+            settings: of this structure, of another one if its network knows parts by their geometry, or of a policy for
+            any structure. Choose phases without imitation, such as `METHODS["fine-tuning"]`.
         reward: of each action, for PPO. Weights are chosen by success on the validation set all the same.
         learner: makes the learner in place of PPO.
         callbacks: called after each iteration; one that returns True ends the training.
@@ -70,12 +77,13 @@ def train(
         resume: continue the run in the folder.
         logs: `tensorboard` and `wandb`.
         report: called with progress messages; notebooks show them if not given.
-        dataset: states to learn from and to test on, in place of those that searches would find.
+        dataset: states to learn from and to test on, in place of those that searches would find; of a policy with goals
+            `SearchStates`.
 
     Raises:
         DependencyError: a package is missing that the device or a log needs.
-        InputError: no such device, a folder that holds another run, nothing to resume, no room to write, or a policy,
-            reward or learner that breaks its protocol.
+        InputError: no such device, a folder that holds another run, nothing to resume, no room to write, a policy,
+            reward or learner that breaks its protocol, or weights to begin with that do not fit.
     """
     if source is None and isinstance(assembly, (str, Path)) and not means_built_in(assembly):
         source = {"path": str(Path(assembly).resolve())}
@@ -83,6 +91,10 @@ def train(
     check_logs(logs)
     plugins = Plugins(policy, reward, learner, tuple(callbacks))
     settings = plugins.named_in(settings)
+    first = None
+    if begin is not None and not resume:
+        first = _first_policy(Path(begin), assembly, settings)
+        settings = replace(settings, policy=first.settings)
     with init_distributed(device) as (shards, where):
         place = None if folder is None else Path(folder)
         begun = time.perf_counter()
@@ -93,9 +105,27 @@ def train(
             summed([1.0], shards, where)
             with _repeatable(kept), _threads(kept, where):
                 origin = dict(source or {"built_in": assembly.name})
-                trainer = Trainer(assembly, kept, place, origin, where, shards, plugins)
+                trainer = Trainer(assembly, kept, place, origin, where, shards, plugins, begin=first)
                 trainer.report = report or notebook_progress("training") or trainer.report
                 return trainer.run(begun, resume=resume, logs=logs, dataset=dataset)
+
+
+def _first_policy(folder: Path, assembly: Assembly, settings: TrainSettings) -> Policy:
+    """Return the policy of a run for a structure, to begin a training with.
+
+    Raises:
+        InputError: no run, one of a policy of users or with other goals, or a network that numbers the parts of another
+            structure.
+    """
+    metadata = read_run(run_folder(folder))
+    trained = settings_of(metadata).policy
+    if trained.custom or settings.policy.custom:
+        raise InputError("a training begins with the weights of a network of this package; hand yours over as policy")
+    if trained.goal_conditioned != settings.policy.goal_conditioned:
+        raise InputError(f"{folder} and this training differ on goals; choose another run to begin with")
+    if metadata["structure"] is None or metadata["structure"]["identity"] == assembly.identity:
+        return load_policy(folder, assembly=assembly)
+    return transfer(load_policy(folder).state_dict(), trained, assembly)
 
 
 @contextmanager

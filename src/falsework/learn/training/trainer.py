@@ -20,11 +20,13 @@ from falsework.learn.algorithms.learner import Learner
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.train import TrainSettings, to_dict
 from falsework.learn.data.dataset import Dataset
+from falsework.learn.data.goal_dataset import SearchStates
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.custom_policy import why_not_again
 from falsework.learn.networks.factory import describe, make_policy
+from falsework.learn.networks.policy import Policy
 from falsework.learn.training.budget import TrainingBudget
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, save_run, write_run
 from falsework.learn.training.evaluate import Sets, Success, greedy_success, throughput
@@ -65,6 +67,7 @@ class Trainer:
         device: torch.device,
         shards: ProcessGroup,
         plugins: Plugins = Plugins(),
+        begin: Policy | None = None,
     ) -> None:
         self.plugins = plugins
         self.assembly, self.settings, self.folder = assembly, settings, folder
@@ -101,6 +104,10 @@ class Trainer:
         )
         self.solved = SolvableStates(self.environment.rules)
         self.policy = make_policy(assembly, settings.policy, device, settings.seed, given=plugins.policy)
+        if begin is not None:
+            self.policy.load_state_dict(begin.state_dict())
+        if not settings.policy.custom:
+            self.policy.of_task(settings.robots, equilibrium=settings.criterion == "equilibrium")
         self.exported = deepcopy(self.policy)
         """Weights that are evaluated, and in the end saved."""
         same_weights(self.policy, shards)
@@ -114,7 +121,9 @@ class Trainer:
         if lost:
             self.notes.append(f"load_run will need the policy handed over: {lost}")
 
-    def run(self, begun: float, *, resume: bool, logs: Sequence[str], dataset: Dataset | None) -> TrainResult:
+    def run(
+        self, begun: float, *, resume: bool, logs: Sequence[str], dataset: Dataset | SearchStates | None
+    ) -> TrainResult:
         """Collect data, train in blocks, and return the result."""
         self.budget.before = time.perf_counter() - begun
         saved = None
@@ -161,7 +170,7 @@ class Trainer:
         success = {name: Success(0, 0) for name in (*self.data.curve, *self.data.test)}
         numbers: dict[str, float] = {}
         blocks = interrupted = 0
-        here = time.perf_counter()
+        here, prepared = time.perf_counter(), self.budget.seconds
         lines = ProgressLines(journal, self.environment, self.budget)
         while not self._over():
             if self.budget.stop_requested():
@@ -190,8 +199,8 @@ class Trainer:
             self._log(journal, numbers, success)
         if not self.steps and not self._ended:
             self.notes.append(
-                f"nothing was trained: the search for data took {self.data_seconds:.0f} s of "
-                f"{60 * settings.minutes:.0f}; give more minutes"
+                f"nothing was trained: the start took {prepared:.1f} s, the search for data "
+                f"{self.data_seconds:.1f} s of them, and the run has {60 * settings.minutes:.3g} s; give more minutes"
             )
         self._best.write(self.exported)
         success |= self.succeeded({"train": self.data.curve["train"], **self.data.test})
@@ -270,14 +279,15 @@ class Trainer:
         return following
 
     def _evaluate(self, learner: Learner, sets: Sets) -> dict[str, Success]:
-        """Measure the present weights."""
+        """Measure the present weights; states that the GPU leaves open count as failures, as in training."""
         learner.export_policy(self.exported)
-        return self.succeeded(sets)
+        return self.succeeded(sets, exact=False)
 
-    def succeeded(self, sets: Sets) -> dict[str, Success]:
+    def succeeded(self, sets: Sets, *, exact: bool = True) -> dict[str, Success]:
         """Measure the weights that were exported last."""
         success = {}
         self._record_visits(False)
+        self.environment.exact = exact
         for name, (states, targets) in sets.items():
             goals = None if targets is None else put(targets, self.device)
             success[name], _ = greedy_success(

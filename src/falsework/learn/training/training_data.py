@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from falsework.assembly.symmetry import symmetries
 from falsework.errors import InputError
 from falsework.learn.config.train import TrainSettings
 from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, load_dataset, save_dataset
 from falsework.learn.data.goal_dataset import GoalDataset, GoalDataSettings, SearchStates, build_goal_dataset
 from falsework.learn.data.goal_pairs import Pairs
 from falsework.learn.data.random_walks import GoalSampler, RandomWalkGoals
+from falsework.learn.data.symmetry import symmetries
 from falsework.learn.data.symmetry_augmentation import SymmetryAugmentation, symmetric_images, turned_states
 from falsework.learn.training.checkpoint import DATA, SEARCHED
 from falsework.learn.training.evaluate import Sets, sample
@@ -53,7 +53,7 @@ def collect_training_data(
     run: RunContext,
     *,
     kept: bool = False,
-    dataset: Dataset | None = None,
+    dataset: Dataset | SearchStates | None = None,
     enough: Callable[[], bool] | None = None,
 ) -> TrainingData:
     """Search for states, or read those that an earlier session found.
@@ -61,7 +61,7 @@ def collect_training_data(
     Args:
         run: training run; states are kept in its folder.
         kept: read them if they are there.
-        dataset: states to use instead.
+        dataset: states to use instead; those of goals are `SearchStates`.
         enough: called between searches for goals; true if no time is left for more, alike in all processes.
 
     Raises:
@@ -74,6 +74,8 @@ def collect_training_data(
         path = None if run.folder is None else run.folder / SEARCHED
         if kept and path is not None and path.exists():
             searched = SearchStates.load(path, run.task)
+        elif isinstance(dataset, SearchStates):
+            searched = dataset
         else:
             searches = _target_searches(settings)
             searched = SearchStates.find(
@@ -103,7 +105,7 @@ def collect_training_data(
         data, fresh = load_dataset(path, assembly), False
     else:
         data, fresh = dataset, True
-        if data is None:
+        if not isinstance(data, Dataset):
             searches = DataSettings(widths=_widths(settings))
             data = build_dataset(
                 assembly,
@@ -154,7 +156,7 @@ def find_pairs(run: RunContext, searched: SearchStates | None = None) -> GoalDat
 
 
 def _target_searches(settings: TrainSettings) -> GoalDataSettings:
-    return GoalDataSettings(widths=_widths(settings), pairs=settings.pairs)
+    return GoalDataSettings(widths=_widths(settings))
 
 
 def _keep(run: RunContext, path: Path | None, save: Callable[[Path], None]) -> None:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import CellError, DependencyError, InputError
 from falsework.robots.cells.cell_model import (
@@ -30,8 +29,7 @@ from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.cells.validate import check_cell
 from falsework.robots.model.cell import Cell, Gripper, Margins, Obstacle, Placement
 from falsework.robots.model.shapes import block, cylinder, move
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 AnyCell = Cell | str | Path
 """Cell as it is, or what `load_cell` takes."""
@@ -61,18 +59,10 @@ def load_cell(name: str | Path, *, check: bool = True) -> Cell:
 
 
 def load_faulty_cell(name: str | Path) -> tuple[Cell | None, list[str]]:
-    """Read as much of a cell as can be read, to show it while it is still wrong.
+    """Read as much of a cell as can be read, to show it while it is still wrong; None without any robot.
 
-    A robot, gripper or obstacle with a fault is left out; a home with a fault is that of the arm.
-
-    Args:
-        name: as for `load_cell`.
-
-    Returns:
-        The cell, None if it has no robot that can be read, and the faults, each one line.
-
-    Raises:
-        DependencyError: as `load_cell`.
+    The faults are returned too, each one line. A robot, gripper or obstacle with a fault is left out; a home with a
+    fault is that of the arm.
     """
     faults: list[str] = []
     cell: Cell | None = None
@@ -112,12 +102,7 @@ def _noted(faults: list[str] | None) -> Iterator[None]:
 
 
 def as_cell(cell: AnyCell) -> Cell:
-    """Return a cell that is given as it is, or read it by its name or file.
-
-    Raises:
-        InputError: something else.
-        CellError: as `load_cell`.
-    """
+    """Return a cell as it is, or read it by its name or file; InputError for something else."""
     if isinstance(cell, Cell):
         return cell
     if isinstance(cell, (str, Path)):
@@ -126,16 +111,9 @@ def as_cell(cell: AnyCell) -> Cell:
 
 
 def parse_cell(text: str, source: str, folder: Path, *, faults: list[str] | None = None) -> Cell:
-    """Return a cell from the text of a TOML file.
+    """Return a cell from the text of a TOML file; `source` is its name in messages.
 
-    Args:
-        text: TOML.
-        source: name of the text in messages.
-        folder: folder that relative paths start from.
-        faults: takes errors of single entries, which are then left out; None raises the first one.
-
-    Raises:
-        CellError: as `load_cell`.
+    `faults` takes errors of single entries, which are then left out; None raises the first one, as `load_cell` does.
     """
     place, data = Place(source), _toml(source, text)
     if (form := data.get("format", FORMAT)) != FORMAT:
@@ -219,11 +197,7 @@ def _gripper(name: str, values: Any, place: Place) -> Gripper:
 
 
 def _inertia(given: list[float], place: Place) -> Array:
-    """Return the inertia of a gripper about its centre of mass, shape (3, 3).
-
-    Raises:
-        CellError: other than three or six numbers, or moments of inertia that no body has.
-    """
+    """Return the inertia of a gripper about its centre of mass, shape (3, 3); CellError for one that no body has."""
     if len(given) not in (3, 6):
         raise place.fail("inertia", f"has {len(given)} numbers; give 3 or 6")
     xx, yy, zz, xy, xz, yz = [*given, 0.0, 0.0, 0.0][:6]

@@ -7,14 +7,13 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
 from falsework.errors import CellError
 from falsework.robots.model.cell import Margins, Signals
 from falsework.robots.model.shapes import pose
+from falsework.utils.arrays import Array
 from falsework.utils.models import FileModel, model_schema, read_model
 
-Array = NDArray[np.float64]
 Kind = TypeVar("Kind")
 
 FORMAT = "falsework.cell/1"
@@ -213,20 +212,12 @@ class Place:
         return CellError(f"{self.source}: {self.name(key)} {problem}")
 
     def read(self, kind: type[Kind], values: Any) -> Kind:
-        """Return plain values as a model.
-
-        Raises:
-            CellError: a key that is missing, unknown or wrong.
-        """
+        """Return plain values as a model; CellError for a key that is missing, unknown or wrong."""
         return read_model(kind, values, f"{self.source}: ", CellError, self.where)
 
 
 def pose_of(entry: PoseEntry, place: Place) -> Array:
-    """Return the pose of an entry, shape (4, 4).
-
-    Raises:
-        CellError: yaw beside roll, pitch and yaw.
-    """
+    """Return the pose of an entry, shape (4, 4); CellError if it has yaw beside roll, pitch and yaw."""
     if entry.yaw is not None and entry.rpy is not None:
         raise place.fail("yaw", "is given beside rpy; give one of them")
     made = np.array(pose(entry.position or (0.0, 0.0, 0.0)))

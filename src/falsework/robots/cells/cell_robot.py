@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import CellError
 from falsework.robots.cells.cell_model import Place, RobotEntry, pose_of
@@ -18,8 +17,8 @@ from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
 from falsework.robots.model.cell import CellRobot, Gripper, Signals
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
-
-Array = NDArray[np.float64]
+from falsework.robots.model.shapes import looking_down
+from falsework.utils.arrays import Array
 
 PLACE_TURNS = 8
 """Rotations about the vertical in which a part may be put down at a drop-off pose."""
@@ -28,18 +27,9 @@ PLACE_TURNS = 8
 def read_robot(
     values: Any, place: Place, grippers: dict[str, Gripper], folder: Path, faults: list[str] | None = None
 ) -> CellRobot:
-    """Return a robot from its entry in a cell file.
+    """Return a robot from its entry in a cell file; errors as of `load_cell`.
 
-    Args:
-        values: the entry.
-        place: of the entry, for messages.
-        grippers: grippers of the cell by name.
-        folder: folder that relative paths start from.
-        faults: takes an error of the home, which is then that of the arm; None raises it.
-
-    Raises:
-        CellError: a key that is missing, unknown or wrong.
-        DependencyError: the arm is a URDF file and yourdfpy is missing.
+    `faults` takes an error of the home, which is then that of the arm; None raises it.
     """
     entry = place.read(RobotEntry, values)
     model = _model(entry, place, folder)
@@ -67,7 +57,7 @@ def read_robot(
             raise
         faults.append(f"{error} (robot {entry.name} is shown in another one)")
     turns = [2 * np.pi * turn / PLACE_TURNS for turn in range(PLACE_TURNS)]
-    places = [base @ _down(np.array(put.position), turn) for put in entry.places for turn in turns]
+    places = [base @ looking_down(put.position, turn) for put in entry.places for turn in turns]
     given = entry.signals
     signals = Signals(grip=given.grip, closed=bool(given.closed), seconds=given.seconds, address=given.address)
     gripper = grippers[entry.gripper]
@@ -79,7 +69,7 @@ def _model(entry: RobotEntry, place: Place, folder: Path) -> RobotModel:
     name = entry.model
     srdf, limits = (None if given is None else str(folder / given) for given in (entry.srdf, entry.joint_limits))
     if name in BUILTIN:
-        return _builtin(name)
+        return builtin_robot(name)
     if not name.lower().endswith((".urdf", ".xml")):
         known = ", ".join(sorted(BUILTIN))
         raise place.fail("model", f"is {name!r}; give the path of a URDF file or one of {known}")
@@ -88,11 +78,6 @@ def _model(entry: RobotEntry, place: Place, folder: Path) -> RobotModel:
         return _from_file(str(folder / name), entry.base_link, entry.tip_link, srdf, limits, changed)
     except CellError as error:
         raise CellError(f"{place.source}: {place.name('model')}: {error}") from error
-
-
-@lru_cache(maxsize=16)
-def _builtin(name: str) -> RobotModel:
-    return builtin_robot(name)
 
 
 @lru_cache(maxsize=16)
@@ -114,11 +99,7 @@ def _changed(urdf: Path, srdf: str | None, joint_limits: str | None) -> tuple[in
 
 
 def _joint_values(given: list[float], place: Place, key: str, model: RobotModel) -> Array:
-    """Return a number for each joint of an arm, shape (joints,).
-
-    Raises:
-        CellError: another number of values; the message has the names of the joints.
-    """
+    """Return a number for each joint of an arm, shape (joints,); the CellError for another number names the joints."""
     if len(given) == model.joints:
         return np.array(given)
     changes = f"; its arm ends at link {model.link_names[-1]}, which tip_link changes"
@@ -135,10 +116,7 @@ def _units(model: RobotModel) -> Array:
 
 
 def _home(given: list[float] | dict[str, float] | str | None, place: Place, model: RobotModel) -> Array:
-    """Return the home joint values: a list or a table by joint, degrees, or the name of a state of the SRDF.
-
-    By default those of the model.
-    """
+    """Return the home joint values: a list or a table by joint, degrees, a state of the SRDF, or those of the model."""
     units, states = _units(model), dict(model.group_states)
     if given is None:
         return model.home
@@ -168,11 +146,3 @@ def _home(given: list[float] | dict[str, float] | str | None, place: Place, mode
             f"{high:.4g}",
         )
     return np.array(values)
-
-
-def _down(position: Array, turn: float) -> Array:
-    """Return a tool frame whose z points down, rotated about the vertical."""
-    made = np.eye(4)
-    made[:3, :3] = [[np.cos(turn), np.sin(turn), 0], [np.sin(turn), -np.cos(turn), 0], [0, 0, -1]]
-    made[:3, 3] = position
-    return made

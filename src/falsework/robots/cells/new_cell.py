@@ -6,25 +6,23 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.errors import CellError
 from falsework.robots.cells.cell_file import FORMAT, parse_cell
-from falsework.robots.cells.home import has_home, home_faults, home_text, with_homes
 from falsework.robots.cells.urdf_review import CellWarning
-from falsework.robots.cells.validate import no_parts
+from falsework.robots.cells.validate import has_home, home_faults, home_text, no_parts, with_homes
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.builtin_robots import BUILTIN
-from falsework.robots.model.cell import Cell, CellRobot
-from falsework.robots.model.maker import maker_of
+from falsework.robots.model.cell import Cell, CellRobot, maker_of
 from falsework.robots.model.part_shapes import PartShapes, place_parts
+from falsework.robots.model.shapes import looking_down
 
-Array = NDArray[np.float64]
 GripperKind = Literal["suction", "jaw"]
 
 DISTANCE = 0.62
@@ -33,38 +31,6 @@ CLEAR = 0.2
 """Distance of a base from the structure, and width that it needs, as shares of the longest reach."""
 _PLACES = (0.50, 0.42, 0.34, 0.26)
 """Distances of places beside an arm that are tried, as shares of its reach."""
-_GRIPPERS = {
-    "suction": """[grippers.cup]                      # measure yours
-kind = "suction"
-payload = 5.0
-mass = 1.0
-# center_of_mass = [0.0, 0.0, 0.05] # of the gripper, in the frame of the flange; programs need it
-# inertia = [0.001, 0.001, 0.0005]  # about that point
-cup = 0.02                          # radius
-# force = 60.0                      # largest force on a held part
-tool = { position = [0.0, 0.0, 0.12] }
-shapes = [
-    { cylinder = { radius = 0.03, low = 0.0, high = 0.05 } },
-    { cylinder = { radius = 0.018, low = 0.05, high = 0.119 } },
-]
-""",
-    "jaw": """[grippers.jaw]                      # measure yours
-kind = "jaw"
-payload = 3.0
-mass = 1.0
-# center_of_mass = [0.0, 0.0, 0.05] # of the gripper, in the frame of the flange; programs need it
-# inertia = [0.001, 0.001, 0.0005]  # about that point
-opening = 0.08                      # largest
-depth = 0.03                        # length of the jaws that touches a part
-# force = 60.0                      # largest force on a held part
-tool = { position = [0.0, 0.0, 0.14] }
-shapes = [
-    { box = { low = [-0.06, -0.03, 0.0], high = [0.06, 0.03, 0.09] } },
-    { box = { low = [0.041, -0.01, 0.09], high = [0.055, 0.01, 0.139] } },
-    { box = { low = [-0.055, -0.01, 0.09], high = [-0.041, 0.01, 0.139] } },
-]
-""",
-}
 
 
 @dataclass(frozen=True)
@@ -79,13 +45,9 @@ class Arm:
 def new_cell(
     arms: Sequence[Arm], folder: Path, *, gripper: GripperKind = "suction", assembly: Assembly | None = None
 ) -> str:
-    """Return the text of a cell file with some arms.
+    """Return the text of a cell file with some arms, evenly spaced around the structure, whose middle they face.
 
-    Args:
-        arms: the arms; their bases are evenly spaced around the structure, and face its middle.
-        folder: folder of the file to be.
-        gripper: kind of the gripper of all arms.
-        assembly: the structure; bases and homes are clear of it. Without it the origin is in the middle.
+    Bases and homes are clear of the structure; without one the origin is in the middle.
 
     Raises:
         CellError: no arms, two of the same name, or one that cannot be read.
@@ -132,6 +94,7 @@ def _text(
     cell: Cell | None = None,
 ) -> str:
     names = [arm.name for arm in arms]
+    grippers = files("falsework.robots.cells").joinpath("new_grippers.txt").read_text(encoding="utf-8")
     lines = [
         "# Lengths in metres, angles in degrees, masses in kilograms. Look at it while you edit: falsework view",
         f'format = "{FORMAT}"',
@@ -143,7 +106,7 @@ def _text(
         "position = [0.0, 0.0, 0.0]",
         "scale = 1.0",
         "",
-        _GRIPPERS[gripper],
+        grippers.split("\n\n")[gripper == "jaw"].rstrip("\n") + "\n",
     ]
     for number, (arm, (x, y, yaw)) in enumerate(zip(arms, bases, strict=True)):
         lines += [
@@ -191,9 +154,7 @@ def _places(robot: CellRobot) -> list[tuple[float, float, float]]:
     for side in (-1.0, 1.0):
         for share in _PLACES:
             at = (0.1 * robot.model.reach, side * share * robot.model.reach, 0.3 * robot.model.reach)
-            down = np.diag([1.0, -1.0, -1.0, 1.0])
-            down[:3, 3] = at
-            if len(inverse(robot, (robot.base @ down)[None])[0]):
+            if len(inverse(robot, (robot.base @ looking_down(at))[None])[0]):
                 found.append(at)
                 break
     return found

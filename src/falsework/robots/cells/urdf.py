@@ -13,12 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import CellError, DependencyError
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.robots.cells.joint_limits import JointLimits, read_joint_limits
-from falsework.robots.cells.srdf import excluded_pairs, group_states, read_srdf
+from falsework.robots.cells.moveit_files import JointLimits, excluded_pairs, group_states, read_joint_limits, read_srdf
 from falsework.robots.cells.urdf_meshes import collision_shapes
 from falsework.robots.cells.urdf_review import (
     CellWarning,
@@ -33,12 +31,10 @@ from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain, make
 from falsework.robots.kernels.rrt_connect import check_many
 from falsework.robots.model.cell import CellRobot, Gripper
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
-from falsework.robots.model.shapes import move
-from falsework.robots.model.simplify import outer_hull
+from falsework.robots.model.shapes import move, outer_hull
+from falsework.utils.arrays import Array
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.xml_text import read_xml_text
-
-Array = NDArray[np.float64]
 
 COLLISION_SAMPLES = 1000
 """Random configurations in which pairs of links are tested where no SRDF lists the pairs to ignore."""
@@ -234,12 +230,7 @@ def always_touching(model: RobotModel) -> set[tuple[int, int]]:
 
 
 def parse_urdf(file: Path) -> Any:
-    """Return the robot of a URDF as yourdfpy reads it, without meshes.
-
-    Raises:
-        CellError: the file is not readable.
-        DependencyError: yourdfpy is missing.
-    """
+    """Return the robot of a URDF as yourdfpy reads it, without meshes; CellError if it does not."""
     try:
         import yourdfpy
     except ImportError as error:
@@ -285,13 +276,7 @@ def _chain(file: Path, below: dict[str, Any], root: str, end: str) -> list[Any]:
 
 
 def carrier_of(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Array]]) -> tuple[int, Array] | None:
-    """Return the frame that carries a link and the pose of the link in it; joints off the chain stay at zero.
-
-    Args:
-        name: the link.
-        below: joint above each link, by its name.
-        frame_of: frame of the links of the chain, and their poses in it.
-    """
+    """Return the frame that carries a link and the pose of the link in it; joints off the chain stay at zero."""
     pose = np.eye(4)
     while name not in frame_of:
         if name not in below:

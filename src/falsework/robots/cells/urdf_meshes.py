@@ -16,35 +16,22 @@ from falsework.errors import CellError, InputError
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.robots.model.shapes import cylinder, move
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _MESHES = (".stl", ".obj", ".dae", ".ply", ".off", ".glb", ".gltf")
 """Formats of meshes: archives among those that the library reads unpack to any size."""
 
 
 def collision_shapes(file: Path, link: Any) -> Iterable[TriangleMesh]:
-    """Yield every collision shape of a link in the frame of the link, or without any every visual shape.
-
-    Spheres and cylinders become polytopes around them.
-
-    Raises:
-        CellError: a mesh that is not there or cannot be read.
-    """
+    """Yield every collision shape of a link in the frame of the link, or without any every visual shape."""
     for collision in link.collisions or link.visuals:
         yield shape_mesh(file, link.name, collision)
 
 
 def shape_mesh(file: Path, link: str, entry: Any) -> TriangleMesh:
-    """Return one collision or visual shape in the frame of its link.
+    """Return one collision or visual shape, as yourdfpy reads it, in the frame of its link.
 
-    Args:
-        file: the URDF.
-        link: name of the link.
-        entry: the shape, as yourdfpy reads it.
-
-    Raises:
-        CellError: a mesh that is not there or cannot be read.
+    Spheres and cylinders become polytopes around them. CellError if a mesh is not there or cannot be read.
     """
     pose = np.eye(4) if entry.origin is None else np.asarray(entry.origin, float)
     shape = entry.geometry
@@ -96,16 +83,7 @@ def _read_mesh(file: Path, mesh: Any) -> TriangleMesh:
 
 
 def colored_meshes(file: Path, link: str, entry: Any) -> list[tuple[TriangleMesh, tuple[float, float, float] | None]]:
-    """Return the pieces of a visual shape in the frame of its link, and the colour that its mesh file has for each.
-
-    Args:
-        file: the URDF.
-        link: name of the link.
-        entry: the shape, as yourdfpy reads it.
-
-    Raises:
-        CellError: a mesh that is not there or cannot be read.
-    """
+    """Return the pieces of a visual shape in the frame of its link, and the colour that its mesh file has for each."""
     if entry.geometry.mesh is None:
         return [(shape_mesh(file, link, entry), None)]
     import trimesh

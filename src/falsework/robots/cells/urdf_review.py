@@ -37,13 +37,7 @@ class CellWarning(UserWarning):
 
 
 def read_xml(file: Path) -> Element:
-    """Return the root element of a URDF file.
-
-    Raises:
-        CellError: the file cannot be read, has macros, names that are not unique or not known, links that are below
-            each other, a link with two parents, entries that occur twice, or shapes and numbers that are none; the
-            message names them.
-    """
+    """Return the root element of a URDF file; the CellError for one that describes no arm names what is wrong."""
     try:
         root = ElementTree.fromstring(read_xml_text(file))
     except (ElementTree.ParseError, OSError, ValueError) as error:
@@ -137,16 +131,7 @@ def unused_text(root: Element) -> str:
 def accelerations(file: Path, root: Element, joints: Sequence[str]) -> NDArray[np.float64]:
     """Return the acceleration limits that `<limit>` of joints has, as Drake writes them; NaN where it has none.
 
-    Args:
-        file: the file, for messages.
-        root: its content.
-        joints: names of joints.
-
-    Returns:
-        rad/s2 or m/s2, shape (joints,).
-
-    Raises:
-        CellError: one is no number above zero.
+    rad/s2 or m/s2, shape (joints,). CellError for one that is no number above zero.
     """
     found = dict.fromkeys(joints, math.nan)
     for joint in root.findall("joint"):
@@ -167,12 +152,8 @@ def accelerations(file: Path, root: Element, joints: Sequence[str]) -> NDArray[n
 def coupling_fault(joints: Iterable[Any], chain: Iterable[Any], moved: Iterable[str]) -> str:
     """Return which joint follows another one with an effect on the arm; empty if there is none.
 
-    A plan gives every joint of the chain its own values, and takes joints beside it as fixed.
-
-    Args:
-        joints: all joints, as yourdfpy reads them.
-        chain: those from the base to the tip.
-        moved: names of joints beside the chain that carry shapes.
+    A plan gives every joint of the chain its own values, and takes joints beside it as fixed; those that are `moved`
+    carry shapes.
     """
     names, carrying = {joint.name for joint in chain}, set(moved)
     leader_of = {joint.name: joint.mimic.joint for joint in joints if joint.mimic is not None}

@@ -1,22 +1,154 @@
-"""Validation of a cell before any planning: bases, home configurations, tools and payloads."""
+"""Validation of a cell before any planning: bases, homes, tools and payloads; and proposals of free homes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from falsework.errors import CellError
-from falsework.robots.cells.home import home_faults, proposal_text
 from falsework.robots.kernels.collision import distance_between
+from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import PartShapes
-from falsework.robots.model.shapes import Pieces, move
-from falsework.robots.motion.near_pairs import millimetres, separation
+from falsework.robots.model.robot_model import RobotModel
+from falsework.robots.model.shapes import Pieces, looking_down, move
+from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Scene
+from falsework.robots.motion.near_pairs import NearPair, millimetres, near_pairs, separation
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
-
+_SAMPLES = 4000
+"""Random configurations that are tried."""
+_STEPS = (0.1, 0.3, 1.0)
+"""Shares of the range of the joints within which they are drawn: near the given configuration first."""
+_AHEAD, _HEIGHTS, _TURNS = (0.4, 0.5, 0.3), (0.4, 0.5, 0.3), 8
+"""Distances in front of a base and heights above it, as shares of the reach, and rotations about the vertical, in which
+the tool of an arm without a home is tried."""
+_MARGIN = 0.02
+"""Distance that a proposal keeps where it can, metres."""
 BASE_DEPTH = 0.002
 """Largest penetration of a base into the surface below it, metres."""
+
+
+def home_faults(cell: Cell, parts: PartShapes, robot: int) -> list[NearPair]:
+    """Return which bodies are too near each other with one robot, and all others, at home."""
+    view = CollisionWorld(cell, parts).view(Scene.at_home(cell, parts), robot)
+    home = cell.robots[robot].home
+    return near_pairs(view, home) if view.collides(home)[0] else []
+
+
+def has_home(robot: CellRobot) -> bool:
+    """Return whether the cell, the SRDF of an arm or its built-in model says where it is at home."""
+    model = robot.model
+    return model.source == "built-in" or "home" in dict(model.group_states) or robot.home is not model.home
+
+
+def propose_home(cell: Cell, parts: PartShapes, robot: int) -> Array | None:
+    """Return a configuration without collisions for a robot, with the others at home.
+
+    It is near the home of the robot, and its tool points down if it can. For an arm without a home the tool is in
+    front of the base and points down, with the joints far from their limits. The result is deterministic.
+
+    Args:
+        cell: the cell.
+        parts: the structure in it.
+        robot: index of the robot.
+
+    Returns:
+        Joint values in rad or m, rounded to half a degree or half a centimetre, shape (joints,); None if no free one
+        is found.
+    """
+    world, scene = CollisionWorld(cell, parts), Scene.at_home(cell, parts)
+    entry = cell.robots[robot]
+    if not has_home(entry):
+        found = _in_front(cell, world.view(scene, robot, margin=max(_MARGIN, cell.margins.free)), robot)
+        if found is not None:
+            return found
+    model, rng = entry.model, np.random.default_rng(0)
+    start = np.clip(entry.home, model.lower, model.upper)
+    # A joint that turns more than once need not.
+    low, high = np.maximum(model.lower, -np.pi), np.minimum(model.upper, np.pi)
+    low, high = np.where(model.prismatic, model.lower, low), np.where(model.prismatic, model.upper, high)
+    for margin in (max(_MARGIN, cell.margins.free), cell.margins.free):
+        view = world.view(scene, robot, margin=margin)
+        for share in _STEPS:
+            reach = share * (high - low) / 2
+            drawn = start + rng.uniform(-1, 1, (_SAMPLES, model.joints)) * reach
+            drawn = _rounded(model, np.clip(drawn, low, high))
+            free = drawn[~view.collides(drawn) & model.within_limits(drawn)]
+            if len(free):
+                return free[int(np.argmax(_quality(cell, robot, free, start, high - low)))]
+    return None
+
+
+def _in_front(cell: Cell, view: CollisionQuery, robot: int) -> Array | None:
+    """Return a free configuration with the tool in front of the base and pointing down; None without one."""
+    entry = cell.robots[robot]
+    model = entry.model
+    at = [(ahead * model.reach, 0.0, height * model.reach) for ahead in _AHEAD for height in _HEIGHTS]
+    turns = 2 * np.pi * np.arange(_TURNS) / _TURNS
+    tools = [entry.base @ looking_down(place, turn) for place in at for turn in turns]
+    solutions = _rounded(model, np.concatenate(inverse(entry, np.array(tools))))
+    free = solutions[model.within_limits(solutions)]
+    free = free[~view.collides(free)] if len(free) else free
+    if not len(free):
+        return None
+    # Far from the limits, and not turned without need.
+    room = np.minimum(free - model.lower, model.upper - free) / (model.upper - model.lower)
+    turned = np.where(model.prismatic, 0.0, np.abs(free) / np.pi)
+    return free[int(np.argmax(np.minimum(room, 0.2).min(axis=1) - 0.05 * turned.sum(axis=1)))]
+
+
+def home_text(model: RobotModel, values: ArrayLike) -> str:
+    """Return joint values as a cell file has them: degrees, or metres of sliding joints, such as `[0, -45, 90]`."""
+    shown = np.where(model.prismatic, np.asarray(values), np.degrees(np.asarray(values)))
+    digits = np.where(model.prismatic, 4, 1)
+    numbers = [round(float(value), int(places)) + 0.0 for value, places in zip(shown, digits, strict=True)]
+    return "[" + ", ".join(f"{value:g}" for value in numbers) + "]"
+
+
+def proposal_text(cell: Cell, parts: PartShapes, robot: int) -> str:
+    """Return what to write as `home` of a robot, as the end of a message; empty if nothing is found."""
+    found = propose_home(cell, parts, robot)
+    return "" if found is None else f"home = {home_text(cell.robots[robot].model, found)} is free"
+
+
+def missing_homes(cell: Cell, parts: PartShapes) -> list[str]:
+    """Return for each robot without a home, whose joints are taken at zero, a line that proposes one."""
+    found = []
+    for number, robot in enumerate(cell.robots):
+        if not has_home(robot):
+            proposal = proposal_text(cell, parts, number) or "no free one was found"
+            found.append(f"robot {robot.name} has no home, so its joints are at zero; {proposal}")
+    return found
+
+
+def with_homes(cell: Cell, parts: PartShapes, robots: Sequence[int]) -> Cell:
+    """Return a cell in which some robots have proposed homes, one after the other; those without one keep theirs."""
+    for robot in robots:
+        found = propose_home(cell, parts, robot)
+        if found is not None:
+            entries = list(cell.robots)
+            entries[robot] = replace(entries[robot], home=found)
+            cell = replace(cell, robots=tuple(entries))
+    return cell
+
+
+def _rounded(model: RobotModel, values: Array) -> Array:
+    step = np.where(model.prismatic, 0.005, np.radians(0.5))
+    return np.round(values / step) * step
+
+
+def _quality(cell: Cell, robot: int, free: Array, start: Array, span: Array) -> Array:
+    """Rate configurations: the tool looks down and is above the base, joints are near where they were."""
+    entry = cell.robots[robot]
+    tools = tool_pose(entry, free)
+    down = -tools[:, 2, 2]
+    away = np.linalg.norm((free - start) / span, axis=1)
+    return down + np.clip(tools[:, 2, 3] - entry.base[2, 3], -0.5, 0.5) - 2 * away
 
 
 def check_cell(cell: Cell, parts: PartShapes | None = None) -> None:
@@ -37,12 +169,9 @@ def check_cell(cell: Cell, parts: PartShapes | None = None) -> None:
 
 
 def check_bases(cell: Cell, parts: PartShapes | None = None) -> None:
-    """Validate that bases stand clear of obstacles, parts, other bases and the floor.
+    """Raise CellError unless bases stand clear of obstacles, parts, other bases and the floor.
 
     A base whose own frame is upright on the floor stands on it, whatever its shapes do below that frame.
-
-    Raises:
-        CellError: one does not; the message names both.
     """
     stands = [(f"obstacle {obstacle.name}", obstacle.pieces) for obstacle in cell.obstacles]
     if parts is not None:

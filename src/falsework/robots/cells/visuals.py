@@ -18,8 +18,8 @@ from falsework.robots.cells.urdf_meshes import colored_meshes, hull_mesh
 from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Pieces, move
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
 Color = tuple[float, float, float]
 
 MOST_TRIANGLES = 12_000
@@ -49,9 +49,6 @@ def link_visuals(model: RobotModel) -> tuple[tuple[VisualShape, ...], ...]:
 
     A link without visual shapes, and all of an arm that is built in, looks like its collision shapes.
 
-    Args:
-        model: the arm.
-
     Warns:
         CellWarning: visual shapes that cannot be read; collision shapes stand in for them.
     """
@@ -66,13 +63,7 @@ def shape_of_pieces(pieces: Pieces) -> VisualShape | None:
 
 
 def thinned(vertices: Array, faces: NDArray[np.int64], most: int = MOST_TRIANGLES) -> tuple[Array, NDArray[np.int64]]:
-    """Return a mesh with fewer triangles where it has more than wanted: vertices within a cube of a grid become one.
-
-    Args:
-        vertices: shape (vertices, 3).
-        faces: shape (faces, 3).
-        most: number of triangles that are enough.
-    """
+    """Return a mesh with fewer triangles where it has more than wanted: vertices within a cube of a grid become one."""
     if len(faces) <= most:
         return vertices, faces
     low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
@@ -94,11 +85,7 @@ def thinned(vertices: Array, faces: NDArray[np.int64], most: int = MOST_TRIANGLE
 def seen_from_both_sides(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return triangles, and each also the other way round if many have no neighbour that continues their surface.
 
-    Visual meshes are often surfaces with gaps, or with triangles that face inwards; seen from one side only, they have
-    holes.
-
-    Args:
-        faces: shape (faces, 3).
+    Visual meshes are often surfaces with gaps, or with triangles that face inwards: from one side they have holes.
     """
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     most = int(faces.max(initial=0)) + 1

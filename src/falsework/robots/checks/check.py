@@ -19,22 +19,19 @@ from falsework.robots.cells.validate import check_bases
 from falsework.robots.checks.delays import DelayReport, check_delays
 from falsework.robots.checks.descriptions import description_fault
 from falsework.robots.checks.grips import GripChecker
-from falsework.robots.checks.handling import HandlingChecker, place_lines
+from falsework.robots.checks.handling import HandlingChecker, place_lines, put_down_faults
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
-from falsework.robots.checks.put_down import put_down_faults
-from falsework.robots.checks.schedule import check_schedule
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.plans.grip_loads import GripLoad, grip_loads, overloads
 from falsework.robots.plans.loads import Load, load_of, loads_at, loads_beside, step_fault
-from falsework.robots.plans.motion_limits import OUTSIDE, check_limits
 from falsework.robots.plans.plan_problem import PlanProblem
-from falsework.robots.plans.presses import press_fault
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.robot_forces import GripLoad, grip_loads, overloads, press_fault
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.trajectory import OUTSIDE, Trajectory, check_limits
 from falsework.search.plans.plan_report import PlanReport
 from falsework.search.problem.task import Direction
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 
@@ -69,8 +66,6 @@ class CheckReport:
     built-in arm."""
     seconds: float
     """Duration of the check."""
-    timed_samples: int = 0
-    """Number of instants of the schedule at which everything that moves then was checked."""
     delays: DelayReport | None = None
     """Check of the schedule under any delays; None without a schedule, or where the check had stopped before."""
     loads: tuple[GripLoad, ...] | None = None
@@ -242,12 +237,7 @@ class _Checker:
         return end
 
     def _collisions(
-        self,
-        index: int,
-        order: int,
-        trajectory: Trajectory,
-        present: NDArray[np.bool_],
-        load: Load | None,
+        self, index: int, order: int, trajectory: Trajectory, present: NDArray[np.bool_], load: Load | None
     ) -> None:
         robot, at_place = self.plan.steps[index].robot, order in place_lines(self.plan, index)
         moments, samples = trajectory.dense(self.resolution)
@@ -281,23 +271,17 @@ class _Checker:
 
 
 def check_robot_plan(
-    plan: RobotPlan,
-    assembly: AnyStructure,
-    cell: AnyCell,
-    *,
-    step: float = 0.01,
-    progress: Progress | None = None,
+    plan: RobotPlan, assembly: AnyStructure, cell: AnyCell, *, step: float = 0.01, progress: Progress | None = None
 ) -> CheckReport:
     """Check all motions of a plan with Pinocchio (kinematics) and Coal (collisions).
 
     Parts are their meshes, and so are the links of arms from URDF files; links of built-in arms, grippers and obstacles
     are the convex pieces that they are described by.
 
-    Each step moves one robot. All that moves is checked against all that is fixed, with these
-    exceptions and no others. A schedule is then checked as a whole: at every instant all moving bodies against all
-    others, parts carried by other robots included, and the order of the states; and all positions that any delays can
-    lead to, as `check_delays` describes. In a hand-over the second robot must hold the part before the first leaves it;
-    that is part of the order, whatever the delays.
+    Each step moves one robot. All that moves is checked against all that is fixed, with these exceptions and no others.
+    A schedule is then checked as a whole: all positions that any delays, or none, can lead to, parts carried by other
+    robots included, and the order of the states, as `check_delays` describes. In a hand-over the second robot must hold
+    the part before the first leaves it; that is part of the order, whatever the delays.
 
     - neighbouring links, and the pairs that the robot description excludes;
     - a gripper and the last two links of its arm, and a part in a gripper and the last link and the gripper;
@@ -348,11 +332,10 @@ def check_robot_plan(
         if any(robot.gripper.has_limits for robot in cell.robots):
             loads = tuple(grip_loads(plan, assembly, cell))
             checker.problems += overloads(list(loads), plan, cell)
-    timed, delays = 0, None
+    delays = None
     if plan.schedule is not None and bounded and not checker.full():
-        found, timed = check_schedule(plan, cell, checker.judge, step=step)
         delays = check_delays(plan, checker.judge, most=_MAX_PROBLEMS)
-        checker.problems += [*found, *delays.problems]
+        checker.problems += delays.problems
     return CheckReport(
         tuple(checker.problems),
         checker.samples,
@@ -364,7 +347,6 @@ def check_robot_plan(
         checker.judge.slack,
         {robot.name: "convex pieces" if robot.model.meshes is None else "meshes" for robot in cell.robots},
         time.perf_counter() - began,
-        timed,
         delays,
         loads,
         None if plan.schedule is None else plan.schedule.busiest,

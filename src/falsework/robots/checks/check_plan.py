@@ -6,10 +6,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import overload
 
-from falsework.assembly.load import AnyStructure
+from falsework.assembly.groups import groups_of
+from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.errors import InputError
 from falsework.robots.cells.cell_file import AnyCell
 from falsework.robots.checks.check import CheckReport, check_robot_plan
+from falsework.robots.plans.loose_plan import loose_plan
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.margins.demands import Demands
 from falsework.search.plans.plan import Plan
@@ -71,8 +73,13 @@ def check(
     if isinstance(plan, RobotPlan):
         if cell is None:
             raise InputError("a robot plan is checked in a cell; give its name, its file or a Cell")
-        motions = check_robot_plan(plan, assembly, cell, progress=progress)
-        return replace(motions, states=validate_plan(plan.plan, assembly, stability, demands=demands))
+        structure = as_assembly(assembly)
+        motions = check_robot_plan(plan, structure, cell, progress=progress)
+        states = validate_plan(plan.plan, structure, stability, demands=demands)
+        groups = groups_of(structure)
+        if groups is not None and states.good:  # joined parts have to stand loose, too
+            states = validate_plan(loose_plan(plan.plan, groups), groups.loose, stability, demands=demands)
+        return replace(motions, states=states)
     if not isinstance(plan, Plan):
         raise InputError(
             f"{type(plan).__name__} is no plan; give the structure first, then a plan, such as the value of a result"

@@ -4,24 +4,213 @@ What arms collide with depends on the positions of two arms and on the parts tha
 delays can bring about is a set of pairs of positions, and of positions and parts; each of these is proven here to be
 free of collisions, between samples too. Each motion among the parts that it was planned with is left to the check of
 single motions.
+
+No point of a body moves farther within a range of a motion than the sum over the joints of joint travel times lever
+arm. Where the distance of two bodies at the middle of two ranges exceeds what both can move from there, they do not
+meet anywhere in these ranges; otherwise the ranges are halved.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
-from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
-from falsework.robots.checks.separation import BodyPath, Meeting, SeparationProver
+from falsework.robots.checks.pinocchio_checker import WORLD, CollisionBody, PinocchioCollisionChecker, import_pinocchio
 from falsework.robots.plans.plan_problem import PlanProblem
-from falsework.robots.plans.reachable_positions import ReachablePositions, Segment
+from falsework.robots.plans.reachable_positions import ReachablePositions
 from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.timeline import Segment
+from falsework.robots.plans.trajectory import Trajectory
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
+NEAREST = 2e-4
+"""Distance above which bodies can be proven to keep apart, metres."""
+_STEP = 0.01
+"""Largest joint step between two samples of a motion, rad or m; ranges are halved between samples too."""
+_ACCURACY = 1e-5
+"""Bound on the error of a distance, metres; the tolerance of Coal's GJK is 1e-6."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """Shape of a body for distances."""
+
+    exact: Any
+    hull: Any
+    """Its convex hull, the same where it is convex: faster, and nowhere farther away."""
+    center: Array
+    """Centre of a sphere around it, in its own frame, shape (3,)."""
+    radius: float
+
+
+class BodyPath:
+    """Bodies along a motion, or at rest, placed by Pinocchio.
+
+    A position on the path is the index of a sample, or lies between two of them.
+    """
+
+    def __init__(
+        self,
+        judge: PinocchioCollisionChecker,
+        bodies: Sequence[CollisionBody],
+        shapes: Sequence[Shape],
+        values: Array,
+        trajectory: Trajectory | None,
+        robot: int,
+    ) -> None:
+        """Bound what bodies of an arm, or of none, move in a motion, or at rest in a configuration, shape (joints,)."""
+        self.names, self.shapes = tuple(body.name for body in bodies), shapes
+        self.radii = np.array([shape.radius for shape in shapes])
+        self._judge, self._robot, self._trajectory = judge, robot, trajectory
+        self._joints = [body.joint for body in bodies]
+        self._frames = np.array([body.placement for body in bodies])
+        self._centers = np.array([shape.center for shape in shapes])
+        self._times, self._samples = np.zeros(1), np.asarray(values, dtype=np.float64)[None]
+        self._moved = np.zeros((1, len(bodies)))
+        if trajectory is not None:
+            self._times, self._samples = trajectory.dense(_STEP)
+            levers = np.array([_levers(judge, robot, *given) for given in zip(bodies, shapes, strict=True)])
+            steps = trajectory.travel(self._times) @ levers.T
+            self._moved = np.concatenate([self._moved, np.cumsum(steps, axis=0)])
+        self._placed: dict[float, tuple[Array, list[Any]]] = {}
+
+    def position(self, share: float) -> float:
+        """Return the position at a share of the duration."""
+        return float(np.interp(share * self._times[-1], self._times, np.arange(len(self._times))))
+
+    def seconds(self, position: float) -> float:
+        """Return the nominal time of a position, seconds from the start of the motion."""
+        return float(np.interp(position, np.arange(len(self._times)), self._times))
+
+    def moved(self, position: float) -> Array:
+        """Return a bound on the length of the way of any point to a position, for each body, metres."""
+        low = int(position)
+        if low == position:
+            return self._moved[low]
+        return self._moved[low] + (position - low) * (self._moved[low + 1] - self._moved[low])
+
+    def place(self, position: float) -> tuple[Array, list[Any]]:
+        """Return the bodies at a position: centres of their spheres, shape (bodies, 3), and transforms of Coal."""
+        if position not in self._placed:
+            low = int(position)
+            values = self._samples[low]
+            if low != position and self._trajectory is not None:
+                values = self._trajectory.sample(np.array([self.seconds(position)]))[0]
+            poses = self._judge.frames(self._robot, values, self._joints) @ self._frames
+            centers = np.einsum("bij,bj->bi", poses[:, :3, :3], self._centers) + poses[:, :3, 3]
+            coal = import_pinocchio()[1]
+            self._placed[position] = centers, [coal.Transform3s(pose[:3, :3], pose[:3, 3]) for pose in poses]
+        return self._placed[position]
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Positions on two paths at which two bodies collide or are nearer than `NEAREST`."""
+
+    one: float
+    other: float
+    bodies: tuple[str, str]
+    distance: float
+    """Metres; 0 where they collide."""
+
+
+class SeparationProver:
+    """Proofs that bodies keep apart over ranges of two paths."""
+
+    def __init__(self, judge: PinocchioCollisionChecker) -> None:
+        self.judge = judge
+        self._coal = import_pinocchio()[1]
+        self._request = self._coal.DistanceRequest(False, False)
+        self._shapes: dict[int, Shape] = {}
+        self.ranges = 0
+        """Number of pairs of ranges examined so far."""
+        self.distances = 0
+        """Number of distances computed so far by Coal."""
+
+    def path(
+        self, bodies: Sequence[CollisionBody], values: Array, trajectory: Trajectory | None = None, robot: int = 0
+    ) -> BodyPath:
+        """Return the path of bodies; arguments as those of `BodyPath`."""
+        return BodyPath(self.judge, bodies, [self._shape(body.shape) for body in bodies], values, trajectory, robot)
+
+    def meeting(
+        self, one: BodyPath, other: BodyPath, one_range: tuple[float, float], other_range: tuple[float, float]
+    ) -> Meeting | None:
+        """Return positions in ranges of two paths at which bodies meet; None where they are proven to keep apart."""
+        first, second = np.indices((len(one.names), len(other.names))).reshape(2, -1)
+        left = [(*one_range, *other_range, first, second)]
+        while left:
+            low, high, bottom, top, first, second = left.pop()
+            self.ranges += 1
+            a, b = _middle(low, high), _middle(bottom, top)
+            at, there = one.moved(a), other.moved(b)
+            mine = np.maximum(one.moved(high) - at, at - one.moved(low))[first]
+            theirs = np.maximum(other.moved(top) - there, there - other.moved(bottom))[second]
+            (centers, here), (others, where) = one.place(a), other.place(b)
+            apart = np.linalg.norm(centers[first] - others[second], axis=1)
+            keep = mine + theirs + _ACCURACY
+            unproven = []
+            for k in np.flatnonzero(apart - one.radii[first] - other.radii[second] <= keep).tolist():
+                i, j = int(first[k]), int(second[k])
+                gap = self._gap(one.shapes[i], here[i], other.shapes[j], where[j], keep[k])
+                if gap > keep[k]:
+                    continue
+                if gap <= 0 or keep[k] <= NEAREST / 2:
+                    return Meeting(a, b, (one.names[i], other.names[j]), max(gap, 0.0))
+                unproven.append(k)
+            if unproven:
+                first, second = first[unproven], second[unproven]
+                far, wide = float(mine[unproven].max()), float(theirs[unproven].max())
+                rows = [(low, a), (a, high)] if 2 * far >= wide else [(low, high)]
+                columns = [(bottom, b), (b, top)] if 2 * wide >= far else [(bottom, top)]
+                left += [(*row, *column, first, second) for row in rows for column in columns]
+        return None
+
+    def _gap(self, one: Shape, here: Any, other: Shape, where: Any, keep: float) -> float:
+        """Return the distance of two bodies, or a lower bound above `keep`, metres; not positive where they overlap."""
+        gap = self._distance(one.hull, here, other.hull, where)
+        if gap > keep or (one.hull is one.exact and other.hull is other.exact):
+            return gap
+        return self._distance(one.exact, here, other.exact, where)
+
+    def _distance(self, one: Any, here: Any, other: Any, where: Any) -> float:
+        self.distances += 1
+        return float(self._coal.distance(one, here, other, where, self._request, self._coal.DistanceResult()))
+
+    def _shape(self, exact: Any) -> Shape:
+        if id(exact) not in self._shapes:
+            hull = exact
+            if isinstance(exact, self._coal.BVHModelOBBRSS):
+                hull = self.judge.convex(np.array([exact.vertex(k) for k in range(exact.num_vertices)]))
+            exact.computeLocalAABB()
+            self._shapes[id(exact)] = Shape(exact, hull, np.array(exact.aabb_center), float(exact.aabb_radius))
+        return self._shapes[id(exact)]
+
+
+def _middle(low: float, high: float) -> float:
+    """Return the middle of a range, a sample where one lies inside."""
+    middle = (low + high) / 2
+    return float(round(middle)) if high - low >= 2 else middle
+
+
+def _levers(judge: PinocchioCollisionChecker, robot: int, body: CollisionBody, shape: Shape) -> Array:
+    """Return bounds on what a point of a body moves per rad or metre of each joint of its arm, shape (joints,)."""
+    model, description = judge.model, judge.cell.robots[robot].model
+    found = np.zeros(description.joints)
+    joint, center = body.joint, body.placement[:3, :3] @ shape.center + body.placement[:3, 3]
+    lever = float(np.linalg.norm(center)) + shape.radius
+    while joint != WORLD:
+        k = model.joints[joint].idx_q - judge.slots[robot].start
+        found[k] = 1.0 if description.prismatic[k] else lever
+        slide = max(abs(description.lower[k]), abs(description.upper[k])) if description.prismatic[k] else 0.0
+        lever += float(np.linalg.norm(model.jointPlacements[joint].translation) + slide)
+        joint = model.parents[joint]
+    return found
 
 
 @dataclass(frozen=True)
@@ -115,11 +304,6 @@ def check_delays(plan: RobotPlan, judge: PinocchioCollisionChecker, *, most: int
     their full size, arms are compared between samples too, and a distance below `NEAREST` counts as a problem. Each
     arm against itself, its surroundings, and the parts that its motion was planned with is not checked here;
     `check_robot_plan` does both.
-
-    Args:
-        plan: robot plan with a schedule.
-        judge: collision checker of the cell and the parts.
-        most: number of problems after which the check stops.
 
     Raises:
         PlanError: the plan has no schedule.

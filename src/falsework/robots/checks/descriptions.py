@@ -7,13 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from falsework.robots.checks.libraries import import_pinocchio
+from falsework.robots.checks.pinocchio_checker import import_pinocchio
 from falsework.robots.model.robot_model import RobotModel
+from falsework.utils.arrays import Array
 from falsework.utils.files.xml_text import read_xml_text
-
-Array = NDArray[np.float64]
 
 _SAMPLES = 8
 """Random configurations in which the frames of both readings are compared."""

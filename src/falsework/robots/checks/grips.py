@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.model.cell import GRIP_DEPTH, GRIP_DISTANCE, GRIP_TILT, Cell, Gripper
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _RINGS = ((0.0, 1), (0.5, 8), (1.0, 16))
 """Points of a cup at which the surface is measured: shares of its radius, and their numbers."""
@@ -24,7 +22,6 @@ class GripChecker:
     """Grips of the robots of a cell, measured on the exact surfaces of the parts."""
 
     def __init__(self, cell: Cell, judge: PinocchioCollisionChecker) -> None:
-        """Measure grips of the robots of `cell` with the kinematics and parts of `judge`."""
         self.cell, self.judge = cell, judge
         self._known: dict[tuple[int, int, bytes, bytes], str] = {}
 
@@ -33,14 +30,7 @@ class GripChecker:
         return self.judge.flange(robot, configuration) @ self.cell.robots[robot].gripper.tool
 
     def fault(self, robot: int, configuration: Array, part: int, pose: Array | None = None) -> str:
-        """Return why a robot does not grip a part; empty if it does.
-
-        Args:
-            robot: index of the robot.
-            configuration: its joint values, shape (joints,).
-            part: the part, at its place.
-            pose: its displacement from there, shape (4, 4); by default it is in place.
-        """
+        """Return why a robot does not grip a part that is at its place, or displaced by a pose; empty if it does."""
         key = (robot, part, configuration.tobytes(), b"" if pose is None else pose.tobytes())
         if key not in self._known:
             self._known[key] = self._fault(robot, configuration, part, pose)
@@ -56,19 +46,12 @@ class GripChecker:
         tool = self.tool(robot, configuration)
         if pose is not None:  # seen from the part at its place
             tool = np.linalg.inv(pose) @ tool
-        triangles = self.judge.parts.meshes[part].triangles
+        triangles = self.judge.parts.surface(part).triangles
         return surface_fault(gripper, tool, triangles, name)
 
 
 def surface_fault(gripper: Gripper, tool: Array, triangles: Array, name: str) -> str:
-    """Return why a gripper does not meet the surface of a part as it must; empty if it does.
-
-    Args:
-        gripper: the gripper.
-        tool: pose of its tool frame, shape (4, 4).
-        triangles: the surface, outward, shape (triangles, 3, 3).
-        name: name of the part.
-    """
+    """Return why a gripper at a tool frame does not meet the surface of a part as it must; empty if it does."""
     return (_cup_fault if gripper.kind == "suction" else _jaw_fault)(gripper, tool, triangles, name)
 
 

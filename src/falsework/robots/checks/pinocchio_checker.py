@@ -15,16 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from falsework.errors import DependencyError
 from falsework.geometry.mesh.collision import shrink
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.robots.checks.libraries import import_pinocchio
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import inverse_pose
 from falsework.robots.plans.loads import Load
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 WORLD = 0
 """Index of Pinocchio's fixed joint."""
@@ -79,13 +78,7 @@ class PinocchioCollisionChecker:
     """Cell and parts of a structure as models of Pinocchio and Coal."""
 
     def __init__(self, cell: Cell, parts: PartShapes, tolerance: float) -> None:
-        """Build shapes and kinematics.
-
-        Args:
-            cell: robots and their surroundings.
-            parts: exact surfaces of the parts in place.
-            tolerance: distance by which a part is shrunk where it may touch its neighbours, metres.
-        """
+        """Let parts that may touch their neighbours be shrunk by a tolerance, metres."""
         self.cell, self.parts, self.tolerance = cell, parts, tolerance
         pinocchio, coal = import_pinocchio()
         self._pin, self._coal = pinocchio, coal
@@ -119,7 +112,6 @@ class PinocchioCollisionChecker:
         """Prepare the check of one moving robot; others may move at the same time.
 
         Args:
-            robot: index of the checked robot.
             configurations: joint values of all robots; those of the moving one are ignored.
             present: parts in place, shape (parts,).
             load: part in the gripper, or put down; against fixed bodies `obstructs` checks the latter.
@@ -188,26 +180,21 @@ class PinocchioCollisionChecker:
 
     def obstructs(self, load: Load, present: NDArray[np.bool_]) -> str | None:
         """Return the name of a fixed body that a part put down collides with, the floor aside; None if it lies free."""
-        shape, there = self._parts[load.part], self._coal.Transform3s(load.pose[:3, :3], load.pose[:3, 3])
-        request = self._coal.CollisionRequest()
         for what, _, body in self._standing(0, present):
-            if body.joint == WORLD and what != "floor":
-                where = self._coal.Transform3s(body.placement[:3, :3], body.placement[:3, 3])
-                if self._coal.collide(body.shape, where, shape, there, request, self._coal.CollisionResult()):
-                    return body.name
+            fixed = body.joint == WORLD and what != "floor"
+            if fixed and self._collide(body.shape, body.placement, self._parts[load.part], load.pose):
+                return body.name
         return None
 
     def grip_distance(self, robot: int, configuration: Array, part: int, pose: Array | None = None) -> float:
         """Return the distance between a gripper and a part in place, or displaced by a pose; 0 m where they touch."""
-        flange = self.flange(robot, configuration)
-        coal = self._coal
-        here = coal.Transform3s() if pose is None else coal.Transform3s(pose[:3, :3], pose[:3, 3])
-        there = coal.Transform3s(flange[:3, :3], flange[:3, 3])
-        least = np.inf
-        for piece in self._grippers[robot]:
-            found = coal.distance(piece, there, self._parts[part], here, coal.DistanceRequest(), coal.DistanceResult())
-            least = min(least, float(found))
-        return max(least, 0.0)
+        there, here = self._at(self.flange(robot, configuration)), self._at(np.eye(4) if pose is None else pose)
+        request, result = self._coal.DistanceRequest(), self._coal.DistanceResult()
+        gaps = [
+            self._coal.distance(piece, there, self._parts[part], here, request, result)
+            for piece in self._grippers[robot]
+        ]
+        return max(min(gaps, default=np.inf), 0.0)
 
     def is_pierced(self, robot: int, configuration: Array, part: int, pose: Array | None = None) -> bool:
         """Return whether a gripper reaches deeper into a part, in place or displaced, than it may press into it."""
@@ -215,13 +202,7 @@ class PinocchioCollisionChecker:
             self.flange(robot, configuration),
             self._touched(robot, part, np.eye(4) if pose is None else pose),
         )
-        here = self._coal.Transform3s(body.placement[:3, :3], body.placement[:3, 3])
-        there = self._coal.Transform3s(flange[:3, :3], flange[:3, 3])
-        request = self._coal.CollisionRequest()
-        return any(
-            self._coal.collide(piece, there, body.shape, here, request, self._coal.CollisionResult())
-            for piece in self._grippers[robot]
-        )
+        return any(self._collide(piece, flange, body.shape, body.placement) for piece in self._grippers[robot])
 
     def flange(self, robot: int, configuration: Array) -> Array:
         """Return the pose of a flange in the world, shape (4, 4)."""
@@ -308,13 +289,17 @@ class PinocchioCollisionChecker:
         """
         if part in self._looseness:
             return self._looseness[part]
-        low, high = self.parts.meshes[part].bounds
+        (low, high), place = self.parts.meshes[part].bounds, np.eye(4)
         left = {
             number
             for number, other in enumerate(self.parts.meshes)
             if number != part and (other.bounds[0] <= high).all() and (other.bounds[1] >= low).all()
         }
-        tangled = {other for other in left if self._meet(self._shrunk(part, self.tolerance), self._parts[other])}
+        tangled = {
+            other
+            for other in left
+            if self._collide(self._shrunk(part, self.tolerance), place, self._parts[other], place)
+        }
         slack, found = self.tolerance, [(self.tolerance, frozenset(left - tangled))]
         while tangled:
             slack *= 2
@@ -322,7 +307,7 @@ class PinocchioCollisionChecker:
             apart = {
                 other
                 for other in tangled
-                if last or not self._meet(self._shrunk(part, slack), self._shrunk(other, slack))
+                if last or not self._collide(self._shrunk(part, slack), place, self._shrunk(other, slack), place)
             }
             if apart:
                 found.append((2 * slack, frozenset(apart)))
@@ -331,10 +316,13 @@ class PinocchioCollisionChecker:
         self._looseness[part] = found
         return found
 
-    def _meet(self, one: Any, other: Any) -> bool:
-        """Return whether two shapes collide at their poses."""
-        here, request, result = self._coal.Transform3s(), self._coal.CollisionRequest(), self._coal.CollisionResult()
-        return bool(self._coal.collide(one, here, other, here, request, result))
+    def _at(self, pose: Array) -> Any:
+        return self._coal.Transform3s(pose[:3, :3], pose[:3, 3])
+
+    def _collide(self, one: Any, here: Array, other: Any, there: Array) -> bool:
+        """Return whether two shapes at some poses collide."""
+        request, result = self._coal.CollisionRequest(), self._coal.CollisionResult()
+        return bool(self._coal.collide(one, self._at(here), other, self._at(there), request, result))
 
     def _standing(self, robot: int, present: NDArray[np.bool_]) -> list[tuple[str, int, CollisionBody]]:
         found: list[tuple[str, int, CollisionBody]] = []
@@ -393,3 +381,15 @@ class PinocchioCollisionChecker:
         made.addTriangles(np.ascontiguousarray(faces, dtype=np.int64))
         made.endModel()
         return made
+
+
+def import_pinocchio() -> tuple[Any, Any]:
+    """Return the modules Pinocchio and Coal; DependencyError without them."""
+    try:
+        import coal
+        import pinocchio
+    except ImportError:
+        raise DependencyError(
+            "checking robot plans needs Pinocchio and Coal; install them: pip install 'falsework[robots]'"
+        ) from None
+    return pinocchio, coal

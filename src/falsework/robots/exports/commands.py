@@ -11,10 +11,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from falsework.robots.plans.loads import lying_motions
-from falsework.robots.plans.presses import TimedPress
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.robot_forces import TimedPress
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of, schedule_of
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.problem.task import Direction
 
 COUNT_FROM = 3

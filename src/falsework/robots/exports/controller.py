@@ -1,51 +1,28 @@
-"""Controllers of arms: the maker of each arm, the load of its tool, and its signals."""
+"""Controllers of arms: their makers, signals and names in programs, and what must be set up at them."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
-
 from falsework.errors import InputError
-from falsework.robots.model.cell import Cell, CellRobot, Gripper
-from falsework.robots.model.maker import maker_of
-from falsework.robots.model.shapes import Pieces
+from falsework.robots.model.cell import Cell, CellRobot, maker_of
+from falsework.robots.plans.robot_plan import RobotPlan
 
-Array = NDArray[np.float64]
 Language = Literal["rapid", "urscript"]
 
 MAKERS: dict[Language, str] = {"rapid": "ABB", "urscript": "Universal Robots"}
 """Maker whose controllers run a language."""
-_LEAST_MASS = 0.001
-"""Mass of a tool without one, kg: that of `tool0`, since RAPID accepts no zero."""
+REGISTER = 128
+"""First general-purpose Modbus register of a UR controller."""
 _SIGNALS: dict[Language, tuple[str, str]] = {
     "rapid": (r"[A-Za-z]\w{0,31}", "the name of a digital output, such as do_vacuum"),
     "urscript": (r"(standard|configurable|tool) [0-7]", "standard, configurable or tool and a number, such as tool 0"),
 }
 
 
-@dataclass(frozen=True, eq=False)
-class ToolLoad:
-    """Load that a gripper is for its arm, in the frame of the flange."""
-
-    mass: float
-    """kg."""
-    center: Array
-    """Centre of mass, metres, shape (3,)."""
-    inertia: Array
-    """About the centre of mass, kg m2, shape (3, 3); zero where it is unknown."""
-
-
 def check_makers(cell: Cell, language: Language) -> None:
-    """Refuse programs for arms whose controllers do not run them.
-
-    Raises:
-        InputError: an arm is of another maker, or of an unknown one; the message names it.
-    """
+    """Raise InputError if arms are not, or not known to be, of the maker whose controllers run a language."""
     wanted = MAKERS[language]
     for robot in cell.robots:
         maker, _ = maker_of(robot)
@@ -62,51 +39,8 @@ def check_makers(cell: Cell, language: Language) -> None:
             )
 
 
-def tool_load(gripper: Gripper) -> ToolLoad:
-    """Return the load of a gripper; the centre of mass of its shapes, of one density, stands in for a missing one."""
-    center = gripper.center_of_mass if gripper.center_of_mass is not None else _centroid(gripper.pieces)
-    inertia = np.zeros((3, 3)) if gripper.inertia is None else gripper.inertia
-    return ToolLoad(gripper.mass, center, inertia)
-
-
-def rapid_load(load: ToolLoad) -> str:
-    """Return a load as RAPID's `loaddata`: kg, mm, axes of the moments of inertia as a quaternion, kg m2."""
-    from scipy.spatial.transform import Rotation
-
-    moments, axes = np.linalg.eigh(load.inertia)
-    if np.array_equal(load.inertia, np.diag(np.diag(load.inertia))):
-        moments, axes = np.diag(load.inertia), np.eye(3)
-    axes = axes * np.where(np.arange(3) == 2, np.sign(np.linalg.det(axes)), 1.0)
-    x, y, z, w = Rotation.from_matrix(axes).as_quat()
-    center = ",".join(f"{round(1000 * value, 3) + 0.0:.3f}" for value in load.center)
-    turn = ",".join(map(_plain, (w, x, y, z)))
-    return f"[{max(load.mass, _LEAST_MASS):.4f},[{center}],[{turn}],{','.join(map(_plain, moments.tolist()))}]"
-
-
-def _plain(value: float) -> str:
-    """Return a number without an exponent, to the seventh digit after the point."""
-    return f"{round(value, 7) + 0.0:.7f}".rstrip("0").rstrip(".")
-
-
-def ur_payload(load: ToolLoad) -> str:
-    """Return the URScript command that sets a load: kg, m, kg m2."""
-    center = ", ".join(f"{round(value, 6) + 0.0:.6f}" for value in load.center)
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = load.inertia.tolist()
-    inertia = ", ".join(f"{value:.6g}" for value in (xx, yy, zz, xy, xz, yz))
-    return f"set_target_payload({load.mass:.4f}, [{center}], [{inertia}])"
-
-
 def grip_signal(robot: CellRobot, name: str, language: Language) -> str:
-    """Return the output that closes the gripper of a robot.
-
-    Args:
-        robot: the robot.
-        name: its name in the program.
-        language: of the program.
-
-    Raises:
-        InputError: the cell names an output that the language does not have.
-    """
+    """Return the output that closes the gripper of a robot; InputError if the language does not have it."""
     standard = f"do_{name}_grip" if language == "rapid" else "standard 0"
     given = robot.signals.grip or standard
     pattern, example = _SIGNALS[language]
@@ -140,22 +74,48 @@ def program_notes(cell: Cell, language: Language) -> list[str]:
     return notes
 
 
-def _centroid(pieces: Pieces) -> Array:
-    """Return the centroid of convex pieces, shape (3,); overlaps count twice."""
-    volumes, centers = [], []
-    for piece in pieces:
-        corners = _tetrahedra(piece)
-        volumes.append(np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6)
-        centers.append(corners.mean(axis=1))
-    if not volumes:
-        return np.zeros(3)
-    weight = np.concatenate(volumes)
-    return weight @ np.concatenate(centers) / weight.sum()
+def controller_settings(plan: RobotPlan, cell: Cell, robot: int, language: Language) -> list[str]:
+    """Return what must be set up at the controller of a robot for its program, each in one line."""
+    names = program_names(plan)
+    entry, level = cell.robots[robot], int(cell.robots[robot].signals.closed)
+    output = grip_signal(entry, names[robot], language)
+    lines = [f"digital output {output} at {level} closes the gripper"]
+    others = [k for k in range(len(names)) if k != robot]
+    if language == "urscript":
+        reads = [f"its register {REGISTER} is read at {address_of(entry, names[robot])} by the others"]
+    else:
+        reads = [f"group output go_{names[robot]}_count, 16 bits, counts its motions"]
+        reads += [f"group input gi_{names[k]}_count, 16 bits, is connected to go_{names[k]}_count" for k in others]
+    return lines + reads * bool(others)
 
 
-def _tetrahedra(piece: Array) -> Array:
-    """Return tetrahedra that fill a convex piece, shape (tetrahedra, 4, 3)."""
-    hull = ConvexHull(piece)
-    inner = piece[hull.vertices].mean(axis=0)
-    faces = piece[hull.simplices]
-    return np.concatenate([np.broadcast_to(inner, (len(faces), 1, 3)), faces], axis=1)
+def address_of(robot: CellRobot, name: str) -> str:
+    """Return the network address of the controller of a robot with a name in a program."""
+    return _text(robot.signals.address or f"{name}.local")
+
+
+def _identifier(text: str) -> str:
+    """Return a name for both languages: letters, digits and underscores, a letter first, short enough for suffixes."""
+    made = re.sub(r"\W", "_", text, flags=re.ASCII)
+    return (made if made[:1].isalpha() else f"r{made}")[:16]
+
+
+def program_names(plan: RobotPlan) -> list[str]:
+    """Return distinct names of the robots of a plan in programs; case does not count in RAPID."""
+    found: list[str] = []
+    for name in (_identifier(robot.name) for robot in plan.robots):
+        chosen, number = name, 2
+        while chosen.lower() in (entry.lower() for entry in found):
+            chosen, number = f"{name[:13]}_{number}", number + 1
+        found.append(chosen)
+    return found
+
+
+def ascii_text(text: str) -> str:
+    """Return text with ASCII characters only."""
+    return re.sub(r"[^ -~]", "?", text)
+
+
+def _text(text: str) -> str:
+    """Return text for a string of URScript, which has no escapes."""
+    return ascii_text(text).replace('"', "'")

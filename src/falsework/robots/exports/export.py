@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from itertools import starmap
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -13,20 +12,18 @@ import numpy as np
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.errors import InputError, PlanError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
-from falsework.robots.exports.controller import MAKERS, check_makers, program_notes
+from falsework.robots.exports.controller import MAKERS, check_makers, controller_settings, program_notes
 from falsework.robots.exports.mcap_bag import PlacedParts, write_bag
-from falsework.robots.exports.part_loads import PartLoads, part_loads
-from falsework.robots.exports.programs import controller_settings, rapid_modules, ur_scripts
+from falsework.robots.exports.payloads import PartLoads, part_loads
+from falsework.robots.exports.programs import rapid_modules, ur_scripts
 from falsework.robots.exports.ros2 import lost_schedule, ros2_goals, ros2_messages
 from falsework.robots.exports.tables import csv_tables
-from falsework.robots.exports.written import Written
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.plans.grip_loads import GripLoad
-from falsework.robots.plans.motion_limits import first_limit_fault
-from falsework.robots.plans.presses import TimedPress, has_presses, timed_presses
+from falsework.robots.plans.robot_forces import GripLoad, TimedPress, has_presses, timed_presses
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import schedule_of
+from falsework.robots.plans.trajectory import check_limits
 from falsework.utils.files.output_file import write_whole
 
 Format = Literal["ros2-json", "ros2-yaml", "ros2-goals", "csv", "rapid", "urscript", "mcap"]
@@ -79,20 +76,20 @@ def export_plan(
         raise InputError(f"a rate of {rate:g} positions per second cannot be exported; give one above 0, up to 10000")
     if joint_prefix and not form.startswith("ros2-"):
         raise InputError(f"a prefix of joints is for ros2-json, ros2-yaml and ros2-goals, not {form}; leave it out")
-    writers: dict[str, Callable[[], Iterable[Written]]] = {
+    writers: dict[str, Callable[[], Iterable[tuple[str, str]]]] = {
         "ros2-json": lambda: ros2_messages(plan, presses, "json", joint_prefix),
         "ros2-yaml": lambda: ros2_messages(plan, presses, "yaml", joint_prefix),
         "ros2-goals": lambda: ros2_goals(plan, presses, joint_prefix),
         "csv": lambda: csv_tables(plan, presses, rate),
-        "rapid": lambda: starmap(Written, rapid_modules(plan, _needed(cell), presses, loads)),
-        "urscript": lambda: starmap(Written, ur_scripts(plan, _needed(cell), rate, presses, loads)),
+        "rapid": lambda: rapid_modules(plan, _needed(cell), presses, loads),
+        "urscript": lambda: ur_scripts(plan, _needed(cell), rate, presses, loads),
     }
     placed: PlacedParts | None = None
     loads: PartLoads | None = None
     if cell is not None:
         cell = as_cell(cell)
         plan.check_cell(cell)
-        if fault := first_limit_fault(plan, cell):
+        if fault := _limit_fault(plan, cell):
             raise PlanError(f"the robot plan cannot be exported for {cell.name}: {fault}; plan again")
     presses = _presses(plan, structure, cell, form)
     language = next((language for language in MAKERS if language == form), None)
@@ -118,21 +115,14 @@ def export_plan(
     if form == "mcap":
         paths.append(folder / "plan.mcap")
         write_bag(plan, paths[0], placed, presses)
-    for entry in [*writers[form]()] if form in writers else ():
-        path, data = folder / entry.name, entry.text.encode("utf-8", "backslashreplace")
-        write_whole(path, lambda file, data=data: file.write(data))
-        paths.append(path)
+    for name, text in [*writers[form]()] if form in writers else ():
+        paths.append(folder / name)
+        write_whole(paths[-1], lambda file, text=text: file.write(text.encode("utf-8", "backslashreplace")))
     return paths
 
 
 def export_notes(plan: RobotPlan, form: str, cell: Cell) -> list[str]:
-    """Return what an export does not keep, or takes for granted, each in one line.
-
-    Args:
-        plan: the robot plan.
-        form: as for `export_plan`.
-        cell: cell of the plan.
-    """
+    """Return what an export does not keep, or takes for granted, each in one line."""
     lost = lost_schedule(plan, form)
     language = next((language for language in MAKERS if language == form), None)
     notes = [lost] if lost else []
@@ -150,11 +140,7 @@ def _needed(cell: AnyCell | None) -> Cell:
 
 
 def _presses(plan: RobotPlan, structure: AnyStructure | None, cell: Cell | None, form: str) -> tuple[TimedPress, ...]:
-    """Return the presses of a plan, at the times of its schedule in a bag, else at those of one motion after the other.
-
-    Raises:
-        PlanError: structure or cell are missing, or a gripper of the cell bears less.
-    """
+    """Return the presses of a plan, at the times of its schedule in a bag, else of one motion after the other."""
     if not has_presses(plan):
         return ()
     if structure is None or cell is None:
@@ -168,3 +154,12 @@ def _presses(plan: RobotPlan, structure: AnyStructure | None, cell: Cell | None,
         if fault := load.fault(plan, cell):
             raise PlanError(f"the robot plan cannot be exported for {cell.name}: {fault}; plan again")
     return presses
+
+
+def _limit_fault(plan: RobotPlan, cell: Cell) -> str:
+    """Return the first fault that `check_limits` finds in a plan, with its step and robot; empty if there is none."""
+    for step, robot, trajectory in plan.moves():
+        faults = check_limits(trajectory, cell.robots[robot].model, cell.speed).faults
+        if faults:
+            return f"step {step + 1}, {cell.robots[robot].name}: {faults[0]}"
+    return ""

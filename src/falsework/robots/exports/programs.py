@@ -6,28 +6,40 @@ registers of each controller. Loads of tools and signals of grippers are those o
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.robots.exports.commands import COUNT_FROM, Begin, Grip, Pressing, PublishCount, Wait, commands_of
-from falsework.robots.exports.controller import Language, grip_signal, rapid_load, tool_load, ur_payload
-from falsework.robots.exports.part_loads import PartLoads, in_tool, together
+from falsework.robots.exports.commands import (
+    COUNT_FROM,
+    Begin,
+    Command,
+    Grip,
+    Pressing,
+    PublishCount,
+    Wait,
+    commands_of,
+)
+from falsework.robots.exports.controller import (
+    REGISTER,
+    address_of,
+    ascii_text,
+    controller_settings,
+    grip_signal,
+    program_names,
+)
+from falsework.robots.exports.payloads import PartLoads, ToolLoad, in_tool, rapid_load, together, tool_load, ur_payload
 from falsework.robots.model.cell import Cell, CellRobot
-from falsework.robots.plans.presses import TimedPress
+from falsework.robots.plans.robot_forces import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import nodes_of
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.stability.holds import HoldMode
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 MOST_COUNT = 65535
 """Largest 16-bit count."""
-REGISTER = 128
-"""First general-purpose Modbus register of a UR controller."""
 _UR_LIMITS = (0.005, 0.005, 0.01, 0.05, 0.05, 0.05)
 """Largest deviation across a press, m and rad, and largest speed along it, m/s, in force mode."""
 
@@ -35,17 +47,11 @@ _UR_LIMITS = (0.005, 0.005, 0.01, 0.05, 0.05, 0.05)
 def rapid_modules(
     plan: RobotPlan, cell: Cell, presses: Sequence[TimedPress] = (), loads: PartLoads | None = None
 ) -> Iterator[tuple[str, str]]:
-    """Yield file names and RAPID modules, one for each arm.
+    """Yield file names and RAPID modules, one for each arm, with the loads of carried parts if given.
 
     Knots become joint targets in degrees for `MoveAbsJ` with the durations of the plan. An arm sets the
     group output `go_NAME_count`, and reads those of others as `gi_NAME_count`. An arm that presses moves its set point
     by force and moment over its stiffness, on a slow line from where it holds the part, and stays there.
-
-    Args:
-        plan: the robot plan.
-        cell: its cell.
-        presses: of the plan.
-        loads: of carried parts; None leaves them out.
 
     Raises:
         InputError: an arm with another number of joints than 6 or 7, too many motions for 16 bits, or an output that is
@@ -57,9 +63,8 @@ def rapid_modules(
         output, closed = grip_signal(cell.robots[robot], name, "rapid"), int(signals.closed)
         if len(record.joint_names) not in (6, 7):
             raise InputError(f"RAPID supports robots of 6 or 7 joints; {record.name} has {len(record.joint_names)}")
-        about = f"{_ascii(plan.plan.name)}: {plan.direction.value} with {_ascii(record.model)}, {len(plan)} steps"
         targets: list[str] = []
-        carried, number, motion, step = "", 0, 0, 0
+        carried, number = "", 0
         offset = np.zeros(6)  # of what the arm has pressed since it last moved
         body: list[str] = []
         run = [f"    MoveAbsJ {_jointtarget(plan.keyframes[0].configurations[robot])}, v200, fine, {name}_tool;"]
@@ -70,12 +75,10 @@ def rapid_modules(
             run += [f"    SetGO go_{name}_count, 2;"]
             run += [f"    WaitUntil GInput(gi_{other}_count)<>1;" for other in others]
             run += [f"    SetGO go_{name}_count, {COUNT_FROM};"]
-        for command in commands_of(plan, robot, presses):
+        for command, load in _with_loads(plan, robot, presses, loads):
             if isinstance(command, Begin):
-                motion, step = 0, command.step
-                if body:
-                    body.append("  ENDPROC")
-                body += [f"  PROC {name}_step{command.step + 1}()", f"    ! {_ascii(plan.does(command.step))}"]
+                body += ["  ENDPROC"] * bool(body)
+                body += [f"  PROC {name}_step{command.step + 1}()", f"    ! {ascii_text(plan.does(command.step))}"]
                 run.append(f"    {name}_step{command.step + 1};")
             elif isinstance(command, Wait):
                 body.append(f"    WaitUntil GInput(gi_{names[command.robot]}_count)>={command.count};")
@@ -97,7 +100,6 @@ def rapid_modules(
                     body += [f"    MoveL {place}, v5, fine, {name}_tool;", "    WaitTime\\InPos, 0.5;"]
             else:
                 offset = np.zeros(6)
-                load, motion = None if loads is None else loads.get((step, motion)), motion + 1
                 now = "" if load is None else rapid_load(in_tool(load, record.tool))
                 if now != carried:
                     number += bool(now)
@@ -112,59 +114,38 @@ def rapid_modules(
                     seconds = max(command.times[knot] - command.times[knot - 1], 0.001)
                     zone = "fine" if knot == last else "z0"
                     body.append(f"    MoveAbsJ {target}, v1000\\T:={seconds:.3f}, {zone}, {name}_tool;")
-        yield (
-            f"{name}.mod",
-            "\n".join(
-                [
-                    f"MODULE {name}",
-                    f"  ! {about}",
-                    *(f"  ! {line}" for line in controller_settings(plan, cell, robot, "rapid")),
-                    f"  PERS tooldata {name}_tool := {_tooldata(record.tool, cell.robots[robot])};",
-                    *targets,
-                    f"  PROC {name}_gripper(bool closed)",
-                    "    IF closed THEN",
-                    f"      SetDO {output}, {closed};",
-                    "    ELSE",
-                    f"      SetDO {output}, {1 - closed};",
-                    "    ENDIF",
-                    f"    WaitTime\\InPos, {signals.seconds:g};",
-                    "  ENDPROC",
-                    *body,
-                    *(["  ENDPROC"] if body else []),
-                    f"  PROC {name}_run()",
-                    *run,
-                    "  ENDPROC",
-                    "ENDMODULE",
-                    "",
-                ]
-            ),
-        )
+        lines = [
+            f"MODULE {name}",
+            *(f"  ! {line}" for line in (_about(plan, robot), *controller_settings(plan, cell, robot, "rapid"))),
+            f"  PERS tooldata {name}_tool := {_tooldata(record.tool, cell.robots[robot])};",
+            *targets,
+            f"  PROC {name}_gripper(bool closed)",
+            "    IF closed THEN",
+            f"      SetDO {output}, {closed};",
+            "    ELSE",
+            f"      SetDO {output}, {1 - closed};",
+            "    ENDIF",
+            f"    WaitTime\\InPos, {signals.seconds:g};",
+            "  ENDPROC",
+            *body,
+            *["  ENDPROC"] * bool(body),
+            f"  PROC {name}_run()",
+            *run,
+            "  ENDPROC",
+            "ENDMODULE",
+        ]
+        yield f"{name}.mod", "\n".join(lines) + "\n"
 
 
 def ur_scripts(
-    plan: RobotPlan,
-    cell: Cell,
-    rate: float,
-    presses: Sequence[TimedPress] = (),
-    loads: PartLoads | None = None,
+    plan: RobotPlan, cell: Cell, rate: float, presses: Sequence[TimedPress] = (), loads: PartLoads | None = None
 ) -> Iterator[tuple[str, str]]:
-    """Yield file names and URScript programs, one for each arm.
+    """Yield file names and URScript programs, one for each arm, as `rapid_modules`.
 
     Motions are positions at a fixed rate for `servoj`, with a `movej` to the last of each. An arm writes its count to
     register 128 of its controller; others read it there over Modbus TCP, at the address in the first lines. An arm that
     presses controls the force along its direction, from what the sensor measures before on, and keeps its position
     across it; moments are not commanded.
-
-    Args:
-        plan: the robot plan.
-        cell: its cell.
-        rate: positions per second.
-        presses: of the plan.
-        loads: of carried parts; None leaves them out.
-
-    Raises:
-        InputError: an arm with another number of joints than 6, too many motions for 16 bits, or an output that a UR
-            controller does not have.
     """
     names = _names(plan, presses)
     for robot, name in enumerate(names):
@@ -173,14 +154,11 @@ def ur_scripts(
         if len(record.joint_names) != 6:
             raise InputError(f"URScript supports robots of 6 joints; {record.name} has {len(record.joint_names)}")
         others = [other for other in names if other != name]
-        own_load = carried = ur_payload(tool_load(cell.robots[robot].gripper))
-        motion = step = 0
-        lines = [
-            f"def {name}():",
-            f"  # {_ascii(plan.plan.name)}: {plan.direction.value} with {_ascii(record.model)}, {len(plan)} steps",
-            *(f"  # {line}" for line in controller_settings(plan, cell, robot, "urscript")),
-        ]
-        addresses = {names[k]: _address(entry, names[k]) for k, entry in enumerate(cell.robots)}
+        tool = tool_load(cell.robots[robot].gripper)
+        own_load = carried = ur_payload(tool)
+        about = (_about(plan, robot), *controller_settings(plan, cell, robot, "urscript"))
+        lines = [f"def {name}():", *(f"  # {line}" for line in about)]
+        addresses = {names[k]: address_of(entry, names[k]) for k, entry in enumerate(cell.robots)}
         for other in others:
             lines += [
                 f'  modbus_add_signal("{addresses[other]}", 255, {REGISTER}, 2, "{other}_count", False)',
@@ -204,10 +182,9 @@ def ur_scripts(
             lines.append(f"  write_port_register({REGISTER}, 2)")
             lines += [line for other in others for line in _until(f"{other}_count() != 1")]
             lines.append(f"  write_port_register({REGISTER}, {COUNT_FROM})")
-        for command in commands_of(plan, robot, presses):
+        for command, load in _with_loads(plan, robot, presses, loads):
             if isinstance(command, Begin):
-                motion, step = 0, command.step
-                lines.append(f"  # step {command.step + 1}: {_ascii(plan.does(command.step))}")
+                lines.append(f"  # step {command.step + 1}: {ascii_text(plan.does(command.step))}")
             elif isinstance(command, Wait):
                 lines += _until(f"{names[command.robot]}_count() >= {command.count}")
             elif isinstance(command, PublishCount):
@@ -221,8 +198,7 @@ def ur_scripts(
                 lines.append(f"  # {_describe_press(plan, command)}")
                 lines += _ur_press(command.press) if command.begins else ["  end_force_mode()"]
             else:
-                load, motion = None if loads is None else loads.get((step, motion)), motion + 1
-                now = own_load if load is None else ur_payload(together(tool_load(cell.robots[robot].gripper), load))
+                now = own_load if load is None else ur_payload(together(tool, load))
                 if now != carried:
                     lines.append(f"  {now}")
                     carried = now
@@ -235,37 +211,27 @@ def ur_scripts(
         yield f"{name}.script", "\n".join([*lines, "end", ""])
 
 
-def controller_settings(plan: RobotPlan, cell: Cell, robot: int, language: Language) -> list[str]:
-    """Return what must be set up at the controller of a robot for its program, each in one line.
-
-    Args:
-        plan: the robot plan.
-        cell: its cell.
-        robot: index of the robot.
-        language: of the program.
-
-    Raises:
-        InputError: the cell names an output that the language does not have.
-    """
-    names = _distinct([_identifier(record.name) for record in plan.robots])
-    entry, level = cell.robots[robot], int(cell.robots[robot].signals.closed)
-    output = grip_signal(entry, names[robot], language)
-    lines = [f"digital output {output} at {level} closes the gripper"]
-    others = [k for k in range(len(names)) if k != robot]
-    if language == "urscript":
-        reads = [f"its register {REGISTER} is read at {_address(entry, names[robot])} by the others"]
-    else:
-        reads = [f"group output go_{names[robot]}_count, 16 bits, counts its motions"]
-        reads += [f"group input gi_{names[k]}_count, 16 bits, is connected to go_{names[k]}_count" for k in others]
-    return lines + reads * bool(others)
+def _about(plan: RobotPlan, robot: int) -> str:
+    model = ascii_text(plan.robots[robot].model)
+    return f"{ascii_text(plan.plan.name)}: {plan.direction.value} with {model}, {len(plan)} steps"
 
 
-def _address(robot: CellRobot, name: str) -> str:
-    return _text(robot.signals.address or f"{name}.local")
+def _with_loads(
+    plan: RobotPlan, robot: int, presses: Sequence[TimedPress], loads: PartLoads | None
+) -> Iterator[tuple[Command, ToolLoad | None]]:
+    """Yield the commands of an arm, each motion with the load of the part that it carries."""
+    motion = step = 0
+    for command in commands_of(plan, robot, presses):
+        if isinstance(command, Begin):
+            motion, step = 0, command.step
+        load = None
+        if isinstance(command, Trajectory):
+            load, motion = (loads or {}).get((step, motion)), motion + 1
+        yield command, load
 
 
 def _describe_press(plan: RobotPlan, command: Pressing) -> str:
-    press, part = command.press, _ascii(plan.plan.part_names[command.press.part])
+    press, part = command.press, ascii_text(plan.plan.part_names[command.press.part])
     if not command.begins:
         return f"stay where the press of {part} has ended"
     force = ", ".join(f"{value:.1f}" for value in press.wrench[:3])
@@ -303,7 +269,7 @@ def _until(condition: str) -> list[str]:
 def _names(plan: RobotPlan, presses: Sequence[TimedPress]) -> list[str]:
     if COUNT_FROM + len(nodes_of(plan)[0]) + 2 * len(presses) > MOST_COUNT:
         raise InputError(f"the plan has more motions than a 16-bit count holds, {MOST_COUNT}; split it")
-    return _distinct([_identifier(robot.name) for robot in plan.robots])
+    return program_names(plan)
 
 
 def _jointtarget(values: Array) -> str:
@@ -331,29 +297,3 @@ def _ur_pose(pose: Array) -> str:
 
     turn = Rotation.from_matrix(pose[:3, :3]).as_rotvec()
     return "p[" + ", ".join(f"{value:.6f}" for value in (*pose[:3, 3], *turn)) + "]"
-
-
-def _identifier(text: str) -> str:
-    """Return a name for both languages: letters, digits and underscores, a letter first, short enough for suffixes."""
-    made = re.sub(r"\W", "_", text, flags=re.ASCII)
-    return (made if made[:1].isalpha() else f"r{made}")[:16]
-
-
-def _distinct(names: list[str]) -> list[str]:
-    """Return distinct names: RAPID names are case-insensitive."""
-    found: list[str] = []
-    for name in names:
-        chosen, number = name, 2
-        while chosen.lower() in (entry.lower() for entry in found):
-            chosen, number = f"{name[:13]}_{number}", number + 1
-        found.append(chosen)
-    return found
-
-
-def _ascii(text: str) -> str:
-    return re.sub(r"[^ -~]", "?", text)
-
-
-def _text(text: str) -> str:
-    """Return text for a string of URScript, which has no escapes."""
-    return _ascii(text).replace('"', "'")

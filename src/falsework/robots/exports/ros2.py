@@ -19,30 +19,20 @@ from falsework.robots.exports.commands import (
     commands_of,
     events_of,
 )
-from falsework.robots.exports.written import Written
-from falsework.robots.plans.presses import TimedPress
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.robot_forces import TimedPress
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import rounded
+from falsework.robots.plans.trajectory import Trajectory
 
 GOALS_FORMAT = "falsework.ros2-goals/1"
 ONE_AFTER_THE_OTHER = ("ros2-json", "ros2-yaml", "csv")
 """Formats that do not keep a schedule."""
-_NANO = 1_000_000_000
+NANO = 1_000_000_000
 """Nanoseconds a second."""
 
 
 def joint_trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory, prefix: str = "") -> dict[str, Any]:
-    """Return a `trajectory_msgs/JointTrajectory` message as plain values.
-
-    Args:
-        plan: the robot plan.
-        robot: number of the robot that moves.
-        trajectory: one of its trajectories.
-        prefix: prefix of the names of its joints, in which `{robot}` is the name of the robot.
-
-    Raises:
-        InputError: a prefix with other braces.
-    """
+    """Return a trajectory of a robot as a `trajectory_msgs/JointTrajectory` message of plain values."""
     record = plan.robots[robot]
     return {
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": record.name},
@@ -53,7 +43,7 @@ def joint_trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory, prefix
                 "velocities": rounded(velocities),
                 "accelerations": [],
                 "effort": [],
-                "time_from_start": _duration(moment),
+                "time_from_start": duration(moment),
             }
             for moment, positions, velocities in zip(
                 trajectory.times.tolist(), trajectory.positions, trajectory.velocities, strict=True
@@ -63,7 +53,7 @@ def joint_trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory, prefix
 
 
 def joint_names(plan: RobotPlan, robot: int, prefix: str) -> list[str]:
-    """Return the names of the joints of a robot with a prefix, as for `joint_trajectory`.
+    """Return the names of the joints of a robot with a prefix, in which `{robot}` stands for the name of the robot.
 
     Raises:
         InputError: a prefix with other braces.
@@ -87,15 +77,8 @@ def lost_schedule(plan: RobotPlan, form: str) -> str:
 
 def ros2_messages(
     plan: RobotPlan, presses: Sequence[TimedPress], kind: Literal["json", "yaml"], prefix: str = ""
-) -> Iterator[Written]:
-    """Yield the trajectories of each step, and of the plan, one after the other.
-
-    Args:
-        plan: the robot plan.
-        presses: of the plan.
-        kind: of the files.
-        prefix: as for `joint_trajectory`.
-    """
+) -> Iterator[tuple[str, str]]:
+    """Yield names and texts of files with the trajectories of each step, and of the plan, one after the other."""
     dump = _json if kind == "json" else _yaml
     everything = []
     start = 0.0
@@ -115,23 +98,18 @@ def ros2_messages(
         pressed = [_press(plan, press) for press in presses if press.step == index]
         step = {"step": index + 1, "do": plan.does(index), "sequence": entries, "presses": pressed}
         everything.append(step)
-        yield Written(f"step-{index + 1:03d}.{kind}", dump(step))
+        yield f"step-{index + 1:03d}.{kind}", dump(step)
     about = {"name": plan.plan.name, "direction": plan.direction.value, "seconds": round(start, 9)}
     if lost := lost_schedule(plan, f"ros2-{kind}"):
         about["schedule"] = lost
-    yield Written(f"plan.{kind}", dump({**about, "steps": everything}))
+    yield f"plan.{kind}", dump({**about, "steps": everything})
 
 
-def ros2_goals(plan: RobotPlan, presses: Sequence[TimedPress] = (), prefix: str = "") -> Iterator[Written]:
+def ros2_goals(plan: RobotPlan, presses: Sequence[TimedPress] = (), prefix: str = "") -> Iterator[tuple[str, str]]:
     """Yield one file with what each arm does: goals of `FollowJointTrajectory`, grips, presses, and waits for others.
 
     An arm counts what it has finished; another one waits for its count, which keeps the order of the schedule whatever
     the delays.
-
-    Args:
-        plan: the robot plan.
-        presses: of the plan.
-        prefix: as for `joint_trajectory`.
     """
     arms = []
     for robot, record in enumerate(plan.robots):
@@ -153,7 +131,7 @@ def ros2_goals(plan: RobotPlan, presses: Sequence[TimedPress] = (), prefix: str 
                 message = joint_trajectory(plan, robot, command, prefix)
                 message["header"]["frame_id"] = ""
                 goal = {"trajectory": message, "path_tolerance": [], "goal_tolerance": []}
-                entries.append({"goal": {**goal, "goal_time_tolerance": _duration(0.0)}})
+                entries.append({"goal": {**goal, "goal_time_tolerance": duration(0.0)}})
         start = plan.keyframes[0].configurations[robot]
         arms.append(
             {
@@ -164,7 +142,7 @@ def ros2_goals(plan: RobotPlan, presses: Sequence[TimedPress] = (), prefix: str 
             }
         )
     about = {"format": GOALS_FORMAT, "name": plan.plan.name, "direction": plan.direction.value}
-    yield Written("goals.json", _json({**about, "count_from": COUNT_FROM, "arms": arms}))
+    yield "goals.json", _json({**about, "count_from": COUNT_FROM, "arms": arms})
 
 
 def _press(plan: RobotPlan, press: TimedPress) -> dict[str, Any]:
@@ -189,9 +167,10 @@ def _part(plan: RobotPlan, index: int) -> str:
     return plan.plan.part_names[part]
 
 
-def _duration(seconds: float) -> dict[str, int]:
-    whole = round(seconds * _NANO)
-    return {"sec": whole // _NANO, "nanosec": whole % _NANO}
+def duration(seconds: float) -> dict[str, int]:
+    """Return a `builtin_interfaces/Duration`, or `Time`, as plain values."""
+    whole = round(seconds * NANO)
+    return {"sec": whole // NANO, "nanosec": whole % NANO}
 
 
 def _json(value: Any) -> str:
@@ -199,11 +178,7 @@ def _json(value: Any) -> str:
 
 
 def _yaml(value: Any) -> str:
-    """Return plain values as YAML, lists of numbers in one line.
-
-    Raises:
-        DependencyError: PyYAML is not installed.
-    """
+    """Return plain values as YAML, lists of numbers in one line."""
     try:
         import yaml
     except ImportError:

@@ -9,20 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from falsework.robots.exports.written import Written
-from falsework.robots.plans.presses import TimedPress
+from falsework.robots.plans.robot_forces import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan
 
 
-def csv_tables(plan: RobotPlan, presses: Sequence[TimedPress], rate: float) -> Iterator[Written]:
-    """Yield a table for each step and one for the plan, with one motion after the other.
+def csv_tables(plan: RobotPlan, presses: Sequence[TimedPress], rate: float) -> Iterator[tuple[str, str]]:
+    """Yield a table for each step and one for the plan, with one motion after the other, at some rows per second.
 
     The first column is `time`, for a plan with a schedule, which the table does not keep, `time_without_schedule`.
-
-    Args:
-        plan: the robot plan.
-        presses: of the plan.
-        rate: rows per second.
     """
     header = ["time" if plan.schedule is None else "time_without_schedule", "step", "do", "moving", "carried"]
     header += [f"{robot.name}_{joint}" for robot in plan.robots for joint in robot.joint_names]
@@ -43,13 +37,13 @@ def csv_tables(plan: RobotPlan, presses: Sequence[TimedPress], rate: float) -> I
                 rows.append([f"{start + moment:.6f}", *about, *joints])
             start += trajectory.seconds
         everything += rows
-        yield Written(f"step-{index + 1:03d}.csv", _table(header, rows))
-    yield Written("plan.csv", _table(header, everything))
+        yield f"step-{index + 1:03d}.csv", _table(header, rows)
+    yield "plan.csv", _table(header, everything)
     if presses:
         axes = [f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"]
         columns = [f"{frame}_{axis}" for frame in ("world", "tool") for axis in axes]
         rows = [_press_row(plan, press) for press in presses]
-        yield Written("presses.csv", _table(["start", "end", "step", "robot", "part", *columns], rows))
+        yield "presses.csv", _table(["start", "end", "step", "robot", "part", *columns], rows)
 
 
 def _press_row(plan: RobotPlan, press: TimedPress) -> list[Any]:

@@ -9,9 +9,8 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
 from falsework.geometry.clearance.sweep import Sweeper, includes_one
 from falsework.geometry.clearance.table import ClearanceTable
+from falsework.utils.arrays import Array
 from falsework.utils.bits import pack, unpack
-
-Array = NDArray[np.float64]
 
 _TILT_DEGREES = (20.0, 50.0, 85.0)
 """Angles to the vertical of the directions that are tried besides straight up, degrees."""
@@ -42,8 +41,7 @@ class ExitDirections:
         Args:
             assembly: the structure.
             turn: rotation from its frame to the world, shape (3, 3).
-            present: parts that are ever in place, all by default: others need no fan and block none, shape (parts,).
-            leaving: parts that ever leave, all by default: others need no fan either, shape (parts,).
+            present, leaving: parts that are ever in place, and that ever leave, all by default: others need no fan.
         """
         known = assembly.clearance
         _, overlap = assembly.contact_settings.lengths(assembly.meshes)

@@ -19,8 +19,7 @@ from falsework.robots.kernels.kernel_arrays import bounds_of, make_obstacles
 from falsework.robots.kernels.rrt_connect import check_many
 from falsework.robots.model.cell import GRIP_TILT, CellRobot, Gripper
 from falsework.robots.model.part_shapes import PartShapes
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 SUCTION_TURNS = 8
 """Rotations about the normal of a face at which a suction grasp is tried."""
@@ -68,26 +67,12 @@ class Grasp:
 
 
 def grasps(
-    assembly: Assembly,
-    parts: PartShapes,
-    part: int,
-    present: ArrayLike,
-    robot: CellRobot,
-    *,
-    limit: int = 64,
+    assembly: Assembly, parts: PartShapes, part: int, present: ArrayLike, robot: CellRobot, *, limit: int = 64
 ) -> list[Grasp]:
-    """Return grasps of a part among the present parts, best first; the arm is not considered.
+    """Return grasps of a part among the present parts, a mask or a state, best first; the arm is not considered.
 
     The gripper keeps clear of all other parts on the last segment of its approach and at the part. The list is
     deterministic: the best faces first, each at one rotation about its normal, then at the next.
-
-    Args:
-        assembly: the structure; its clearance table gives the exit directions of the part.
-        parts: its parts in the cell.
-        part: index of the part.
-        present: present parts: a mask or a state, shape (parts,).
-        robot: robot with the gripper; a part heavier than its payload has no grasp.
-        limit: largest number of returned grasps.
 
     Raises:
         StateError: another number of parts, or no such part.
@@ -105,7 +90,7 @@ def grasps(
 
 def candidates(assembly: Assembly, parts: PartShapes, part: int, gripper: Gripper) -> list[Grasp]:
     """Return grasps of a part that is alone, in the order of `grasps`; a gripper of the same size has the same ones."""
-    faces = faces_of(parts.meshes[part], smallest=np.pi * gripper.cup**2 if gripper.kind == "suction" else 0.0)
+    faces = faces_of(parts.surface(part), smallest=np.pi * gripper.cup**2 if gripper.kind == "suction" else 0.0)
     table = assembly.clearance
     ways = table.directions[table.start[part] : table.start[part + 1]] @ parts.turn.T
     size = float(np.linalg.norm(np.ptp(parts.meshes[part].vertices, axis=0)))
@@ -119,18 +104,11 @@ def candidates(assembly: Assembly, parts: PartShapes, part: int, gripper: Grippe
 
 
 def grasp_fault(parts: PartShapes, part: int, gripper: Gripper, *, blocked: bool) -> str:
-    """Return in words why a gripper has no grasp of a part, with its own size and that of the part.
-
-    Args:
-        parts: the parts in the cell.
-        part: index of the part.
-        gripper: the gripper.
-        blocked: whether it has grasps of the part alone.
-    """
+    """Return in words why a gripper has no grasp of a part, which may be `blocked` by others, with both their sizes."""
     what = "no face that the gripper can grasp"
     if blocked:
         what = f"{what} among the other parts, which leave it no room"
-    faces = faces_of(parts.meshes[part])
+    faces = faces_of(parts.surface(part))
     if gripper.kind == "suction":
         largest = max((_radius(face) for face in faces), default=0.0)
         return (
@@ -163,16 +141,7 @@ def _width(face: Face, other: Face) -> float:
 def clear_grasps(
     tried: Sequence[Grasp], parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper, *, limit: int
 ) -> list[Grasp]:
-    """Return the first grasps of a part with which the gripper keeps clear of the other parts that are there.
-
-    Args:
-        tried: the grasps.
-        parts: the parts in the cell.
-        part: index of the part.
-        there: present parts, shape (parts,).
-        gripper: the gripper.
-        limit: largest number of returned grasps.
-    """
+    """Return the first grasps of a part with which the gripper keeps clear of other parts, those of a mask (parts,)."""
     found: list[Grasp] = []
     open_ways = _free_approaches(parts, part, there, gripper)
     while tried and len(found) < limit:

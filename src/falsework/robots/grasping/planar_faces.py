@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.robots.model.cell import FLAT_DEGREES
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,14 +42,10 @@ class Face:
 
 
 def faces_of(mesh: TriangleMesh, smallest: float = 0.0) -> list[Face]:
-    """Return the faces of a mesh, largest first.
+    """Return the faces of a mesh with at least some area, m2, largest first.
 
     The largest remaining triangle collects its neighbours, and theirs, whose normals are within `FLAT_DEGREES` of
     its own.
-
-    Args:
-        mesh: closed mesh with outward normals.
-        smallest: least area of a face, m2.
     """
     corners = mesh.triangles
     cross = triangle_normals(corners)

@@ -9,13 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Container, Sequence
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from falsework.assembly.state import States
 from falsework.robots.interleaving.search import OrderSearch
 from falsework.robots.interleaving.work import Work, loads_of
-from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.kinematics.forward import tool_pose
@@ -29,12 +25,11 @@ from falsework.robots.motion.collision_world import (
     grasp_contact,
     withdrawal_contact,
 )
-from falsework.robots.motion.path_planner import plan_free, resolution_of
+from falsework.robots.motion.path_planner import plan_free
 from falsework.robots.plans.loads import Load
-from falsework.robots.plans.robot_plan import Trajectory
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.stability.oracle import StabilityOracle
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 def reorder(
@@ -50,15 +45,7 @@ def reorder(
 ) -> list[Edge]:
     """Return the edges of a plan in an order, and with the robots, that allow a shorter schedule.
 
-    Args:
-        graph: keyframes of the structure in the cell.
-        oracle: decides stability.
-        root: the first keyframe.
-        chain: the edges.
-        timed: their trajectories.
-        legal: actions that the rules of the task allow in a state, releases aside.
-        stop: tells when to end with the order found so far.
-        builds: whether the plan is executed as an assembly, backwards.
+    `legal` are actions that the rules allow in a state, releases aside; a plan that `builds` is executed backwards.
     """
     search = OrderSearch(Work(graph, dict(timed)), oracle, root, chain, legal=legal, stop=stop, builds=builds)
     while True:  # a step that fails is excluded in its state, so this ends
@@ -96,7 +83,7 @@ def follow(graph: KeyframeGraph, root: Node, edges: Sequence[Edge], old: Contain
 
 def views(graph: KeyframeGraph, node: Node, edge: Edge) -> list[CollisionQuery]:
     """Return for each segment of an edge the collision queries of its scene, with the pairs that may touch."""
-    margins, robot, part = graph.cell.margins, edge.robot, edge.action % len(node.state)
+    robot, part = edge.robot, edge.action % len(node.state)
     found: list[CollisionQuery] = []
     contacts = [LIFT]
     for segment, load in zip(edge.segments, loads_of(node, edge), strict=True):
@@ -108,7 +95,7 @@ def views(graph: KeyframeGraph, node: Node, edge: Edge) -> list[CollisionQuery]:
             contact = contacts.pop() if found else withdrawal_contact(scene)
         else:
             contacts = [PUT_DOWN, PUT_DOWN]
-        found.append(graph.cache.view(scene, robot, contact, margins.line if line else margins.free))
+        found.append(graph.cache.view(scene, robot, contact))
     return found
 
 
@@ -131,10 +118,8 @@ def lies_free(graph: KeyframeGraph, node: Node, edge: Edge) -> bool:
 
 def _proven(segment: PathSegment, view: CollisionQuery, seed: int) -> Array | None:
     """Return the path of a segment if it is free, a new path if it may be replanned, or None."""
-    path = np.ascontiguousarray(segment.path)
-    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
-    if edges_free(path, resolution_of(view), *arrays, np.empty((2, INTERVALS), np.int64)) == len(path) - 1:
+    if view.is_free(segment.path):
         return segment.path
     if segment.kind == "line":
         return None
-    return plan_free(view, path[0], path[-1], seed=seed).path
+    return plan_free(view, segment.path[0], segment.path[-1], seed=seed).path

@@ -1,9 +1,9 @@
 """Large-neighbourhood search for the order of the steps of a plan in which the makespan is least, and for their arms.
 
 A neighbourhood is a window of the order. Its steps are searched again by a narrow beam: an arm may take its own parts
-in another order, parts of other arms, and parts from behind the end of the window; all else stays in its order. Windows
-are searched until none leads to a better order. Then one at random leads to a slightly worse order, from which windows
-nearby are searched (iterated local search, after Lourenço, Martin and Stützle 2003).
+in another order, and parts of other arms; all else stays in its order. Windows are searched until none leads to a
+better order. Then one at random leads to a slightly worse order, from which windows nearby are searched (iterated local
+search, after Lourenço, Martin and Stützle 2003).
 
 Whatever fails is excluded for the rest of the search: a state without a stable verdict, the last steps of an order
 whose replay ends early, and a step for which there is no motion in some state. Waits are those of a schedule in which
@@ -19,8 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from falsework.assembly.state import States
-from falsework.robots.interleaving.next_steps import NextSteps
-from falsework.robots.interleaving.partial_order import Partial, UnitStep, beginning, expected, extended
+from falsework.robots.interleaving.orders import NextSteps, Partial, UnitStep, beginning, expected, extended
 from falsework.robots.interleaving.work import Unit, Work
 from falsework.robots.keyframes.keyframes import Edge, Node, state_after
 from falsework.search.plans.plan_replay import Acceptance
@@ -31,15 +30,13 @@ _WIDTH = 4
 _LENGTHS = (10, 14, 8, 12, 18)
 """Steps of windows, in turn: in longer ones the beam is too narrow."""
 _CHOICES = 4
-"""Next parts that an arm chooses from: of its own, and from behind the end of a window; half as many of other arms."""
+"""Next parts of its own that an arm chooses from; half as many of other arms."""
 _SAME = 2
 """Partial orders of the same steps that are kept."""
 _ENDS = 4
 """Orders of a window that are continued to the end of the plan; and searches of it, where none of them stands."""
 _WORSE = 0.02
 """Share by which an order may be worse for better ones to be searched from it."""
-_DRIFT = 0.002
-"""Share by which the order at the end of such a search may be worse for the next to begin there."""
 _TOTAL = 0.01
 """Weight of the total time in the comparison of complete orders, which decides between those with equal makespan."""
 
@@ -63,17 +60,7 @@ class OrderSearch:
         stop: Callable[[], bool],
         builds: bool = False,
     ) -> None:
-        """Prepare the search.
-
-        Args:
-            work: motions of the cell.
-            oracle: decides stability.
-            root: the first keyframe.
-            chain: the edges of the plan.
-            legal: actions that the rules of the task allow in a state, releases aside.
-            stop: tells when to end with the order found so far.
-            builds: whether the plan is executed backwards, as an assembly.
-        """
+        """Prepare the search, as `reorder` takes its arguments."""
         self.builds = builds
         self.work, self.graph = work, work.graph
         self.root, self.legal, self.stop = root, legal, stop
@@ -122,30 +109,22 @@ class OrderSearch:
         return extended(self.work, partial, step, self.units[step.unit.job], builds=self.builds)
 
     def run(self, seed: int = 0) -> None:
-        """Find a better order.
-
-        Args:
-            seed: seed of the windows that lead to worse orders.
-        """
+        """Find a better order, with a seed of the windows that lead to worse orders."""
         rng, steps = np.random.default_rng(seed), len(self.best) - 1
         windows = [(first, size) for size in _LENGTHS for first in range(max(steps - size, 1))]
         self.improve(0, steps, own=1, others=0)  # first the sequences of the arms are merged, each as it is
         self._descend(0, steps)
-        best = base = self.order
+        best = self.order
         since, left = 0, rng.permutation(windows).tolist()
         while left and since < len(self.units) and not self.stop():
             first, size = left.pop()
-            if not self.improve(first, size, far=self.behind(min(first + size, steps)), worse=_WORSE):
+            if not self.improve(first, size, worse=_WORSE):
                 continue
             since += 1
             self._descend(first - size, first + 2 * size)
-            if self.cost < base[0] * (1 + _DRIFT):
-                base, left = self.order, rng.permutation(windows).tolist()
-            else:
-                self.take(base)
-            if base[0] < best[0]:
-                best, since = base, 0
-        self.take(best)
+            if self.cost < best[0]:
+                best, since, left = self.order, 0, rng.permutation(windows).tolist()
+            self.take(best)
 
     def _descend(self, first: int, last: int) -> None:
         """Search windows in a part of the order until none leads to a better one."""
@@ -178,46 +157,21 @@ class OrderSearch:
         """The best order, to go back to."""
         return self.cost, list(self.units), self.best
 
-    def behind(self, last: int) -> list[Unit]:
-        """Return the next units from behind the end of a window, of each arm, that nothing blocks at its end."""
-        node, found, seen = self.best[last].node, [], [0] * len(self.root.configurations)
-        for step in self.best[-1].steps[last:]:
-            unit = step.unit
-            if step.place or not unit.movable or seen[unit.robot] >= _CHOICES:
-                continue
-            if unit.part in self.legal(node.state) and self.next.is_removable(node.state, unit.edges[1]):
-                found.append(unit)
-                seen[unit.robot] += 1
-        return found
-
     def improve(
-        self,
-        first: int,
-        size: int,
-        *,
-        own: int = _CHOICES,
-        others: int = _CHOICES // 2,
-        far: Sequence[Unit] = (),
-        worse: float = 0.0,
+        self, first: int, size: int, *, own: int = _CHOICES, others: int = _CHOICES // 2, worse: float = 0.0
     ) -> bool:
         """Search some steps of the best order again; return whether another order was found.
 
-        Args:
-            first: the first of the steps.
-            size: number of steps, as far as there are so many.
-            own: next parts of its own that an arm chooses from.
-            others: next parts of each other arm that an arm chooses from.
-            far: units from behind the end that may be taken too.
-            worse: share by which an order that was not the best one before may be worse; by default it must be better.
+        An order that was not the best one before may be `worse` by a share; by default it must be better.
         """
         last, cost = min(first + size, len(self.best) - 1), self.cost
         futile = self._futile.setdefault(_signature(self.best[-1]), set())
-        window = (first, last, own, others, len(far), worse)
+        window = (first, last, own, others, worse)
         if window in futile:
             return False
         limit = cost * (1 + worse) if worse else cost - 1e-6
         for _ in range(_ENDS):  # what does not stand is excluded, and the window searched again
-            completed = [order for order in self.completed(first, last, own, others, far) if self.allows(order)]
+            completed = [order for order in self.completed(first, last, own, others) if self.allows(order)]
             if worse:
                 completed = [order for order in completed if _signature(order) not in self._futile]
             better = sorted((order for order in completed if _cost(order) < limit), key=_cost)
@@ -247,10 +201,7 @@ class OrderSearch:
         return all(actions[-len(last) :] != last for last in self.fallen)
 
     def _stands(self, order: Partial) -> bool:
-        """Return whether the states of an order are stable, and where it is the best so far its replay; note failures.
-
-        The replay is in the order of assembly.
-        """
+        """Return whether the states of an order are stable, and if it is the best so far its replay; note failures."""
         states, actions = [self.root.state], [step.action for step in order.steps if not step.hands_over]
         for action in actions:
             states.append(state_after(states[-1], action))
@@ -266,10 +217,10 @@ class OrderSearch:
             self._record = _cost(order)
         return row is None
 
-    def completed(self, first: int, last: int, own: int, others: int, far: Sequence[Unit]) -> Iterator[Partial]:
+    def completed(self, first: int, last: int, own: int, others: int) -> Iterator[Partial]:
         """Yield complete orders with other steps in a window; what is left of it follows in the old order."""
         old = self.best
-        for partial in self._beam(first, last, own, others, far)[:_ENDS]:
+        for partial in self._beam(first, last, own, others)[:_ENDS]:
             if partial is old[last]:
                 continue
             done = {(step.unit.job, step.place) for step in partial.steps[first:]}
@@ -296,24 +247,17 @@ class OrderSearch:
         legs = self.next.legs(partial, unit, place)
         return None if legs is None else self._extended(partial, UnitStep(unit, place, legs))
 
-    def _beam(self, first: int, last: int, own: int, others: int, far: Sequence[Unit]) -> list[Partial]:
+    def _beam(self, first: int, last: int, own: int, others: int) -> list[Partial]:
         """Return orders of the steps of a window after those before it, best first."""
         window = self.best[-1].steps[first:last]
         inside = {(step.unit.job, step.place) for step in window}
-        inside |= {(unit.job, place) for unit in far for place in range(2)}
         beam, width = [self.best[first]], self._width
         for level in range(first + 1, last + 1):
+            hold, builds = self._hold, self.builds
             made = sorted(  # a robot does a job at most once after each order, so units are never compared
-                (
-                    expected(partial, robot, unit, place, self._hold, builds=self.builds),
-                    row,
-                    robot,
-                    unit.job,
-                    unit,
-                    place,
-                )
+                (expected(partial, robot, unit, place, hold, builds=builds), row, robot, unit.job, unit, place)
                 for row, partial in enumerate(beam)
-                for robot, unit, place in self._steps(partial, window, inside, own, others, far)
+                for robot, unit, place in self._steps(partial, window, inside, own, others)
             )
             found: list[tuple[float, int, Partial]] = []
             worst, scores = np.inf, []
@@ -345,7 +289,6 @@ class OrderSearch:
         inside: set[tuple[int, int]],
         own: int,
         others: int,
-        far: Sequence[Unit],
     ) -> Iterator[tuple[int, Unit, int]]:
         """Yield steps of a window that may come next: robots, units as in the best order, and places in them."""
         waiting = [step.unit for step in window if step.place == 0 and step.unit.job not in partial.jobs]
@@ -368,9 +311,6 @@ class OrderSearch:
                 if unit.robot == robot or whole:
                     yield robot, unit, 0
                 seen[unit.robot] += 1
-            for unit in far:
-                if unit.robot == robot and unit.job not in partial.jobs:
-                    yield robot, unit, 0
 
 
 def _cost(order: Partial) -> float:

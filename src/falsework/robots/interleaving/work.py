@@ -14,12 +14,10 @@ from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.keyframes.trajectory_assembly import timed_leg
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.motion.collision_world import NO_CONTACT
 from falsework.robots.plans.loads import Load, LoadKey
-from falsework.robots.plans.robot_plan import Trajectory
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.robots.schedule.swept_bodies import SweptBodies
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 Box = tuple[float, float, float, float, float, float]
 """Lower and upper corner of a box whose sides are parallel to the axes, metres."""
@@ -119,7 +117,6 @@ class Work:
     """Motions of the arms of a plan, and their conflicts, each computed once."""
 
     def __init__(self, graph: KeyframeGraph, timed: dict[PathSegment, Trajectory | None]) -> None:
-        """Prepare for motions of a cell; some have trajectories."""
         self.graph, self.timed = graph, timed
         self.bodies = SweptBodies(graph.world)
         self._rests: dict[tuple[int, bytes, LoadKey | None], ArmSweep] = {}
@@ -149,15 +146,7 @@ class Work:
         return Unit(job, edges[0].robot, edges[0].action % parts, edges, legs, movable)
 
     def replacement(self, job: int, node: Node, part: int, robot: int, rests: Sequence[ArmSweep]) -> Unit | None:
-        """Return the unit of another arm that takes a part at a keyframe; None if it cannot.
-
-        Args:
-            job: index of the unit that it replaces.
-            node: the keyframe.
-            part: the part.
-            robot: the arm, which holds nothing.
-            rests: bodies of all arms there.
-        """
+        """Return the unit of another arm that takes a part at a keyframe; None if it cannot."""
         hold = next(self.graph.holds(node, part, robot), None)
         removal = None if hold is None else next(self.graph.edges(hold.node, len(node.state) + part), None)
         if hold is None or removal is None or removal.put_down is not None:
@@ -190,15 +179,9 @@ class Work:
         *,
         on_way: bool,
     ) -> Leg | None:
-        """Return a motion that was planned at a keyframe; None for one of zero length.
+        """Return a motion that was planned at a keyframe, clear of arms at rest; None for one of zero length.
 
-        Args:
-            robot: the arm.
-            segment: its path.
-            load: the part that it carries or put down.
-            node: the keyframe.
-            rests: bodies of all arms there, which the motion is known to keep clear of.
-            on_way: whether the arm carries the part beyond its end.
+        `on_way`: the arm carries the part beyond its end.
         """
         cell = self.graph.cell
         if segment not in self.timed:
@@ -231,10 +214,7 @@ class Work:
         return [self.rest(robot, values) for robot, values in enumerate(node.configurations)]
 
     def wait(self, leg: Leg, other: ArmSweep) -> Wait:
-        """Return how long a motion has to wait for what another arm did before.
-
-        Neither the motion nor the rest after it is then in conflict with it.
-        """
+        """Return how long a motion, and the rest after it, has to wait for what another arm did before."""
         found = leg.waits.get(other)
         if found is None:
             forward, backward = NO_WAIT
@@ -251,12 +231,7 @@ class Work:
         return found
 
     def blocked(self, leg: Leg, parts: int) -> bool:
-        """Return whether a motion is in conflict with one of some parts in place that were absent where it was planned.
-
-        Args:
-            leg: the motion.
-            parts: the parts, as bits.
-        """
+        """Return whether a motion is in conflict with one of some parts, as bits, absent where it was planned."""
         return self.meets(leg, parts) < np.inf
 
     def meets(self, leg: Leg, parts: int) -> float:
@@ -300,7 +275,7 @@ class Work:
         motion = self.graph.cache.motion(scene, robot, start, goal)
         if motion.path is None:
             return None
-        view = self.graph.cache.view(scene, robot, NO_CONTACT, self.graph.cell.margins.free)
+        view = self.graph.cache.view(scene, robot)
         segment = PathSegment("free", motion.path, part=old.part, view=view)
         load = None if old.part is None else Load(old.part, here, np.eye(4))
         return self.leg(robot, segment, load, node, rests, on_way=old is not edge.segments[-1])

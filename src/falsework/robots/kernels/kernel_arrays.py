@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -13,19 +12,14 @@ from falsework.robots.kernels.collision import Bodies, Chain, Obstacles
 from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Pieces, move
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 GROUP = 6
 """Obstacles per bounding box in the broad phase."""
 
 
-@dataclass(frozen=True, eq=False)
-class Carried:
-    """Load of a robot: pieces in the frame of its flange."""
-
-    part: int
-    pieces: Pieces
+Carried = tuple[int, Pieces]
+"""Part that a robot carries, and its pieces in the frame of the flange."""
 
 
 @lru_cache(maxsize=64)
@@ -65,8 +59,8 @@ def make_bodies(
     bare, names, kinds = _arm_bodies(robot)
     if carried is None:
         return bare, list(names), list(kinds)
-    joints = robot.model.joints
-    load = _packed(robot.model, [joints] * len(carried.pieces), _mounted(robot.model, carried.pieces))
+    joints, (part, pieces) = robot.model.joints, carried
+    load = _packed(robot.model, [joints] * len(pieces), _mounted(robot.model, pieces))
     bodies = Bodies(
         np.append(bare.frame, load.frame),
         np.append(bare.start[:-1], bare.start[-1] + load.start),
@@ -75,11 +69,11 @@ def make_bodies(
         np.append(bare.radius, load.radius),
         np.concatenate([bare.sweep, load.sweep]),
     )
-    name = f"part {part_names[carried.part]}"
+    name = f"part {part_names[part]}"
     return (
         bodies,
-        [*names, *[name] * len(carried.pieces)],
-        [*kinds, *[joints + 2] * len(carried.pieces)],
+        [*names, *[name] * len(pieces)],
+        [*kinds, *[joints + 2] * len(pieces)],
     )
 
 
@@ -152,7 +146,6 @@ def self_pairs(model: RobotModel, links: Sequence[int]) -> NDArray[np.int64]:
     they hardly move relative to each other, and whether they fit is checked once, with the cell.
 
     Args:
-        model: the arm.
         links: the body of every piece, as `make_bodies` returns it.
     """
     return _self_pairs(model, tuple(links)).copy()

@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from msgspec import to_builtins
 
 from falsework.assembly.state import describe_step
 from falsework.search.problem.result import Route
+from falsework.utils.arrays import Array
 from falsework.utils.quantity import listed
-
-Array = NDArray[np.float64]
 
 _DOING = {"insert": "inserting", "release": "releasing", "hold": "holding"}
 _SHOWN = 8
@@ -85,27 +84,12 @@ class Explanation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the explanation as a JSON object."""
-        return {
-            "outcome": self.outcome,
-            "reached": self.reached,
-            "steps": self.steps,
-            "unreachable": list(self.unreachable),
-            "hopeless": None if self.hopeless is None else {"part": self.hopeless[0], "action": self.hopeless[1]},
-            "details": list(self.details),
-            "text": self.text,
-        }
+        hopeless = None if self.hopeless is None else {"part": self.hopeless[0], "action": self.hopeless[1]}
+        return {**to_builtins(self), "hopeless": hopeless}
 
 
 def describe_failure(what: str, route: Route, row: int, names: Sequence[str], plans: int = 0) -> str:
-    """Return in words where the structure collapses in the replay of a plan.
-
-    Args:
-        what: name of the plan.
-        route: its states and actions.
-        row: number of the state in assembly order.
-        names: names of the parts.
-        plans: number of such plans.
-    """
+    """Return in words at which state, numbered in assembly order, the structure collapses in the replay of a plan."""
     place = "in the first state"
     if row:
         before, after = route.states[::-1][row - 1 : row + 1]
@@ -128,19 +112,9 @@ def explain(
     limit: str = "",
     abstract: bool = False,
 ) -> Explanation:
-    """Describe the failures of a search.
+    """Describe the failures of a search; `tried` has the actions that failed where it got farthest, with counts.
 
-    Args:
-        outcome: outcome of the search.
-        reached: steps of the longest plan that was found.
-        steps: steps of a complete plan.
-        reasons: all failures.
-        tried: actions that failed where the search got farthest, as kind and part, with counts.
-        robots: names of the robots.
-        names: names of the parts.
-        unreachable: parts that no robot can hold even when they are alone.
-        limit: limit that ended the search.
-        abstract: whether even a plan without motions is missing.
+    `limit` is what ended the search; `abstract`: even a plan without motions is missing.
     """
     hopeless = max(tried, key=lambda key: (tried[key], -key[1])) if tried else None
     focus = {(kind, part) for kind, part in tried} | {("hold", part) for part in unreachable}

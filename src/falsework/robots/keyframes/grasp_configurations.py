@@ -18,9 +18,8 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Gripper
 from falsework.robots.motion.collision_world import Scene, grasp_contact
-from falsework.robots.motion.motion_cache import MotionCache
-
-Array = NDArray[np.float64]
+from falsework.robots.motion.path_planner import MotionCache
+from falsework.utils.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,22 +65,9 @@ class GraspConfigurations:
         return self._places[robot]
 
     def best(
-        self,
-        grips: list[GraspConfiguration],
-        robot: int,
-        scene: Scene,
-        held: tuple[int | None, ...],
-        count: int,
+        self, grips: list[GraspConfiguration], robot: int, scene: Scene, held: tuple[int | None, ...], count: int
     ) -> list[GraspConfiguration]:
-        """Return the grasps to try, best first: near the robot's configuration, and away from other arms.
-
-        Args:
-            grips: grasps of one robot.
-            robot: index of that robot.
-            scene: poses of everything.
-            held: the part that each robot holds.
-            count: largest number of returned grasps.
-        """
+        """Return the grasps to try, best first: near the robot's configuration, and away from other arms."""
         if not grips:
             return []
         room = self._room(grips, robot, scene.configurations, held)
@@ -135,7 +121,7 @@ class GraspConfigurations:
             return []
         # One robot among parts, all others at home.
         alone = Scene(self.cell.homes, present, (None,) * self.cell.robot_count)
-        view = self.cache.view(alone, robot, grasp_contact(part), self.cell.margins.line)
+        view = self.cache.view(alone, robot, grasp_contact(part))
         values = np.concatenate(branches)
         which = np.repeat(np.arange(len(found)), [len(solutions) for solutions in branches]).tolist()
         hits = view.hits(values)

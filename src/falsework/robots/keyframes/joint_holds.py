@@ -7,7 +7,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.robots.kernels.coordination import Swept, conflicts
@@ -17,7 +16,6 @@ from falsework.stability.contact.replay import Replayer
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.verdict import Verdicts
 
-Array = NDArray[np.float64]
 Group = tuple[int, ...]
 """Two or three parts, ascending."""
 Usable = Callable[[GraspConfiguration, int, States], bool]
@@ -35,13 +33,7 @@ class JointHolds:
     """
 
     def __init__(self, grips: GraspConfigurations, usable: Usable) -> None:
-        """Create an empty set.
-
-        Args:
-            grips: grasp configurations of the robots of a cell.
-            usable: whether an arm can approach a grasp, and the part leave with it later, among the parts of a state;
-                other grasps do not count.
-        """
+        """Compare only grasps that are usable: an arm can approach them, and the part leave with them later."""
         self.grips, self.cell, self._usable = grips, grips.cell, usable
         self.rivals: set[Group] = set()
         """Groups that could not be held at the same time."""
@@ -84,11 +76,7 @@ class JointHolds:
         self._excluded[tuple(sorted(parts))].append(state != REMOVED)
 
     def learn_from(self, states: States) -> bool:
-        """Compare the grasps of all rivals that are held together in some states; return whether that excludes any.
-
-        Args:
-            states: shape (batch, parts).
-        """
+        """Compare the grasps of rivals held together in states, (batch, parts); return whether that excludes any."""
         new = False
         for state in states:
             held = set(np.flatnonzero(state == HELD).tolist())
@@ -145,7 +133,6 @@ class HoldingOracle(Oracle):
     """Stability oracle that leaves states undecided whose held parts no arms can hold together."""
 
     def __init__(self, oracle: StabilityOracle, joint: JointHolds) -> None:
-        """Query `oracle` for the states that `joint` does not exclude."""
         self._oracle, self._joint = oracle, joint
 
     @property
@@ -180,9 +167,7 @@ class HoldingOracle(Oracle):
 
 
 def _compatible(
-    usable: Sequence[Mask],
-    keys: Sequence[tuple[int, int]],
-    clear: dict[tuple[tuple[int, int], tuple[int, int]], Mask],
+    usable: Sequence[Mask], keys: Sequence[tuple[int, int]], clear: dict[tuple[tuple[int, int], tuple[int, int]], Mask]
 ) -> list[int] | None:
     """Return one grasp for each arm and part, of which no two collide; None if there are none."""
     if not usable:

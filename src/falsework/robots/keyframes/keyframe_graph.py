@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.robots.grasping.exit_directions import ExitDirections
-from falsework.robots.keyframes.delivery import Delivery
 from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.robots.keyframes.joint_holds import JointHolds
@@ -30,11 +29,9 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Scene, grasp_contact
-from falsework.robots.motion.motion_cache import MotionCache
 from falsework.robots.motion.near_pairs import NearPair, nearest_pair
-from falsework.robots.motion.path_planner import follow_line
-
-Array = NDArray[np.float64]
+from falsework.robots.motion.path_planner import MotionCache, follow_line
+from falsework.utils.arrays import Array
 
 _MAX_DETOURS = 2
 """Withdrawals of a part that cannot be delivered after which it is put down, to be gripped in another way."""
@@ -70,16 +67,9 @@ class KeyframeGraph:
         present: NDArray[np.bool_] | None = None,
         leaving: NDArray[np.bool_] | None = None,
     ) -> None:
-        """Create an empty graph.
+        """Create an empty graph; the seed is that of the free motions.
 
-        Args:
-            assembly: the structure.
-            cell: the robots and their surroundings.
-            settings: limits on candidates.
-            seed: seed of the free motions.
-            parts: the parts as bodies in the cell, if already available.
-            present: parts that are ever in place, all by default, shape (parts,).
-            leaving: parts that are ever removed, all by default, shape (parts,).
+        `present` and `leaving` are parts that are ever in place, and that ever leave, shape (parts,); all by default.
         """
         self.assembly, self.cell, self.settings, self.seed = assembly, cell, settings, seed
         self.allow_regrasp = False
@@ -96,8 +86,7 @@ class KeyframeGraph:
         self.dead = DeadEnds()
         """Dead ends of the search that uses the graph."""
         self._alone: dict[tuple[int, int, bytes, bytes, bool, bool], bool] = {}
-        self.withdrawal = Withdrawal(self.cache, self.reasons, settings.withdrawals)
-        self.delivery = Delivery(self.cache, self.reasons, self.grasp_configurations)
+        self.withdrawal = Withdrawal(self.cache, self.reasons, self.grasp_configurations, settings.withdrawals)
         self.putting_down = PuttingDown(assembly, self.cache, self.reasons, self.grasp_configurations, self.retreat)
         self.exits = ExitDirections(assembly, self.parts.turn, present, leaving)
 
@@ -221,28 +210,18 @@ class KeyframeGraph:
         return sorted(free, key=lambda robot: float(np.linalg.norm(self.cell.robots[robot].base[:2, 3] - center[:2])))
 
     def holds(
-        self,
-        node: Node,
-        part: int,
-        robot: int,
-        lasting: bool = True,
-        grips: list[GraspConfiguration] | None = None,
+        self, node: Node, part: int, robot: int, lasting: bool = True, grips: list[GraspConfiguration] | None = None
     ) -> Iterator[Edge]:
-        """Yield edges on which a robot that holds nothing holds a part.
+        """Yield edges on which a robot that holds nothing holds a part, with some grasps, all by default.
 
-        Args:
-            node: the keyframe.
-            part: the part.
-            robot: the robot.
-            lasting: only with grasps with which the part can leave later.
-            grips: the grasps to choose from, all by default.
+        `lasting`: only with grasps with which the part can leave later.
         """
         grips = self.grips(robot, part, node.state) if grips is None else grips
         if node.changed:
             grips = [grip for grip in grips if node.is_new(part, robot, grip.configuration)]
         if not grips:
             return
-        view = self.cache.view(node.scene, robot, grasp_contact(part), self.cell.margins.line)
+        view = self.cache.view(node.scene, robot, grasp_contact(part))
         values = np.array([grip.configuration for grip in grips])
         hits = view.hits(values)
         for row in np.flatnonzero(hits >= 0)[:1]:
@@ -259,7 +238,7 @@ class KeyframeGraph:
         self, node: Node, part: int, grip: GraspConfiguration, view: CollisionQuery, lasting: bool
     ) -> Edge | None:
         robot = grip.robot
-        clear = self.cache.view(node.scene, robot, NO_CONTACT, self.cell.margins.free)
+        clear = self.cache.view(node.scene, robot)
         retreat = self.retreat("hold", part, robot, grip.configuration, -grip.grasp.approach, view, clear)
         if retreat is None:
             return None
@@ -292,15 +271,12 @@ class KeyframeGraph:
         return None
 
     def _usable(self, grip: GraspConfiguration, part: int, state: States) -> bool:
-        """Return whether an arm can approach a grasp, and the part leave with it later, if no other arm is near.
-
-        With releases it need not be able to leave.
-        """
+        """Return whether an arm can approach a grasp, and the part leave with it or be released, without other arms."""
         key = (grip.robot, part, grip.configuration.tobytes(), state.tobytes(), self.allow_regrasp, part in self.given)
         if key not in self._alone:
             alone = self.start(state, self.cell.homes, (None,) * self.cell.robot_count)
-            view = self.cache.view(alone.scene, grip.robot, grasp_contact(part), self.cell.margins.line)
-            clear = self.cache.view(alone.scene, grip.robot, NO_CONTACT, self.cell.margins.free)
+            view = self.cache.view(alone.scene, grip.robot, grasp_contact(part))
+            clear = self.cache.view(alone.scene, grip.robot)
             here, way = grip.configuration, -grip.grasp.approach
             self._alone[key] = self.retreat("hold", part, grip.robot, here, way, view, clear) is not None and (
                 self.allow_regrasp or self._can_leave_later(alone, part, grip)
@@ -328,7 +304,7 @@ class KeyframeGraph:
         robot, hands_over = node.holder(part), node.handed == part
         here, entry = node.configurations[robot], self.cell.robots[robot]
         view = self._view(node, robot, self.cell.margins.line)
-        clear = self.cache.view(node.scene, robot, NO_CONTACT, self.cell.margins.free)
+        clear = self.cache.view(node.scene, robot)
         path = self.retreat("release", part, robot, here, -tool_pose(entry, here)[:3, 2], view, clear)
         if path is None:
             return
@@ -368,7 +344,7 @@ class KeyframeGraph:
                 yield Edge(action, robot, (*lines, *detour.segments), after, put_down=detour.pose)
 
     def _carry(self, node: Node, part: int, robot: int, paths: tuple[Array, ...], scene: Scene) -> Edge | None:
-        away = self.delivery.path(part, robot, paths[-1][-1], scene)
+        away = self.withdrawal.delivery(part, robot, paths[-1][-1], scene)
         if away is None:
             return None
         lines = tuple(PathSegment("line", path, part=part) for path in paths)

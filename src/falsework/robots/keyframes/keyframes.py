@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
 from falsework.robots.motion.collision_world import Attached, CollisionQuery, Scene
 from falsework.search.problem.result import Route
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _MOST_HAND_OVERS = 2
 """Hand-overs of a part between two removals: to another robot, and back with another grasp."""
@@ -105,13 +104,7 @@ class Node:
         return replace(self, configurations=tuple(configurations), carried=kept)
 
     def after(self, action: int, robot: int, values: Array) -> Node:
-        """Return the keyframe after an action, or after half of a hand-over of a part that another robot holds.
-
-        Args:
-            action: as of `state_after`; in a hand-over the part.
-            robot: the robot that carries it out.
-            values: its configuration then, shape (joints,).
-        """
+        """Return the keyframe after an action as of `state_after`, or half of a hand-over of a held part."""
         configurations, held = list(self.configurations), list(self.held)
         configurations[robot] = np.asarray(values)
         if action in held[:robot] + held[robot + 1 :]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import islice, product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from shapely import MultiPoint, Point, Polygon
 
@@ -20,11 +19,10 @@ from falsework.robots.keyframes.keyframes import PathSegment
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.shapes import inverse_pose, move, move_pieces
-from falsework.robots.motion.collision_world import NO_CONTACT, PUT_DOWN, CollisionQuery, Scene, grasp_contact
-from falsework.robots.motion.motion_cache import MotionCache
-from falsework.robots.motion.path_planner import follow_line
+from falsework.robots.motion.collision_world import PUT_DOWN, CollisionQuery, Scene, grasp_contact
+from falsework.robots.motion.path_planner import MotionCache, follow_line
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
 Retreat = Callable[[str, int, int, Array, Array, CollisionQuery, CollisionQuery], Array | None]
 
 _MOST_FACES = 6
@@ -80,15 +78,7 @@ class PuttingDown:
     def __init__(
         self, assembly: Assembly, cache: MotionCache, reasons: FailureLog, grips: GraspConfigurations, retreat: Retreat
     ) -> None:
-        """Find motions in the scenes of `cache`, and log to `reasons` why there are none.
-
-        Args:
-            assembly: the structure.
-            cache: collision queries and motions.
-            reasons: log of failures.
-            grips: grasps, and drop-off configurations.
-            retreat: finds the line on which a gripper leaves a part, as `KeyframeGraph` does.
-        """
+        """Log to `reasons` why there are no motions; `retreat` is that of the keyframe graph."""
         self.assembly, self.cache, self.reasons, self._grips, self._retreat = assembly, cache, reasons, grips, retreat
         self.cell, self.parts = cache.world.cell, cache.world.parts
         self._faces: dict[int, list[Array]] = {}
@@ -96,12 +86,7 @@ class PuttingDown:
     def detour(self, part: int, robot: int, here: Array, end: Array, scene: Scene) -> Detour | None:
         """Return a detour for a part that a robot has withdrawn but cannot deliver; None if none is found.
 
-        Args:
-            part: the part.
-            robot: the robot.
-            here: its configuration while the part was in place, shape (joints,).
-            end: its configuration after the withdrawal, shape (joints,).
-            scene: the scene in which the part is carried.
+        `here` and `end` are its configurations before and after the withdrawal; in the scene the part is carried.
         """
         if self.cell.floor is None:
             return None
@@ -128,7 +113,7 @@ class PuttingDown:
             return found
         for grasp in grasps(self.assembly, self.parts, part, alone, self.cell.robots[robot], limit=self._grips.limit):
             carried = scene.with_attached(robot, part, grasp.tool)
-            free = places[self._free(carried, robot).hits(places) < 0]
+            free = places[self.cache.view(carried, robot).hits(places) < 0]
             if len(free):
                 found.append((grasp, free))
             if len(found) == _MOST_GRASPS:
@@ -137,8 +122,8 @@ class PuttingDown:
 
     def _downs(self, scene: Scene, part: int, robot: int, here: Array, end: Array) -> Iterator[_Down]:
         """Yield places to which the robot can bring the part, nearest first, and leave it there."""
-        entry, margins = self.cell.robots[robot], self.cell.margins
-        tool, line, free = tool_pose(entry, here), self._line(scene, robot), self._free(scene, robot)
+        entry = self.cell.robots[robot]
+        tool, line = tool_pose(entry, here), self.cache.view(scene, robot, PUT_DOWN)
         lines = 0
         for pose in islice(self._poses(scene, part, robot), _MOST_POSES):
             values = inverse(entry, (pose @ tool)[None])[0]
@@ -149,15 +134,15 @@ class PuttingDown:
                 lines += 1
                 if lines > _MOST_LINES:
                     return
-                up = follow_line(line, at, (0.0, 0.0, 1.0), _LIFT * margins.approach).path
-                if up is None or free.collides(up[-1])[0]:
+                up = self._lift(scene, robot, at)
+                if up is None:
                     continue
                 lying = scene.with_put_down(robot, part, pose)
                 retreat = self._leave(lying, part, robot, at)
                 way = None if retreat is None else self.cache.motion(scene, robot, end, up[-1]).path
                 if retreat is None or way is None:
                     continue
-                over = PathSegment("free", way, part=part, view=free)
+                over = PathSegment("free", way, part=part, view=self.cache.view(scene, robot))
                 yield _Down(pose, (over, PathSegment("line", up[::-1].copy(), part=part)), lying, retreat)
                 break
 
@@ -165,8 +150,8 @@ class PuttingDown:
         self, down: _Down, scene: Scene, part: int, robot: int, wanted: list[tuple[Grasp, Array]]
     ) -> Iterator[Detour]:
         """Yield detours over one place, the grasps nearest to the robot there first."""
-        entry, margins = self.cell.robots[robot], self.cell.margins
-        view, clear = self._touching(down.scene, part, robot), self._free(down.scene, robot)
+        entry = self.cell.robots[robot]
+        view, clear = self.cache.view(down.scene, robot, grasp_contact(part)), self.cache.view(down.scene, robot)
         branches = inverse(entry, np.array([down.pose @ grasp.tool for grasp, _ in wanted]))
         which = np.repeat(np.arange(len(wanted)), [len(values) for values in branches])
         values = np.concatenate(branches)
@@ -175,9 +160,8 @@ class PuttingDown:
         for row in good[np.argsort(far, kind="stable")].tolist():
             at, goals = values[row], wanted[which[row]][1]
             carried = scene.with_attached(robot, part, inverse_pose(down.pose) @ tool_pose(entry, at))
-            up = follow_line(self._line(carried, robot), at, (0.0, 0.0, 1.0), _LIFT * margins.approach).path
-            free = self._free(carried, robot)
-            if up is None or free.collides(up[-1])[0]:
+            up = self._lift(carried, robot, at)
+            if up is None:
                 continue
             approach = self._leave(down.scene, part, robot, at)
             if approach is None:
@@ -197,7 +181,7 @@ class PuttingDown:
                         PathSegment("free", across, view=clear),
                         PathSegment("line", approach[::-1].copy(), touches=part),
                         PathSegment("line", up, part=part),
-                        PathSegment("free", away, part=part, view=free),
+                        PathSegment("free", away, part=part, view=self.cache.view(carried, robot)),
                     )
                     yield Detour(segments, down.pose, goal)
                     break
@@ -246,7 +230,7 @@ class PuttingDown:
 
     def _fixed(self, scene: Scene, robot: int) -> list[Array]:
         """Return the pieces of all that stays where it is while a robot moves, with the base of that robot."""
-        entry, obstacles = self.cell.robots[robot], self._free(scene, robot).obstacles
+        entry, obstacles = self.cell.robots[robot], self.cache.view(scene, robot).obstacles
         rows = zip(obstacles.start[:-1], obstacles.start[1:], strict=True)
         return [obstacles.vertices[a:b] for a, b in rows] + [move(entry.base, p) for p in entry.model.pieces[0]]
 
@@ -261,20 +245,17 @@ class PuttingDown:
                     return False
         return True
 
+    def _lift(self, scene: Scene, robot: int, at: Array) -> Array | None:
+        """Return the line on which a part is lifted off the floor until it is clear; None if it is blocked."""
+        line = self.cache.view(scene, robot, PUT_DOWN)
+        up = follow_line(line, at, (0.0, 0.0, 1.0), _LIFT * self.cell.margins.approach).path
+        return None if up is None or self.cache.view(scene, robot).collides(up[-1])[0] else up
+
     def _leave(self, lying: Scene, part: int, robot: int, at: Array) -> Array | None:
         """Return the line on which an empty gripper leaves a part that lies on the floor; None if it is blocked."""
         way = -tool_pose(self.cell.robots[robot], at)[:3, 2]
-        view = self._touching(lying, part, robot)
-        return self._retreat("remove", part, robot, at, way, view, self._free(lying, robot))
-
-    def _touching(self, scene: Scene, part: int, robot: int) -> CollisionQuery:
-        return self.cache.view(scene, robot, grasp_contact(part), self.cell.margins.line)
-
-    def _line(self, scene: Scene, robot: int) -> CollisionQuery:
-        return self.cache.view(scene, robot, PUT_DOWN, self.cell.margins.line)
-
-    def _free(self, scene: Scene, robot: int) -> CollisionQuery:
-        return self.cache.view(scene, robot, NO_CONTACT, self.cell.margins.free)
+        view = self.cache.view(lying, robot, grasp_contact(part))
+        return self._retreat("remove", part, robot, at, way, view, self.cache.view(lying, robot))
 
 
 def downwards(normal: Array) -> Array:

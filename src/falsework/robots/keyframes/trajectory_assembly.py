@@ -14,13 +14,12 @@ from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment, route_
 from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.motion.timing import time_path
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
-from falsework.robots.plans.robot_record import records_of
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, records_of
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.find import prove_route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 STANDSTILL = 1e-7
 """Length below which a path takes no time, rad or m."""
@@ -41,18 +40,7 @@ def make_robot_plan(
 ) -> RobotPlan:
     """Certify the states along a chain of edges and compute its trajectories, in the order of disassembly.
 
-    Args:
-        assembly: the structure.
-        cell: the robots.
-        task: the planned task.
-        oracle: stability oracle that proves the states.
-        root: the first keyframe.
-        chain: an edge for every action and every transit, and two for each hand-over.
-        forces: whether to keep the contact forces in the plan.
-        timed: cache of trajectories; missing ones are added.
-
-    Raises:
-        PlanError: a state that cannot be proved stable.
+    `timed` caches trajectories. PlanError if a state cannot be proved stable.
     """
     abstract = prove_route(route_along(root, chain), assembly, task, oracle, forces=forces)
     timed = {} if timed is None else timed

@@ -1,54 +1,51 @@
-"""Straight withdrawal lines of held parts until they are clear of all bodies."""
+"""Withdrawal of held parts: straight lines until they are clear of all bodies, then free motions to drop-off poses."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.robots.keyframes.failure_report import FailureLog
+from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
+from falsework.robots.keyframes.keyframes import PathSegment
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.motion.collision_world import LIFT, NO_CONTACT, CollisionQuery, Scene, withdrawal_contact
-from falsework.robots.motion.motion_cache import MotionCache
-from falsework.robots.motion.path_planner import follow_line
-
-Array = NDArray[np.float64]
+from falsework.robots.motion.path_planner import MotionCache, follow_line
+from falsework.utils.arrays import Array
 
 _ROOM = 2.0
 """Margin at the end of such a line, in margins of free motions, below which a longer line is tried first: between other
 bodies hardly any motion is free."""
 _MAX_DIRECTIONS = 16
 """Exit directions that are tried for a part."""
+_MAX_PLACES = 4
+"""Number of free motions to a drop-off pose that are tried."""
 
 
 class Withdrawal:
-    """Straight withdrawal lines for parts that robots hold."""
+    """Withdrawals of parts that robots hold."""
 
-    def __init__(self, cache: MotionCache, reasons: FailureLog, lengths: Sequence[float]) -> None:
+    def __init__(
+        self, cache: MotionCache, reasons: FailureLog, grips: GraspConfigurations, lengths: Sequence[float]
+    ) -> None:
         """Withdraw parts in the scenes of `cache` on lines of some lengths, and log to `reasons` why one cannot leave.
 
         Lengths are in approach margins of the cell and are tried in turn until the part is clear.
         """
-        self.lengths = lengths
         self.cell, self.cache, self.reasons = cache.world.cell, cache, reasons
+        self.grips, self.lengths = grips, lengths
 
     def lines(
         self, scene: Scene, part: int, robot: int, here: Array, directions: Array, what: str
     ) -> Iterator[tuple[tuple[Array, ...], Scene]]:
-        """Yield withdrawal paths of a part, each with the scene in which it is carried; computed on demand.
+        """Yield withdrawal paths of a part from a configuration, each with the scene in which it is carried, on demand.
 
-        Args:
-            scene: poses of everything.
-            part: the part to withdraw.
-            robot: the robot that holds it.
-            here: its configuration, shape (joints,).
-            directions: free exit directions in the world, shape (n, 3).
-            what: name of the motion in logged reasons.
+        `directions` are free exit directions in the world, shape (n, 3); `what` names the motion in logged reasons.
         """
         tool = tool_pose(self.cell.robots[robot], here)
         scene = scene.with_configuration(robot, here).with_attached(robot, part, tool)
-        line = self.cache.view(scene, robot, withdrawal_contact(scene), self.cell.margins.line)
+        line = self.cache.view(scene, robot, withdrawal_contact(scene))
         free: CollisionQuery | None = None
         roomy: CollisionQuery | None = None
         for way in self._ordered(directions, tool):
@@ -59,7 +56,7 @@ class Withdrawal:
                     if tight is None:
                         self.reasons.add("remove", part, robot, f"{what}: {out.reason}", out.pair, out.at)
                     break
-                free = free or self.cache.view(scene, robot, NO_CONTACT, self.cell.margins.free)
+                free = free or self.cache.view(scene, robot)
                 roomy = roomy or self.cache.view(scene, robot, NO_CONTACT, _ROOM * self.cell.margins.free)
                 path = out.path
                 assert path is not None
@@ -82,9 +79,30 @@ class Withdrawal:
             if tight is not None:
                 yield (tight,), scene
 
+    def delivery(self, part: int, robot: int, start: Array, scene: Scene) -> PathSegment | None:
+        """Return the motion of a robot with a part to the nearest free drop-off configuration; None without one."""
+        entry = self.cell.robots[robot]
+        view = self.cache.view(scene, robot)
+        places = self.grips.places(robot)
+        if not len(places):
+            self.reasons.add("remove", part, robot, "no drop-off pose is within reach")
+            return None
+        hits = view.hits(places)
+        clear = places[hits < 0]
+        if not len(clear):
+            self.reasons.add("remove", part, robot, "every drop-off pose collides", view.pair(int(hits[0])), places[0])
+        way = np.abs(clear - start).max(axis=1)
+        for goal in clear[np.argsort(way, kind="stable")[:_MAX_PLACES]]:
+            free = self.cache.motion(scene, robot, start, goal)
+            if free.path is not None:
+                return PathSegment("free", free.path, part=part, view=view)
+            what = f"to {entry.name}'s drop-off: {free.reason}"
+            self.reasons.add("remove", part, robot, what, free.pair, free.at)
+        return None
+
     def _lift(self, scene: Scene, robot: int, here: Array, free: CollisionQuery) -> Array | None:
         """Return the path on which a part that was withdrawn along the floor is lifted off it; None if blocked."""
-        view = self.cache.view(scene, robot, LIFT, self.cell.margins.line)
+        view = self.cache.view(scene, robot, LIFT)
         up = follow_line(view, here, (0.0, 0.0, 1.0), 0.3 * self.cell.margins.approach)
         if up.path is None or free.collides(up.path[-1])[0]:
             return None

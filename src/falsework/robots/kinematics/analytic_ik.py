@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.robots.model.shapes import inverse_pose
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
 Owner = NDArray[np.int64]
 
 WRIST_ANGLES = 120

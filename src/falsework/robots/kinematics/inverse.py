@@ -31,8 +31,8 @@ from falsework.robots.kinematics.forward import link_poses
 from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import inverse_pose
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
 Kind = Literal["spherical", "wrist", "parallel", "general"]
 
 RANDOM_STARTS = 80
@@ -59,7 +59,6 @@ def inverse(robot: CellRobot, tools: ArrayLike) -> list[Array]:
     """Return all configurations that bring the tool frame of a robot to poses in the world.
 
     Args:
-        robot: robot of a cell.
         tools: poses of the tool frame in the world, shape (4, 4) or (batch, 4, 4).
 
     Returns:
@@ -71,11 +70,7 @@ def inverse(robot: CellRobot, tools: ArrayLike) -> list[Array]:
 
 
 def inverse_flange(model: RobotModel, flanges: ArrayLike) -> list[Array]:
-    """Solve as `inverse` does for flange poses in the base frame, shape (4, 4) or (batch, 4, 4).
-
-    Raises:
-        InputError: no poses.
-    """
+    """Solve as `inverse` does for flange poses in the base frame, shape (4, 4) or (batch, 4, 4)."""
     targets = np.ascontiguousarray(np.asarray(flanges, dtype=np.float64).reshape(-1, 4, 4))
     if not np.isfinite(targets).all():
         raise InputError("a pose holds a value that is not finite")

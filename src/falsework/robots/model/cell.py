@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Pieces, pose
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 GRIP_DISTANCE = 0.005
 """Largest distance of a cup, or of closed jaws, from a part that is held, metres."""
@@ -27,6 +26,12 @@ LONGEST_APPROACH = 2.0
 """Largest length of a line on which a gripper may touch a part, in approach margins of the cell."""
 LONGEST_WITHDRAWAL = 5.0
 """Largest length of the lines on which a part leaves its place or reaches it, in approach margins of the cell."""
+
+_MAKERS = {
+    "ABB": re.compile(r"(abb[\W_]|(abb[\W_]?)?(irb|crb)[\W_]?\d)", re.IGNORECASE),
+    "Universal Robots": re.compile(r"(universal[\W_]?robots?|ur(\d+(e|cb\d?)?)?)($|[\W_])", re.IGNORECASE),
+}
+"""Makers of arms by beginnings of names of models: built-in arms, and robot names of URDF files."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +120,15 @@ class CellRobot:
         """Heaviest part that arm and gripper together can carry, kg."""
         arm = np.inf if self.model.payload is None else self.model.payload - self.gripper.mass
         return float(min(arm, self.gripper.payload))
+
+
+def maker_of(robot: CellRobot) -> tuple[str | None, bool]:
+    """Return the maker of an arm, and whether it is only taken from the name in a URDF file; None if it is unknown."""
+    if robot.maker is not None:
+        return robot.maker, False
+    name = robot.model.name
+    found = next((maker for maker, pattern in _MAKERS.items() if pattern.match(name)), None)
+    return found, found is not None and robot.model.source != "built-in"
 
 
 @dataclass(frozen=True, eq=False)

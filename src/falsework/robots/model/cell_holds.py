@@ -44,15 +44,7 @@ def stability_in(cell: Cell, assembly: Assembly, settings: StabilitySettings) ->
     """Return settings of stability with robots that can do no more than those of a cell, in the structure's units.
 
     The least force and moment that a gripper of the cell bears limit those of all holds: which robot holds which part
-    is open when states are judged.
-
-    Args:
-        cell: the robots.
-        assembly: the structure.
-        settings: with stiffness and limits of robots as they are in the cell.
-
-    Raises:
-        CellError: a gripper bears less than the weight of a part.
+    is open when states are judged. CellError if a gripper bears less than the weight of a part.
     """
     scale, holds = CellScale.from_cell(assembly, cell), settings.holds
     weight = scale.force * settings.gravity * assembly.mass.mass * ~assembly.immovable

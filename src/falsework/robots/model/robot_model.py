@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.model.shapes import Pieces
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 ACCELERATION_TIME = 0.5
 """Time in which a joint reaches full speed if its description gives no acceleration limit, s."""

@@ -6,17 +6,19 @@ A piece is the convex hull of its vertices, an array of shape (vertices, 3) in m
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from falsework.errors import InputError
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
 Pieces = tuple[Array, ...]
 """Convex pieces that together cover one body."""
 
 CYLINDER_SIDES = 12
 """Number of sides of the prism that replaces a cylinder."""
+MAX_PLANES = 48
+"""Largest number of planes of a simplified hull."""
 
 
 def block(low: ArrayLike, high: ArrayLike, **bevels: tuple[float, float, float, float]) -> Array:
@@ -69,11 +71,7 @@ def cylinder(radius: float, low: float, high: float) -> Array:
 
 
 def hull(points: ArrayLike) -> Array:
-    """Return the vertices of the convex hull. Shape (vertices, 3).
-
-    Raises:
-        InputError: the points span no volume.
-    """
+    """Return the vertices of the convex hull, shape (vertices, 3); InputError if the points span no volume."""
     given = np.asarray(points, dtype=np.float64)
     try:
         return _frozen(given[np.sort(ConvexHull(given).vertices)])
@@ -101,6 +99,13 @@ def pose(position: ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Array:
     return _frozen(made)
 
 
+def looking_down(position: ArrayLike, turn: float = 0.0) -> Array:
+    """Return a frame whose z points down, with its x rotated about the vertical by `turn` radians. Shape (4, 4)."""
+    made = np.array(pose(position, turn))
+    made[:3, 1:3] *= -1
+    return made
+
+
 def inverse_pose(given: Array) -> Array:
     """Return the inverse of a rigid pose, shape (..., 4, 4)."""
     made = np.zeros_like(given)
@@ -115,3 +120,31 @@ def _frozen(array: Array) -> Array:
     array = np.ascontiguousarray(array)
     array.setflags(write=False)
     return array
+
+
+def outer_hull(points: ArrayLike, tolerance: float = 0.004, planes: int = MAX_PLANES) -> Array:
+    """Return vertices of a polytope with few planes around the convex hull of points, shape (vertices, 3), metres.
+
+    Starts from the bounding box and repeatedly adds the plane of the hull that the farthest corner violates most, until
+    corners are within a tolerance; with all planes used, corners may be farther out.
+    """
+    corners = hull(points)
+    if len(corners) <= 16:
+        return corners
+    facets = ConvexHull(corners)
+    inner = corners.mean(axis=0)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    normals = [*np.eye(3), *-np.eye(3)]
+    offsets = [*-high, *low]
+    outer = corners
+    while len(normals) < planes:
+        outer = HalfspaceIntersection(np.c_[np.array(normals), offsets], inner).intersections
+        beyond = outer @ facets.equations[:, :3].T + facets.equations[:, 3]
+        corner, facet = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+        if beyond[corner, facet] <= tolerance:
+            break
+        normals.append(facets.equations[facet, :3])
+        offsets.append(-float((corners @ facets.equations[facet, :3]).max()))
+    outer = HalfspaceIntersection(np.c_[np.array(normals), offsets], inner).intersections
+    outer = hull(np.unique(np.round(outer, 7), axis=0))
+    return outer if len(outer) < len(corners) else corners

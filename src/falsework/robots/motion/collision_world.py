@@ -20,19 +20,22 @@ from falsework.robots.kernels.collision import (
     make_work,
 )
 from falsework.robots.kernels.kernel_arrays import Carried, make_bodies, make_chain, make_obstacles, self_pairs
-from falsework.robots.kernels.rrt_connect import check_many
+from falsework.robots.kernels.rrt_connect import INTERVALS, check_many, edges_free
 from falsework.robots.kinematics.forward import link_poses
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Pieces, inverse_pose, move
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 NO_FLOOR = -1e9
 """Height of the floor of a cell without one, metres: below everything."""
 _OBSTACLE, _ROBOT, _SUPPORT = -1, -2, -3
 """Owners of obstacles that are no parts."""
+BLOCKED_MARGIN_SHARE = 0.5
+"""Share of the margin below which an interval of an edge that is not proven free counts as blocked."""
+BLOCKED_LENGTH = 0.0005
+"""Lower bound of the same length where the margin is small, metres."""
 _PLACED = 256
 """Configurations of arms whose pieces are kept."""
 
@@ -177,15 +180,31 @@ class CollisionQuery:
                 f"configurations have shape {values.shape}; {self.model.name} has {self.model.joints} joints"
             )
         found = np.empty(len(values), np.int64)
-        check_many(values, self.chain, self.bodies, self.obstacles, self.rules, self.work, found)
+        check_many(values, *self.arrays, found)
         return found
 
     def collides(self, configurations: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether any pair is nearer than the margin.
-
-        Shape (batch, joints) to (batch,). Limits are not checked.
-        """
+        """Return whether any pair is nearer than the margin, (batch, joints) to (batch,); limits are not checked."""
         return self.hits(configurations) != CLEAR
+
+    @property
+    def resolution(self) -> float:
+        """Motion of the farthest point in half an interval of an edge below which it counts as blocked, metres."""
+        return max(BLOCKED_MARGIN_SHARE * self.margin, BLOCKED_LENGTH)
+
+    @property
+    def arrays(self) -> tuple[Chain, Bodies, Obstacles, Rules, CollisionScratch]:
+        """What compiled functions take."""
+        return self.chain, self.bodies, self.obstacles, self.rules, self.work
+
+    def free_edges(self, path: Array) -> int:
+        """Return the number of leading edges of a path that are proven free, shape (points, joints)."""
+        opened = np.empty((2, INTERVALS), np.int64)
+        return edges_free(np.ascontiguousarray(path), self.resolution, *self.arrays, opened)
+
+    def is_free(self, path: Array) -> bool:
+        """Return whether a path is proven free, shape (points, joints)."""
+        return self.free_edges(path) == len(path) - 1
 
     def pair(self, hit: int) -> tuple[str, str]:
         """Return names of the two bodies of a hit, such as `("left link_4", "part 7")`."""
@@ -240,13 +259,10 @@ class CollisionWorld:
         if held is None:
             return None
         pose = self.cell.robots[robot].gripper.tool @ held.tool_from_part
-        return Carried(held.part, tuple(move(pose, piece) for piece in self.parts.pieces[held.part]))
+        return held.part, tuple(move(pose, piece) for piece in self.parts.pieces[held.part])
 
     def robot_pieces(self, robot: int, scene: Scene) -> list[tuple[str, int, Array]]:
-        """Return all moving pieces of a robot in the world frame: name, link index and vertices.
-
-        Index joints + 1 is the gripper, joints + 2 the part.
-        """
+        """Return all moving pieces of a robot in the world: name, link (gripper joints + 1, part + 2), vertices."""
         held, values = scene.attached[robot], np.asarray(scene.configurations[robot], dtype=np.float64)
         if held is not None:
             return self._moving_pieces(robot, values, scene)
@@ -269,8 +285,8 @@ class CollisionWorld:
         found += [(name, entry.model.joints + 1, move(flange, piece)) for piece in entry.gripper.pieces]
         held = self.carried(robot, scene)
         if held is not None:
-            name = f"part {self.parts.names[held.part]}"
-            found += [(name, entry.model.joints + 2, move(flange, piece)) for piece in held.pieces]
+            name = f"part {self.parts.names[held[0]]}"
+            found += [(name, entry.model.joints + 2, move(flange, piece)) for piece in held[1]]
         return found
 
     def grip_distance(self, robot: int, configuration: ArrayLike, part: int) -> float:
@@ -278,18 +294,10 @@ class CollisionWorld:
         entry = self.cell.robots[robot]
         flange = link_poses(entry.model, configuration, entry.base)[-1] @ entry.model.flange
         placed = [move(flange, piece) for piece in entry.gripper.pieces]
-        return min(
-            (float(distance_between(a, b)) for a in placed for b in self.parts.pieces[part]),
-            default=np.inf,
-        )
+        return min((float(distance_between(a, b)) for a in placed for b in self.parts.pieces[part]), default=np.inf)
 
     def view(
-        self,
-        scene: Scene,
-        robot: int,
-        *,
-        contact: Contact = NO_CONTACT,
-        margin: float | None = None,
+        self, scene: Scene, robot: int, *, contact: Contact = NO_CONTACT, margin: float | None = None
     ) -> CollisionQuery:
         """Prepare collision queries for one moving robot in a static scene.
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
 from falsework.robots.kernels.collision import distance_between
 from falsework.robots.kinematics.forward import place_many
 from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Scene
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -54,10 +53,6 @@ def near_pairs(query: CollisionQuery, configuration: ArrayLike) -> list[NearPair
     """Return all pairs of bodies that a query finds too near at one configuration, the deepest overlap first.
 
     Of two bodies with several pieces the nearest two pieces count.
-
-    Args:
-        query: the moving arm in its scene.
-        configuration: joint values, shape (joints,).
     """
     rules, bodies, obstacles = query.rules, query.bodies, query.obstacles
     placed = _placed(query, np.asarray(configuration, dtype=np.float64))
@@ -110,9 +105,6 @@ def separation(a: Array, b: Array) -> float:
     """Return the distance of two convex pieces, metres; negative: how far one must move for them to touch only.
 
     The depth is the distance of the origin from the boundary of the Minkowski difference.
-
-    Args:
-        a, b: vertices, shape (vertices, 3).
     """
     apart = distance_between(np.ascontiguousarray(a), np.ascontiguousarray(b))
     if apart > 0:

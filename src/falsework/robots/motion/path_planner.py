@@ -1,7 +1,8 @@
-"""Motion planning of one robot among static obstacles: free paths and straight lines of the tool."""
+"""Motion planning of one robot among static obstacles: free paths, straight lines of the tool, and a cache of both."""
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,21 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.errors import InputError
 from falsework.robots.kernels.collision import CLEAR
 from falsework.robots.kernels.numeric_ik import reach_poses
-from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free, grow, shorten
+from falsework.robots.kernels.rrt_connect import INTERVALS, grow, shorten
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import tail_of
-from falsework.robots.motion.collision_world import CollisionQuery
-
-Array = NDArray[np.float64]
+from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Contact, Scene
+from falsework.utils.arrays import Array
 
 LONGEST_EDGE = 1.0
 """Longest edge of a tree, rad in joint space."""
 SHORTCUTS = 60
 """Shortcuts tried on a path found by the trees."""
-BLOCKED_MARGIN_SHARE = 0.5
-"""Share of the margin below which an interval that is not proven free counts as blocked."""
-BLOCKED_LENGTH = 0.0005
-"""Lower bound of the same length where the margin is small, metres."""
 SAMPLED_TURN = float(np.pi)
 """Joints with a larger range are sampled within it, unless start or goal lie outside, rad."""
 ROUNDS_PER_CALL = 50
@@ -51,6 +47,8 @@ Reason = Literal[
     "joint limit on the line",
     "collision on the line",
 ]
+_CACHED_SCENES = 128
+"""Largest number of scenes whose query objects are cached; the oldest is evicted first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,21 +70,13 @@ class Motion:
         return self.path is not None
 
 
-def plan_free(
-    view: CollisionQuery,
-    start: ArrayLike,
-    goal: ArrayLike,
-    *,
-    seed: int = 0,
-    nodes: int = 4000,
-) -> Motion:
+def plan_free(view: CollisionQuery, start: ArrayLike, goal: ArrayLike, *, seed: int = 0, nodes: int = 4000) -> Motion:
     """Return a path from one configuration to another that keeps the margin of the view everywhere.
 
     The straight edge is tried first, then RRT-Connect, then the path is shortened by shortcuts. Every edge is
     proven free over its whole length (`rrt_connect.edge_free`). The same seed gives the same path.
 
     Args:
-        view: collision queries of the moving robot.
         start, goal: configurations, shape (joints,).
         seed: seed of the samples.
         nodes: largest number of nodes per tree, after which the search ends with "no connection".
@@ -99,12 +89,10 @@ def plan_free(
         hit = int(view.hits(values)[0])
         if hit != CLEAR:
             return Motion(f"{which} in collision", pair=view.pair(hit), at=values)  # type: ignore[arg-type]
-    resolution = resolution_of(view)
-    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
-    opened = np.empty((2, INTERVALS), np.int64)
     direct = np.stack([a, b])
-    if edges_free(direct, resolution, *arrays, opened) == 1:
+    if view.is_free(direct):
         return Motion("found", direct)
+    arrays, opened = view.arrays, np.empty((2, INTERVALS), np.int64)
     trees = np.empty((2, nodes, model.joints))
     trees[0, 0], trees[1, 0] = a, b
     parents = np.full((2, nodes), -1, np.int64)
@@ -115,7 +103,7 @@ def plan_free(
     drawn = 0
     while True:
         met, one, other = grow(
-            trees, parents, sizes, low, high, LONGEST_EDGE, ROUNDS_PER_CALL, resolution, state, *arrays, opened
+            trees, parents, sizes, low, high, LONGEST_EDGE, ROUNDS_PER_CALL, view.resolution, state, *arrays, opened
         )
         drawn += ROUNDS_PER_CALL
         if met == 1:
@@ -126,13 +114,8 @@ def plan_free(
     path = _branch(trees[0], parents[0], one)[::-1] + _branch(trees[1], parents[1], other)
     room = np.empty((len(path) + 2 * SHORTCUTS + 2, model.joints))
     room[: len(path)] = path
-    count = shorten(room, len(path), SHORTCUTS, resolution, state, *arrays, opened)
+    count = shorten(room, len(path), SHORTCUTS, view.resolution, state, *arrays, opened)
     return Motion("found", room[:count].copy(), samples=int(sizes[0] + sizes[1]))
-
-
-def resolution_of(view: CollisionQuery) -> float:
-    """Return the motion of the farthest point in half an interval at which bisection ends, metres."""
-    return max(BLOCKED_MARGIN_SHARE * view.margin, BLOCKED_LENGTH)
 
 
 def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, distance: float) -> Motion:
@@ -142,7 +125,6 @@ def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, di
     proven free between its points too.
 
     Args:
-        view: collision queries of the moving robot.
         start: configuration at the start of the line, shape (joints,).
         direction: direction in the world, shape (3,); any length.
         distance: metres.
@@ -190,9 +172,7 @@ def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, di
     if not inside.all():
         bad = int(np.argmin(inside))
         return Motion("joint limit on the line", at=path[bad])
-    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
-    opened = np.empty((2, INTERVALS), np.int64)
-    free = int(edges_free(path, resolution_of(view), *arrays, opened))
+    free = view.free_edges(path)
     if free < len(path) - 1:
         return _blocked(view, path, free)
     return Motion("found", path)
@@ -215,3 +195,69 @@ def _blocked(view: CollisionQuery, path: Array, edge: int) -> Motion:
         if hit != CLEAR:
             return Motion("collision on the line", pair=view.pair(hit), at=values)
     return Motion("collision on the line", at=path[edge + 1])
+
+
+class MotionCache:
+    """Cache of collision queries and free motions of one collision world."""
+
+    def __init__(self, world: CollisionWorld, *, nodes: int, seed: int) -> None:
+        """Create an empty cache; `nodes` limits those of the trees of one free motion."""
+        self.world = world
+        self.motions = self.motions_kept = self.views = 0
+        self._nodes, self._seed = nodes, seed
+        self._motions: dict[bytes, Motion] = {}
+        self._views: dict[bytes, dict[str, CollisionQuery]] = {}
+
+    def motion(self, scene: Scene, robot: int, start: Array, goal: Array) -> Motion:
+        """Return a free motion of one robot between configurations, with a seed that depends only on the arguments."""
+        key = scene_digest(scene, robot) + np.round([start, goal], 6).tobytes()
+        if key not in self._motions:
+            self.motions += 1
+            view = self.view(scene, robot)
+            seed = (zlib.crc32(key) + self._seed) % 2**31
+            self._motions[key] = plan_free(view, start, goal, seed=seed, nodes=self._nodes)
+        else:
+            self.motions_kept += 1
+        return self._motions[key]
+
+    def view(
+        self, scene: Scene, robot: int, contact: Contact = NO_CONTACT, margin: float | None = None
+    ) -> CollisionQuery:
+        """Return the collision queries of one robot in a scene, with pairs that may touch and a margin in metres.
+
+        The margin is by default that of lines if there is a contact rule, else that of free motions.
+        """
+        if margin is None:
+            margins = self.world.cell.margins
+            margin = margins.free if contact is NO_CONTACT else margins.line
+        place = scene_digest(scene, robot)
+        rules = repr(
+            (sorted(contact.gripper), sorted(contact.carried), contact.carried_floor, contact.carried_supports, margin)
+        )
+        views = self._views.get(place)
+        if views is None:
+            while len(self._views) > _CACHED_SCENES:
+                del self._views[next(iter(self._views))]
+            views = self._views[place] = {}
+        if rules not in views:
+            self.views += 1
+            known = next(iter(views.values()), None)
+            views[rules] = (
+                self.world.view(scene, robot, contact=contact, margin=margin)
+                if known is None
+                else known.under(contact, margin)
+            )
+        return views[rules]
+
+
+def scene_digest(scene: Scene, robot: int) -> bytes:
+    """Return a key of all data of a scene that a motion of one robot depends on."""
+    others = [np.round(values, 6) + 0.0 for other, values in enumerate(scene.configurations) if other != robot]
+    pieces = [bytes([robot]), np.packbits(scene.present).tobytes(), *(values.tobytes() for values in others)]
+    for owner, carried in enumerate(scene.attached):
+        if carried is not None:
+            who = np.array([owner, carried.part], dtype=np.int32)
+            pieces.append(who.tobytes() + np.round(carried.tool_from_part, 7).tobytes())
+    for part, pose in scene.elsewhere:
+        pieces.append(np.array([part], dtype=np.int32).tobytes() + np.round(pose, 7).tobytes())
+    return b"|".join(pieces)

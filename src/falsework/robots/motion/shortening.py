@@ -8,15 +8,12 @@ Overmars, Creating high-quality paths for motion planning (2007).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from falsework.robots.kernels.rrt_connect import INTERVALS, edges_free
+from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.motion.collision_world import CollisionQuery
-from falsework.robots.motion.expected_times import expected_seconds
-from falsework.robots.motion.path_planner import plan_free, resolution_of
+from falsework.robots.motion.path_planner import plan_free
 from falsework.robots.motion.timing import time_path
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _TREES = 4
 """Additional pairs of trees that are grown for one motion."""
@@ -37,37 +34,38 @@ def shorter_path(view: CollisionQuery, path: Array, speed: float, seed: list[int
     """Return a path between the same configurations that takes less time, or the same path.
 
     Args:
-        view: all that the path keeps clear of.
         path: configurations, shape (points, joints).
         speed: share of the velocity limits of the cell.
         seed: seed of the trees and shortcuts.
     """
     if len(path) < 3 or _cost(view, path, speed) < expected_seconds(view.model, path[[0, -1]], speed) + _EXCESS:
         return path
-    rng, opened = np.random.default_rng(seed), np.empty((2, INTERVALS), np.int64)
+    rng = np.random.default_rng(seed)
     paths = [path]
     for _ in range(_TREES):
         other = plan_free(view, path[0], path[-1], seed=int(rng.integers(2**31)), nodes=_NODES).path
         if other is not None:
             paths.append(other)
     best = min(paths, key=lambda candidate: _cost(view, candidate, speed))
-    best = _by_joints(view, best, speed, rng, opened)
-    best = _rounded(view, best, opened)
+    best = _by_joints(view, best, speed, rng)
+    best = _rounded(view, best)
     return min(path, best, key=lambda candidate: time_path(view.model, candidate, speed).duration)
+
+
+def expected_seconds(model: RobotModel, path: Array, speed: float) -> float:
+    """Return about the seconds that a path takes from rest to rest, at limits as of `time_path`: those of one joint."""
+    travel = np.abs(np.diff(path, axis=0)).sum(axis=0)
+    velocity, acceleration = model.velocity * speed, model.acceleration * speed**2
+    ramp = velocity**2 / acceleration
+    times = np.where(travel < ramp, 2 * np.sqrt(travel / acceleration), travel / velocity + velocity / acceleration)
+    return float(times.max(initial=0.0))
 
 
 def _cost(view: CollisionQuery, path: Array, speed: float) -> float:
     return expected_seconds(view.model, path, speed) + _CORNER * (len(path) - 2)
 
 
-def _free(view: CollisionQuery, path: Array, opened: NDArray[np.int64]) -> bool:
-    arrays = (view.chain, view.bodies, view.obstacles, view.rules, view.work)
-    return edges_free(np.ascontiguousarray(path), resolution_of(view), *arrays, opened) == len(path) - 1
-
-
-def _by_joints(
-    view: CollisionQuery, path: Array, speed: float, rng: np.random.Generator, opened: NDArray[np.int64]
-) -> Array:
+def _by_joints(view: CollisionQuery, path: Array, speed: float, rng: np.random.Generator) -> Array:
     """Return a path in which segments of some joints are straight, without the points that are not needed."""
     cost = _cost(view, path, speed)
     for _ in range(_SHORTCUTS):
@@ -84,12 +82,12 @@ def _by_joints(
             middle = middle[[0, -1]]
         made = np.concatenate([path[along <= first], middle, path[along >= second]])
         made = _needed(made)
-        if _cost(view, made, speed) < cost - 1e-3 and _free(view, made, opened):
+        if _cost(view, made, speed) < cost - 1e-3 and view.is_free(made):
             path, cost = made, _cost(view, made, speed)
     k = 1
     while k < len(path) - 1:
         made = np.delete(path, k, axis=0)
-        if _cost(view, made, speed) < cost and _free(view, made[k - 1 : k + 1], opened):
+        if _cost(view, made, speed) < cost and view.is_free(made[k - 1 : k + 1]):
             path, cost = made, _cost(view, made, speed)
         else:
             k += 1
@@ -107,7 +105,7 @@ def _needed(path: Array) -> Array:
     return path[np.concatenate([[True], bent, [True]])]
 
 
-def _rounded(view: CollisionQuery, path: Array, opened: NDArray[np.int64]) -> Array:
+def _rounded(view: CollisionQuery, path: Array) -> Array:
     """Return a path with its corners rounded by parabolas, where these are free."""
     found = [path[:1]]
     u = np.linspace(0.0, 1.0, _ARC + 1)[:, None]
@@ -116,7 +114,7 @@ def _rounded(view: CollisionQuery, path: Array, opened: NDArray[np.int64]) -> Ar
         for share in _ROUNDINGS:
             start, stop = corner + share * (before - corner), corner + share * (after - corner)
             tried = (1 - u) ** 2 * start + 2 * u * (1 - u) * corner + u**2 * stop
-            if _free(view, tried, opened):
+            if view.is_free(tried):
                 arc = tried
                 break
         found.append(arc)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from falsework.errors import InputError
 from falsework.robots.kernels.speed_profile import evaluate, fastest
 from falsework.robots.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 JOINT_STEP = 0.0099
 """Neighbouring samples differ by at most this in every joint, rad or m."""
@@ -55,7 +54,6 @@ def time_path(model: RobotModel, path: ArrayLike, speed: float = 1.0) -> Timed:
     by more than `CORNER_DEVIATION`. The speed along it comes from TOPP-RA (Pham and Pham 2018).
 
     Args:
-        model: the arm.
         path: configurations, shape (points, joints).
         speed: share of the velocity limits; accelerations are limited to its square.
 
@@ -85,7 +83,6 @@ class _Trajectory:
     """Fastest motion from rest to rest along straight edges with corners rounded by parabolas."""
 
     def __init__(self, points: Array, deviation: float, velocity: Array, acceleration: Array) -> None:
-        """Round the corners of a path and compute the speed along it, as a function of length along the edges."""
         edges = np.diff(points, axis=0)
         # Length in the 1-norm of joint values bounds how far points of the arm move.
         length = np.abs(edges).sum(axis=1)

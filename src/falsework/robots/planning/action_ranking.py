@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
@@ -15,8 +14,7 @@ from falsework.robots.keyframes.keyframes import Edge, Node
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.task import Direction
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 class ExecutionHeuristic:
@@ -27,12 +25,7 @@ class ExecutionHeuristic:
     """
 
     def __init__(self, graph: KeyframeGraph, guide: Guide | None) -> None:
-        """Prepare the score.
-
-        Args:
-            graph: keyframes of the structure in the cell.
-            guide: action heuristic, such as a trained policy.
-        """
+        """Add an action heuristic, such as a trained policy, to the ease of execution."""
         self.graph, self.guide = graph, guide
 
     def __call__(self, states: States, actions: Mask) -> Array:
@@ -60,24 +53,12 @@ class ActionRanking:
     """Order of the legal actions of keyframes."""
 
     def __init__(self, graph: KeyframeGraph, ease: ExecutionHeuristic, solvability: SolvabilityCheck) -> None:
-        """Prepare the ranking.
-
-        Args:
-            graph: keyframes of the structure in the cell.
-            ease: ease of execution, independent of configurations.
-            solvability: legal actions, and those known to keep the target reachable.
-        """
         self.graph, self.ease, self.solvability = graph, ease, solvability
 
     def actions(self, node: Node, attempt: int, rng: np.random.Generator) -> list[int]:
         """Return the legal actions in order of trial: easy ones near a free robot and far from busy ones.
 
-        Releases are among them, first, only where the abstract plan needs them.
-
-        Args:
-            node: the keyframe.
-            attempt: number of the search; later ones are perturbed more.
-            rng: random generator of the perturbation.
+        Releases are among them, first, only where the abstract plan needs them. Later attempts are perturbed more.
         """
         releases = [part for part in self.solvability.planned_releases(node.state) if not node.was_released(part)]
         actions = self.solvability.legal(node.state)
@@ -117,12 +98,6 @@ class FailedActions:
     """
 
     def __init__(self, graph: KeyframeGraph, solvability: SolvabilityCheck) -> None:
-        """Create an empty set.
-
-        Args:
-            graph: keyframe graph, which logs why motions fail.
-            solvability: source of the legal actions.
-        """
         self.graph, self.solvability = graph, solvability
         self._robots: dict[tuple[bytes, int], set[int]] = {}
 
@@ -133,10 +108,8 @@ class FailedActions:
     def add(self, node: Node, action: int) -> bool:
         """Record an action that has just failed: blocked by robots in collisions, and by the robot that holds the part.
 
-        Without any, it is blocked by the robots that could hold the part if they held no other.
-
-        Returns:
-            Whether two or three parts turned out to be ones that no arms can hold at the same time.
+        Without any, it is blocked by the robots that could hold the part if they held no other. Return whether two or
+        three parts turned out to be ones that no arms can hold at the same time.
         """
         parts, names = self.graph.assembly.part_count, [robot.name for robot in self.graph.cell.robots]
         found = {node.held.index(action - parts)} if action >= parts else set()
@@ -164,10 +137,7 @@ class FailedActions:
         return [("hold" if action < parts else "remove", action % parts) for action in self.of(node)]
 
     def repairs(self, node: Node) -> list[int]:
-        """Return held parts to release or hand over: their robots block actions that failed at a keyframe.
-
-        Parts that cannot leave come first.
-        """
+        """Return held parts to release or hand over, whose robots block actions that failed; those that stay first."""
         if not self.graph.allow_regrasp:
             return []
         robots = Counter(robot for action in self.of(node) for robot in self._robots[node.key, action])
@@ -176,15 +146,7 @@ class FailedActions:
         return sorted(parts, key=lambda part: (node, part + len(node.state)) not in self)
 
     def blamed(self, node: Node, chain: Sequence[Edge]) -> set[int]:
-        """Return the holds without which an action that failed at a keyframe might have succeeded.
-
-        Args:
-            node: the keyframe.
-            chain: the edges that lead to it.
-
-        Returns:
-            Indices of edges.
-        """
+        """Return the holds, indices of edges, without which an action that failed might have succeeded."""
         robots = {robot for action in self.of(node) for robot in self._robots[node.key, action]}
         last = {edge.robot: number for number, edge in enumerate(chain)}
         return {last[robot] for robot in robots if node.held[robot] is not None and robot in last}

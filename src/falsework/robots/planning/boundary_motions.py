@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.errors import InputError
@@ -23,24 +22,18 @@ from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import CarriedLoad, Edge, Node, PathSegment, accept_all
 from falsework.robots.keyframes.trajectory_assembly import STANDSTILL
 from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, Scene, grasp_contact, withdrawal_contact
+from falsework.robots.motion.collision_world import Scene, grasp_contact, withdrawal_contact
 from falsework.robots.motion.near_pairs import nearest_pair
 from falsework.robots.motion.path_planner import follow_line
 from falsework.search.problem.task import Task
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 _SAME_WAY = 1e-4
 """Largest difference of joint values, directions and cosines between a line and one that ends where a robot is."""
 
 
 def parts_of(task: Task | None, *, continues: bool) -> dict[str, Any]:
-    """Return which parts a keyframe graph for a task has to know: those ever in place, and those that ever leave.
-
-    Args:
-        task: start and target states.
-        continues: whether robots continue an assembly from where they are.
-    """
+    """Return which parts a keyframe graph for a task has to know: those ever in place, and those that ever leave."""
     if task is None:
         return {}
     present = {"present": task.start != REMOVED}
@@ -58,7 +51,6 @@ class BoundaryMotions:
     """Motions at both ends of the plans of one search; at first there are none."""
 
     def __init__(self, graph: KeyframeGraph) -> None:
-        """Let a graph hold parts in any way, and end anywhere."""
         self.graph = graph
         if graph.given:  # what was learned with these grips may be wrong with others
             graph.joint.forget()
@@ -77,12 +69,9 @@ class BoundaryMotions:
         return self._last is not None
 
     def begin(self, node: Node) -> Node:
-        """Return the keyframe from which to search, after motions away from the given one.
+        """Return the keyframe from which to search, after motions away from the given one; InputError without any.
 
         Robots deliver what they carry, and leave parts that they are too near to for a free motion.
-
-        Raises:
-            InputError: no motion delivers a part.
         """
         near = [k for k, part in enumerate(node.held) if part is None and self._line(node, k, node.configurations[k])]
         loaded = [k for k in range(len(node.held)) if node.load(k) is not None]
@@ -96,14 +85,9 @@ class BoundaryMotions:
         raise InputError(f"{self.graph.cell.robots[robot].name} cannot begin: {why}; move it away first")
 
     def end_at(self, node: Node | None, insert: Sequence[int]) -> None:
-        """End plans at a keyframe.
+        """End plans at a keyframe, None where their last action ends; InputError if a robot is too near to move.
 
-        Args:
-            node: the keyframe; None: plans end where their last action does.
-            insert: robots whose part is inserted first when the assembly goes on; others bring theirs back.
-
-        Raises:
-            InputError: a robot is too near to something to move.
+        Some robots insert their part first when the assembly goes on; others bring theirs back.
         """
         graph, self._last, self._insert = self.graph, node, tuple(insert)
         if node is None:
@@ -121,7 +105,7 @@ class BoundaryMotions:
         graph.accepts = self.accepts
         for robot, part in enumerate(node.held):
             values = node.configurations[robot]
-            clear = self._clear(node, robot)
+            clear = self.graph.cache.view(node.scene, robot)
             pair = clear.explain(values)
             arms = tuple(f"{entry.name} " for entry in graph.cell.robots)
             if (
@@ -194,7 +178,7 @@ class BoundaryMotions:
                 line = self._line(node, robot, here)
                 way = None if line is None else replace(line, path=line.path[::-1].copy())
             else:
-                way = self.graph.delivery.path(load.attached.part, robot, here, node.scene)
+                way = self.graph.withdrawal.delivery(load.attached.part, robot, here, node.scene)
             if way is None:
                 self._blocked = robot, "no way leads from where it is"
                 return None
@@ -255,7 +239,7 @@ class BoundaryMotions:
         if turned or length < _SAME_WAY or not len(ways) or (ways @ far).max() < (1 - _SAME_WAY) * length:
             return None
         scene = node.scene.with_attached(robot, part, tools[0])
-        view = self.graph.cache.view(scene, robot, withdrawal_contact(scene), self.graph.cell.margins.line)
+        view = self.graph.cache.view(scene, robot, withdrawal_contact(scene))
         path = follow_line(view, here, far / length, length).path
         if path is None or np.abs(path[-1] - goal).max() > _SAME_WAY:
             return None
@@ -264,7 +248,7 @@ class BoundaryMotions:
     def _fetched(self, node: Node, robot: int, load: CarriedLoad, goal: Array) -> tuple[PathSegment, ...] | None:
         """Return the motions that fetch a part from a drop-off pose and bring it where it is at the end."""
         carried = node.moved(robot, goal, load).scene
-        away = self.graph.delivery.path(load.attached.part, robot, goal, carried)
+        away = self.graph.withdrawal.delivery(load.attached.part, robot, goal, carried)
         free = None if away is None else self._free(node.scene, robot, node.configurations[robot], away.path[-1])
         if away is None or free is None:
             return None
@@ -276,19 +260,16 @@ class BoundaryMotions:
             between = "" if free.pair is None else f" ({free.pair[0]} and {free.pair[1]})"
             self._blocked = robot, f"then to where the assembly goes on: {free.reason}{between}"
             return None
-        view = self.graph.cache.view(scene, robot, NO_CONTACT, self.graph.cell.margins.free)
+        view = self.graph.cache.view(scene, robot)
         return PathSegment("free", free.path, part=part, view=view)
-
-    def _clear(self, node: Node, robot: int) -> CollisionQuery:
-        return self.graph.cache.view(node.scene, robot, NO_CONTACT, self.graph.cell.margins.free)
 
     def _line(self, node: Node, robot: int, goal: Array) -> PathSegment | None:
         """Return the line to a configuration that is too near to a part for a free motion, if there is one."""
-        clear, world = self._clear(node, robot), self.graph.world
+        clear, world = self.graph.cache.view(node.scene, robot), self.graph.world
         if node.load(robot) is not None or not clear.collides(goal)[0]:
             return None
         part = min(np.flatnonzero(node.present).tolist(), key=lambda part: world.grip_distance(robot, goal, part))
-        view = self.graph.cache.view(node.scene, robot, grasp_contact(part), self.graph.cell.margins.line)
+        view = self.graph.cache.view(node.scene, robot, grasp_contact(part))
         turn = tool_pose(self.graph.cell.robots[robot], goal)[:3, :3]
         for way in (-turn[:, 2], np.array([0.0, 0.0, 1.0]), *turn[:, :2].T, *-turn[:, :2].T):
             path = self.graph.retreat("release", part, robot, goal, way, view, clear)

@@ -15,11 +15,13 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
+from falsework.errors import InputError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.cell_holds import stability_in
 from falsework.robots.planning.boundary_motions import BoundaryMotions, leading_insertions, parts_of
+from falsework.robots.planning.carried_groups import plan_groups
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.hybrid_search import HybridSearch
 from falsework.robots.planning.initial_keyframe import given_keyframe, task_in_cell
@@ -65,7 +67,9 @@ def plan_robots(
         cell: the robots and their surroundings, or the name or file of the cell.
         task: states and rules; by default the whole structure is assembled. As in all tasks the start state is the one
             with more parts: an assembly begins in the target state. The number of robots is that of the cell, and
-            every part needs a free exit direction, not downwards.
+            every part needs a free exit direction, not downwards. Of a task with several parts in one step, sets are
+            carried by one robot: the plan is for the structure in which each is one part (`Assembly.groups`), and is
+            checked with loose parts.
         concurrent: robots move at the same time: motions are shortened, steps reordered, and the plan has a schedule.
         configurations: joint values of the robots before the first step that is executed, shape (joints,) each. By
             default they are at home in disassembly, and in assembly where the first motion begins.
@@ -93,6 +97,23 @@ def plan_robots(
     if concurrent:
         import_ortools()
     assembly, cell = as_assembly(assembly), as_cell(cell)
+    if task is not None and task.together is not None:
+        if any(given is not None for given in (configurations, held, gripped, oracle, guide, graph)):
+            raise InputError(
+                "robots carry groups of parts only in whole plans without a policy; leave out what is held, joint "
+                "values, oracle, guide and graph, or plan without parts_at_once"
+            )
+        options: dict[str, Any] = {"concurrent": concurrent, "settings": settings, "progress": progress}
+        return plan_groups(
+            lambda structure, task, left: plan_robots(
+                structure, cell, task=task, deadline=left, stability=stability, forces=forces, **options
+            ),
+            assembly,
+            cell,
+            task,
+            stability,
+            Deadline(deadline),
+        )
     progress = or_notebook(progress, "planning motions")
     if oracle is None:
         given: dict[str, Any] = {"task": task, "configurations": configurations, "held": held, "gripped": gripped}
@@ -139,9 +160,7 @@ def _keeping_reserve(
 ) -> HybridResult:
     """Return the result of a search with the reserve, or where it finds no order of the parts, of one without.
 
-    Args:
-        search: finds a plan with an oracle, within some seconds.
-        assembly, cell, stability, deadline: as in `plan_robots`; the deadline is that of both searches together.
+    The deadline, seconds, is that of both searches together.
     """
     clock = Deadline(deadline)
     result = search(StabilityOracle(assembly, stability_in(cell, assembly, stability)), deadline)
@@ -161,9 +180,7 @@ def _concurrent(
     lines, kind = settings.keyframes, "together"
     shortest = min(lines.approaches)
     short = replace(
-        lines,
-        approaches=tuple(sorted(lines.approaches)),
-        withdrawals=tuple(sorted({shortest, *lines.withdrawals})),
+        lines, approaches=tuple(sorted(lines.approaches)), withdrawals=tuple(sorted({shortest, *lines.withdrawals}))
     )
     first = Deadline(_SHARE * clock.left if clock.limited else None)
     result = search(replace(settings, keyframes=short), graph, first)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.robots.keyframes.failure_report import Explanation
 from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
@@ -52,6 +53,8 @@ class HybridResult(Result[RobotPlan]):
     statistics: dict[str, Any]
     no_order: bool = False
     """Whether no order of the parts was found in which the structure stands, whatever the arms."""
+    structure: Assembly | None = None
+    """Structure that the plan is for, where arms carry groups of parts: each group is one part (`join_parts`)."""
 
     @property
     def outcome(self) -> Outcome:

@@ -10,25 +10,30 @@ restarts.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from falsework.assembly.state import REMOVED
+from falsework.robots.interleaving.reordering import reorder
 from falsework.robots.keyframes.failure_report import Explanation, describe_failure, explain
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, route_along
+from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, PathSegment, route_along
+from falsework.robots.keyframes.trajectory_assembly import make_robot_plan
+from falsework.robots.motion.shortening import shorter_path
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic, FailedActions
 from falsework.robots.planning.boundary_motions import BoundaryMotions
 from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
-from falsework.robots.planning.plan_builder import PlanBuilder
 from falsework.robots.planning.solvability import MAX_FALLEN_REPLAYS, SolvabilityCheck
 from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.trajectory import Trajectory
+from falsework.robots.schedule.solver import schedule_plan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide, MemoizedGuide
 from falsework.search.problem.result import Outcome, SearchResult
-from falsework.search.problem.task import Task
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle
 
 _EDGES_PER_ACTION = 3
@@ -77,13 +82,17 @@ class HybridSearch:
         self.tried: Counter[tuple[str, int]] = Counter()
         self.dead = self.graph.dead = DeadEnds()
         self.failures = FailedActions(self.graph, self.solvability)
-        given = (self.graph, oracle, self.solvability, ends, settings, self.deadline_passed)
-        self.maker = PlanBuilder(*given, concurrent=concurrent, forces=forces)
+        self.concurrent, self.forces = concurrent, forces
+        self._timed: dict[PathSegment, Trajectory | None] = {}
         self.counts: Counter[str] = Counter()
         self.attempt = 0
         self.unreachable: list[int] | None = None
         self.fallen = ""  # where the replay of the last rejected plan fails, in words
         self._reported = 0.0
+
+    def deadline_passed(self) -> bool:
+        """Return whether the deadline has passed."""
+        return self.clock.passed
 
     def run(self, root: Node) -> HybridResult:
         """Find an abstract plan, then motions for it or for a similar one."""
@@ -126,12 +135,7 @@ class HybridSearch:
         return self.failed(root, "not_found", limit)
 
     def depth_first_search(self, root: Node, rng: np.random.Generator) -> list[Edge] | None:
-        """Return the edges of a plan with a stable replay by one depth-first search; None after too many dead ends.
-
-        Args:
-            root: the first keyframe.
-            rng: random generator that perturbs the order of actions.
-        """
+        """Return the edges of a plan with a stable replay by one depth-first search; None after too many dead ends."""
         chain: list[Edge] = []
         nodes, options = [root], [self.options(root, rng)]
         # Causes of the dead ends after each keyframe: indices of earlier edges.
@@ -199,10 +203,9 @@ class HybridSearch:
         return 0
 
     def _keyframes_before_failure(self, root: Node, chain: list[Edge]) -> int | None:
-        """Replay a plan with motions and forbid the state in which the structure collapses.
+        """Replay a plan with motions and forbid the state in which the structure collapses; None if it succeeds.
 
-        Returns:
-            The number of keyframes before that state, 0 if there is no other path; None if the replay succeeds.
+        The result is the number of keyframes before that state, 0 if there is no other path.
         """
         route = route_along(root, chain)
         row = self.solvability.falls(route)
@@ -278,10 +281,6 @@ class HybridSearch:
             self.unreachable = [part for part in leaving if not self.graph.reachable(part)]
         return bool(self.unreachable)
 
-    def deadline_passed(self) -> bool:
-        """Return whether the deadline has passed."""
-        return self.clock.passed
-
     def _report(self, dead_ends: int) -> None:
         now = self.clock.seconds
         if self.progress is not None and now - self._reported > 0.1:
@@ -316,10 +315,47 @@ class HybridSearch:
 
     def _plan(self, root: Node, chain: list[Edge], why: Explanation | None = None) -> RobotPlan:
         statistics = self._statistics() | ({} if why is None else {"failure": why.to_dict()})
-        plan = self.maker.plan(root, chain, whole=why is None)
+        plan = self._timed_plan(root, chain, whole=why is None)
         replay = None if plan.plan.replay is None else plan.plan.replay.to_dict()
         plan.statistics.update(statistics, seconds=round(self.clock.seconds, 3), replay=replay)
         return plan
+
+    def _timed_plan(self, root: Node, chain: list[Edge], *, whole: bool) -> RobotPlan:
+        """Certify the states along a chain of edges, compute its trajectories, and put them in the order of execution.
+
+        A partial plan is scheduled as it is. Motions, which are searched for as disassembly, get their order here.
+        """
+        builds = self.settings.direction is Direction.ASSEMBLY
+        if self.concurrent and whole:
+            chain = self._shortened(chain)
+            self._make(root, chain)
+            given = {"legal": self.solvability.legal, "stop": self.deadline_passed, "builds": builds}
+            other = reorder(self.graph, self.oracle, root, chain, self._timed, **given)
+            chain = other if not other or self.graph.accepts(other[-1]) else chain
+            root, chain = self.ends.around(root, chain)
+            chain = self._shortened(chain, done=self._timed)
+        else:
+            root, chain = self.ends.around(root, chain)
+        plan = self._make(root, chain)
+        plan = plan.reverse() if builds else plan
+        return schedule_plan(plan, self.assembly, self.cell, parts=self.graph.parts) if self.concurrent else plan
+
+    def _shortened(self, chain: list[Edge], done: Container[PathSegment] = frozenset()) -> list[Edge]:
+        """Return edges whose free motions take less time where such are found, except for those that are done."""
+        found, speed = [], self.cell.speed
+        for k, edge in enumerate(chain):
+            segments = list(edge.segments)
+            for j, segment in enumerate(segments):
+                if segment.view is not None and segment not in done:
+                    path = shorter_path(segment.view, segment.path, speed, [self.settings.seed, k, j])
+                    segments[j] = segment if path is segment.path else replace(segment, path=path)
+            found.append(replace(edge, segments=tuple(segments)))
+        return found
+
+    def _make(self, root: Node, chain: list[Edge]) -> RobotPlan:
+        task = self.ends.whole(self.solvability.task)
+        given = (self.assembly, self.cell, task, self.oracle, root, chain)
+        return make_robot_plan(*given, forces=self.forces, timed=self._timed)
 
     def _statistics(self) -> dict[str, Any]:
         return {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
@@ -18,22 +18,19 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.model.shapes import inverse_pose
 from falsework.robots.motion.collision_world import Attached
 from falsework.search.problem.task import STAGE, Task
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitDirections) -> Task:
     """Return a task with the number of robots of the cell, and with free exit directions, none of them downwards.
 
-    Raises:
-        InputError: props, or steps of several parts.
-        StateError: more parts held at start or target than there are robots, or a part that ends up released.
+    InputError for props or ways out of several moves, StateError for more held parts than robots.
     """
     given = task or Task.from_rules(assembly.boundary, cell.robot_count, identity=assembly.identity)
     if given.props:
         raise InputError("robot plans have no props; plan for the structure without them")
-    if given.together is not None:
-        raise InputError("robot plans move one part at a time; plan motions for a task without several parts at once")
+    if given.moves_out > 1 or given.turns:
+        raise InputError("robots move parts out in straight lines; plan motions for a task without moves and turns")
     freed = np.flatnonzero(STAGE[given.target] < STAGE[given.start])
     if len(freed):
         name = assembly.names[int(freed[0])]
@@ -58,14 +55,7 @@ def given_keyframe(
     held: Sequence[int | None] | None,
     gripped: Sequence[ArrayLike | None] | None = None,
 ) -> Node:
-    """Return the validated keyframe of given configurations.
-
-    Args:
-        graph: keyframes of the structure in the cell.
-        state: what stands, and is held; shape (parts,).
-        configurations: joint values of the robots, shape (joints,) each; by default their home.
-        held: the part that each robot holds in place, or carries if it is not in place.
-        gripped: for each robot that carries a part, the joint values with which it would hold it at its place.
+    """Return the validated keyframe of given configurations, by default homes; arguments as of `plan_robots`.
 
     Raises:
         InputError: configurations that do not fit the robots, or in which something collides or a gripper is not at

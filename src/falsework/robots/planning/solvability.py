@@ -11,17 +11,16 @@ the structure collapses is then forbidden, and states that could only continue t
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, Mask, States
+from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.robots.keyframes.joint_holds import HoldingOracle, JointHolds
 from falsework.robots.keyframes.keyframes import state_after
-from falsework.robots.planning.connecting_search import ConnectingSearch
 from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_replay import Acceptance
@@ -30,11 +29,17 @@ from falsework.search.problem.result import Route, SearchResult, Stop, barred_ro
 from falsework.search.problem.rollout import follow_scores
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
+from falsework.stability.cache import unique_rows
 from falsework.stability.oracle import StabilityOracle
 
+_LEVELS = 8
+"""Lookahead of the search, in steps."""
+_WIDTH = 6
+"""Beam width of the search."""
+_VERDICTS = 48
+"""Verdict budget of the search: states that do not join soon rarely do."""
 ActionScore = Callable[[States, Mask], NDArray[np.floating]]
 """Score of the actions out of states, like a `falsework.search.problem.guide.Guide` in disassembly."""
-
 _FIRST_BEAM_WIDTH = 256
 """Widest beam for the first plan."""
 _VARIED_WIDTH = 16
@@ -43,6 +48,82 @@ _VARIED_VERDICTS = 2000
 """Verdict budget for a varied plan from each end: a beam that needs more is stuck, and slow under `contact`."""
 MAX_FALLEN_REPLAYS = 40
 """Plans of one search, abstract or with motions, whose replay may fail before the search ends."""
+
+
+class ConnectingSearch:
+    """Searches for paths to solvable states, with an account of what they cost."""
+
+    def __init__(self, oracle: StabilityOracle | HoldingOracle, guide: Guide) -> None:
+        self._oracle, self._guide = oracle, guide
+        self.spent = 0
+        """Number of verdicts spent."""
+        self._left = 0
+
+    def path(self, task: Task, start: States, solvable: Set[bytes], forbidden: Set[bytes]) -> States | None:
+        """Return the stable states from one to the last before a solvable one; None without a path."""
+        refused = set(forbidden)
+        while (path := self._unverified_path(task, start, solvable, refused)) is not None:
+            # Holds rarely fail, and most searches reach nothing: holds are checked only on a path that was found.
+            holds = path[1:][(path[1:] != REMOVED).sum(axis=1) == (path[:-1] != REMOVED).sum(axis=1)]
+            if not self._oracle.holds_keep_stable and len(holds):
+                fallen = holds[~self._oracle.verdicts(holds).stable]
+                refused |= {state.tobytes() for state in fallen}
+                if len(fallen):
+                    continue
+            return path
+        return None
+
+    def _unverified_path(self, task: Task, start: States, solvable: Set[bytes], refused: Set[bytes]) -> States | None:
+        """Return states from a stable one to the last before a solvable one; none is refused, holds are not checked."""
+        self._left = _VERDICTS
+        paths: States = start[None, None]
+        judged: States = start[None]  # on each path, the last state that has a verdict
+        for _ in range(_LEVELS):
+            states = paths[:, -1]
+            rows, actions = np.nonzero(task.moves(states, Direction.DISASSEMBLY))
+            if not len(rows):
+                return None
+            after = task.follow(states[rows], actions, Direction.DISASSEMBLY)
+            first = np.sort(unique_rows(after)[0])
+            rows, actions, after = rows[first], actions[first], after[first]
+            hit = next((k for k, state in enumerate(after) if state.tobytes() in solvable), None)
+            if hit is not None:  # solvable states are stable, so the step to one needs no verdict
+                return paths[rows[hit]]
+            kept = self._stable_few(task, states[rows], judged[rows], after, actions, refused)
+            if not len(kept):
+                return None
+            removed = actions[kept] >= task.part_count
+            judged = np.where(removed[:, None], after[kept], judged[rows[kept]])
+            paths = np.concatenate([paths[rows[kept]], after[kept][:, None]], axis=1)
+        return None
+
+    def _stable_few(
+        self, task: Task, before: States, judged: States, after: States, actions: NDArray[np.intp], refused: Set[bytes]
+    ) -> NDArray[np.intp]:
+        """Return the most promising successors: few held, then the guide's score; after removals only stable ones."""
+        removal = actions >= task.part_count
+        mask = np.zeros((len(before), 2 * task.part_count), dtype=bool)
+        mask[np.arange(len(before)), actions] = True
+        score = np.asarray(self._guide(before, mask, Direction.DISASSEMBLY))[np.arange(len(before)), actions]
+        held = ((after == HELD) & ~task.boundary).sum(axis=1)
+        order = np.lexsort((-score, held))
+        order = order[[after[k].tobytes() not in refused for k in order]]
+        # Successors beyond the limits on holds and verdicts are dropped.
+        number = np.where(removal[order], removal[order].cumsum(), (~removal[order]).cumsum())
+        order = order[number <= np.where(removal[order], self._left, 2 * _WIDTH)]
+        kept: list[NDArray[np.intp]] = []
+        room = 3 * _WIDTH
+        while room and len(order):
+            batch, order = order[:room], order[room:]
+            asked = batch[removal[batch]]
+            self._left -= len(asked)
+            self.spent += len(asked)
+            good = ~removal[batch]
+            if len(asked):
+                good[~good] = self._oracle.verdicts(after[asked], near=judged[asked]).stable
+            kept.append(batch[good])
+            room -= int(good.sum())
+        return np.concatenate([np.empty(0, np.intp), *kept])
 
 
 class SolvabilityCheck:
@@ -59,17 +140,7 @@ class SolvabilityCheck:
         seed: int = 0,
         joint: JointHolds | None = None,
     ) -> None:
-        """Create a check in which only the target is known to be solvable.
-
-        Args:
-            assembly: the structure.
-            task: task with its rules, free exit directions included.
-            oracle: decides stability.
-            guide: action heuristic of the search for the first plan; by default parts with much support go in first.
-            score: action score of rollouts, which are tried before a search for a plan.
-            seed: seed of that search.
-            joint: parts that arms cannot hold at the same time.
-        """
+        """Know only the target to be solvable; by default the guide lets parts with much support go in first."""
         self.joint = joint
         self.oracle = oracle if joint is None else HoldingOracle(oracle, joint)
         self._acceptance = Acceptance(oracle.replayer)
@@ -135,20 +206,14 @@ class SolvabilityCheck:
     def falls(self, route: Route) -> int | None:
         """Return the first state in assembly order in which the replay of a route collapses; None if it succeeds.
 
-        It must come to rest with the reserve of the oracle, and under the true friction. Always None under the
-        criterion `equilibrium`, which has no history.
+        It must come to rest with the reserve of the oracle, and under the true friction; `equilibrium` has no history.
         """
         return self._acceptance.falls_at(route.states[::-1])
 
     def forbid(self, route: Route, row: int) -> int | None:
         """Forbid the state in which the replay of a route collapses, and all states that continue only through it.
 
-        Args:
-            route: route whose replay collapses.
-            row: index of that state in assembly order.
-
-        Returns:
-            Index of the forbidden state in assembly order; None for a route without states between its ends.
+        `row` and the result are indices in assembly order; None for a route without states between its ends.
         """
         barred = barred_row(row, len(route.states))
         if barred is not None:
@@ -161,11 +226,7 @@ class SolvabilityCheck:
         return state.tobytes() in self._solvable
 
     def reroute(self, state: States) -> bool:
-        """Find a path from a state to the target that avoids excluded holds; return whether there is one.
-
-        Args:
-            state: stable, shape (parts,).
-        """
+        """Find a path from a stable state to the target that avoids excluded holds; return whether there is one."""
         self._prune()
         if self.stays(state):
             return True

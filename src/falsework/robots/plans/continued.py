@@ -19,18 +19,9 @@ from falsework.stability.oracle import StabilityOracle
 def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) -> tuple[RobotPlan, int | None]:
     """Return a robot plan whose steps come after those of another one that are done, and count on from them.
 
-    Args:
-        rest: motions from where the other one was interrupted, in the same order.
-        begun: the plan that was interrupted.
-        done: actions of it that are done, see `Interruption`.
-        assembly: the structure.
-
-    Returns:
-        The motions of `rest`, with a plan that has the steps that are done too, without motions. And None, or where its
-        replay fails: the number of the state. The history of what was built is then too much for the new steps.
-
-    Raises:
-        PlanError: a state cannot be proved.
+    Its motions are those of `rest`; its plan has the steps that are done too. With it comes None, or where its replay
+    fails the number of the state: the history of what was built is then too much for the new steps. PlanError if a
+    state cannot be proved.
     """
     if not done:
         return rest, None

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.problem.task import Direction
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 LoadKey = tuple[int, bytes, bytes]
 _RIGID = 1e-6
@@ -40,13 +38,7 @@ class Load:
 
 
 def load_of(plan: RobotPlan, step: int, motion: int | None) -> Load | None:
-    """Return the load of a robot in a motion of a step; None without one.
-
-    Args:
-        plan: the robot plan.
-        step: index of the step.
-        motion: index of the trajectory; None for an action of the gripper.
-    """
+    """Return the load of a robot in a motion of a step, None an action of its gripper; None without a load."""
     entry, part = plan.steps[step], int(plan.actions[step]) - len(plan.plan.boundary)
     if entry.transit and motion is not None and (carried := entry.trajectories[motion].part) is not None:
         assert entry.gripped is not None
@@ -72,12 +64,7 @@ def load_at_rest(
 ) -> Load | None:
     """Return the load of a robot that rests between two motions or actions of its gripper; None without one.
 
-    Args:
-        plan: the robot plan.
-        robot: the robot.
-        last: step and trajectory before the rest, None as the trajectory of an action of the gripper; None at the
-            start.
-        following: the same after the rest; None at the end.
+    `last` and `following` are a step and its trajectory, None an action of the gripper; None at the start, at the end.
     """
     if following is None:
         return None if last is None or plan.keyframes[-1].load(robot) is None else load_of(plan, *last)
@@ -116,10 +103,7 @@ def lying_motions(plan: RobotPlan, step: int) -> range:
 
 
 def step_fault(plan: RobotPlan, step: int) -> str:
-    """Return why a step is not the half of a hand-over, the action with a part put down, or the transit that it says.
-
-    Empty if nothing is wrong.
-    """
+    """Return why a step is not the hand-over, transit, or action with a part put down that it says; empty if it is."""
     return hand_over_fault(plan, step) or put_down_fault(plan, step) or transit_fault(plan, step)
 
 

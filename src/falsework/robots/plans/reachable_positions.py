@@ -9,7 +9,7 @@ positions of two motions that can coincide form a rectangle.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -18,34 +18,12 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
-from falsework.robots.plans.loads import Load, load_at_rest, load_of
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
-from falsework.robots.plans.timeline import Event, nodes_of
-
-Array = NDArray[np.float64]
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.timeline import Event, Segment, nodes_of, segments_of
+from falsework.utils.arrays import Array
 
 _INSTANT = 1e-6
 """Times that differ by no more are equal, seconds; the rounding of files is finer."""
-
-
-@dataclass(frozen=True, eq=False)
-class Segment:
-    """Motion of an arm, or its rest between two motions."""
-
-    robot: int
-    step: int
-    """Step of the plan that it belongs to, or that precedes the rest."""
-    begun: int | None
-    """Node of the graph begun last; None before the first."""
-    low: float
-    """Progress at its beginning."""
-    high: float
-    """Progress at its end."""
-    trajectory: Trajectory | None
-    """None: a rest."""
-    rest: Array
-    """Configuration at its end, shape (joints,)."""
-    load: Load | None
 
 
 @dataclass(frozen=True)
@@ -62,11 +40,7 @@ class ReachablePositions:
     """Positions of all arms that can coincide under the schedule of a plan."""
 
     def __init__(self, plan: RobotPlan) -> None:
-        """Compute the least progress of every arm when each motion begins.
-
-        Raises:
-            PlanError: the plan has no schedule.
-        """
+        """Compute the least progress of every arm when each motion begins; PlanError without a schedule."""
         graph = plan.schedule
         if graph is None:
             raise PlanError("the robot plan has no schedule whose delays could be checked; plan again, or schedule it")
@@ -83,7 +57,7 @@ class ReachablePositions:
         self._find_least_progress()
         self.reached = np.array([self.begins[event.node] + event.at_end for event in self.events])
         """Progress of the arm of each event when it happens, shape (events,)."""
-        self.segments = [list(self._segments_of(robot)) for robot in range(graph.robots)]
+        self.segments = segments_of(plan)
 
     def _find_least_progress(self) -> None:
         graph, found = self.graph, self.needed
@@ -102,31 +76,7 @@ class ReachablePositions:
             self._before[index] = found[index, own]
             found[index, own] = max(found[index, own], self.begins[index])
 
-    def _segments_of(self, robot: int) -> Iterator[Segment]:
-        """Yield rests and motions of one arm in turn, a rest first and last."""
-        plan, graph, own = self.plan, self.graph, self._own[robot]
-        values, last = plan.keyframes[0].configurations[robot], None
-        for place, index in enumerate((*own, None)):
-            step = 0 if last is None else graph.nodes[last].step
-            load = load_at_rest(plan, robot, self._motion(last), self._motion(index))
-            yield Segment(robot, step, last, 2.0 * place, 2.0 * place, None, values, load)
-            if index is None:
-                return
-            last, number = index, graph.nodes[index].trajectory
-            if number is None:
-                continue
-            step = graph.nodes[index].step
-            trajectory = plan.steps[step].trajectories[number]
-            values, begin = trajectory.positions[-1], 2.0 * place + 1
-            yield Segment(robot, step, index, begin, begin + 1, trajectory, values, self._load(index))
-
-    def _motion(self, index: int | None) -> tuple[int, int | None] | None:
-        return None if index is None else (self.graph.nodes[index].step, self.graph.nodes[index].trajectory)
-
-    def _load(self, index: int) -> Load | None:
-        return load_of(self.plan, self.graph.nodes[index].step, self.graph.nodes[index].trajectory)
-
-    def _needs(self, segments: list[Segment], robot: int) -> Array:
+    def _needs(self, segments: Sequence[Segment], robot: int) -> Array:
         """Return the least progress of an arm in each segment of another, shape (segments,)."""
         return np.array([0.0 if entry.begun is None else self.needed[entry.begun, robot] for entry in segments])
 
@@ -144,10 +94,7 @@ class ReachablePositions:
                 yield Overlap(a, b, (low, a.high), (side, b.high))
 
     def out_of_order(self) -> list[tuple[int, str]]:
-        """Return the nodes that a delay can bring before what they must follow, and what that is.
-
-        Motions of an arm must follow each other, and so must the states of the structure.
-        """
+        """Return the nodes that a delay can bring before what they must follow, motion or state, and what that is."""
         found = []
         for nodes in self._own:
             for before, after in pairwise(nodes):
@@ -183,12 +130,7 @@ class ReachablePositions:
         return found
 
     def contains(self, starts: Array, factor: Array) -> bool:
-        """Return whether an execution passes through reachable positions only.
-
-        Args:
-            starts: start time of each node, shape (nodes,).
-            factor: factor on the duration of each motion, shape (nodes,).
-        """
+        """Return whether an execution with start times and factors of durations passes only through these positions."""
         ends = starts + factor * self.graph.durations
         for robot, own in enumerate(self._own):
             if not own:

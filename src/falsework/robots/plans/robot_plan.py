@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from math import perm
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,135 +14,64 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, States
 from falsework.errors import PlanError
 from falsework.robots.model.cell import Cell, cell_identity
-from falsework.robots.plans.robot_record import RobotRecord, record_fault
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
+from falsework.utils.arrays import Array
 from falsework.utils.display.notebook import Displayed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 
-Array = NDArray[np.float64]
+_SAME_POSE = 1e-9
+"""Entries of poses that differ by no more are equal."""
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
-    """Trajectory of one robot: knots connected by cubic polynomials.
+class RobotRecord:
+    """Robot of a plan, described without its cell file."""
 
-    Between two knots the positions are the cubics that match the positions and velocities of both, as a controller with
-    position and velocity input interpolates.
-    """
+    name: str
+    model: str
+    joint_names: tuple[str, ...]
+    base: Array
+    """Pose of the base in the world, shape (4, 4)."""
+    gripper: str
+    tool: Array
+    """Tool frame in the frame of the flange, shape (4, 4)."""
 
-    kind: Literal["free", "line"]
-    """`free` moves clear of everything; `line` moves the tool straight to or from the place of a part."""
-    times: Array
-    """Seconds from the start of the trajectory, ascending from 0, shape (knots,)."""
-    positions: Array
-    """Shape (knots, joints)."""
-    velocities: Array
-    """Shape (knots, joints)."""
-    part: int | None = None
-    """Part in the gripper."""
-    touches: int | None = None
-    """Part in place, or put down, that the gripper may touch: an approach ends at it, or a retreat starts from it."""
 
-    @property
-    def seconds(self) -> float:
-        """Duration."""
-        return float(self.times[-1])
-
-    def reverse(self) -> Trajectory:
-        """Return the reverse trajectory, of the same duration."""
-        return replace(
-            self,
-            times=(self.times[-1] - self.times[::-1]).copy(),
-            positions=self.positions[::-1].copy(),
-            velocities=-self.velocities[::-1],
+def records_of(cell: Cell) -> tuple[RobotRecord, ...]:
+    """Return the records of the robots of a cell for a plan."""
+    return tuple(
+        RobotRecord(
+            robot.name,
+            robot.model.name,
+            tuple(robot.model.joint_names),
+            np.array(robot.base),
+            robot.gripper.name,
+            np.array(robot.gripper.tool),
         )
-
-    def sample(self, seconds: Array) -> Array:
-        """Return positions at given times, shape (samples,) to (samples, joints)."""
-        return self._cubics.at(np.clip(seconds, 0.0, self.times[-1]))
-
-    def rates(self, seconds: Array) -> Array:
-        """Return velocities at given times, shape (samples,) to (samples, joints)."""
-        return self._cubics.at(np.clip(seconds, 0.0, self.times[-1]), derivative=1)
-
-    def peaks(self) -> tuple[Array, Array]:
-        """Return the exact largest speed and acceleration of each joint, both of shape (joints,)."""
-        cubics, span = self._cubics, np.diff(self.times)
-        # The speed is a parabola between two knots: it peaks at a knot or where the acceleration is zero.
-        ends = np.abs(self.velocities).max(axis=0)
-        first = cubics.at(self.times[:-1], derivative=2)
-        second = 2 * cubics.at(self.times[:-1] + span / 2, derivative=2) - first
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = first / (first - second)
-        inside = (share > 0) & (share < 1)
-        top = np.zeros_like(first)
-        rows, columns = np.nonzero(inside)
-        moments = self.times[rows] + share[rows, columns] * (self.times[rows + 1] - self.times[rows])
-        top[rows, columns] = np.abs(cubics.at(moments, derivative=1)[np.arange(len(rows)), columns])
-        return np.maximum(ends, top.max(axis=0)), np.maximum(np.abs(first), np.abs(second)).max(axis=0)
-
-    def dense(self, step: float) -> tuple[Array, Array]:
-        """Return times, and positions of which no joint differs from the previous one by more than `step`, rad or m."""
-        times = [np.zeros(1)]
-        reach = self._reach()
-        for begin, end, far in zip(self.times[:-1], self.times[1:], reach, strict=True):
-            count = max(int(np.ceil(far / step)), 1)
-            times.append(begin + (end - begin) * np.arange(1, count + 1) / count)
-        found = np.concatenate(times)
-        return found, self.sample(found)
-
-    def travel(self, times: Array) -> Array:
-        """Return bounds on how far each joint travels between times, knots included, shape (times - 1, joints)."""
-        begin, end = times[:-1], times[1:]
-        knot = np.clip(np.searchsorted(self.times, (begin + end) / 2, side="right") - 1, 0, len(self.times) - 2)
-        span = np.diff(self.times)[:, None]
-        # Speed between two knots as a quadratic in Bernstein form, then its part between two times in the same form.
-        ends = span * self.velocities[:-1], span * self.velocities[1:]
-        middle = 3 * np.diff(self.positions, axis=0) - ends[0] - ends[1]
-        a, b = ((moment - self.times[knot])[:, None] / span[knot] for moment in (begin, end))
-
-        def polar(s: Array, t: Array) -> Array:
-            return (1 - s) * (1 - t) * ends[0][knot] + (s + t - 2 * s * t) * middle[knot] + s * t * ends[1][knot]
-
-        return (b - a) * np.max([np.abs(polar(s, t)) for s, t in ((a, a), (a, b), (b, b))], axis=0)
-
-    def _reach(self) -> Array:
-        """Return between knots duration times the largest speed of a joint, a bound on motion. Shape (knots - 1,)."""
-        span = np.diff(self.times)
-        rise = np.diff(self.positions, axis=0)
-        # The speed of a cubic with these ends is a quadratic in Bernstein form with these three coefficients.
-        middle = 3 * rise - span[:, None] * (self.velocities[:-1] + self.velocities[1:])
-        ends = span[:, None] * np.maximum(np.abs(self.velocities[:-1]), np.abs(self.velocities[1:]))
-        return np.maximum(np.abs(middle), ends).max(axis=1)
-
-    @cached_property
-    def _cubics(self) -> _Cubics:
-        span = np.diff(self.times)[:, None]
-        slope, begin, end = np.diff(self.positions, axis=0) / span, self.velocities[:-1], self.velocities[1:]
-        bend = (begin + end - 2 * slope) / span
-        return _Cubics(self.times, (self.positions[:-1], begin, (slope - begin) / span - bend, bend / span))
+        for robot in cell.robots
+    )
 
 
-class _Cubics(NamedTuple):
-    """Cubics between knots with given values and slopes there (Hermite); SciPy's take a tenth of a second to import."""
-
-    times: Array
-    powers: tuple[Array, Array, Array, Array]
-    """Coefficients of the powers of the time since the last knot, from that of the constant on."""
-
-    def at(self, seconds: Array, derivative: int = 0) -> Array:
-        """Return values, or derivatives, at times between the first and the last knot, shape (...) to (..., joints)."""
-        knot = np.clip(np.searchsorted(self.times, seconds, side="right") - 1, 0, len(self.times) - 2)
-        since, power = (seconds - self.times[knot])[..., None], 1.0
-        found = np.zeros((*np.shape(seconds), self.powers[0].shape[1]))
-        for exponent in range(derivative, 4):
-            found += perm(exponent, derivative) * self.powers[exponent][knot] * power
-            power = power * since
-        return found
+def record_fault(records: Sequence[RobotRecord], cell: Cell) -> str:
+    """Return how the robots that a plan records differ from those of a cell, in its order; empty if they do not."""
+    wanted = records_of(cell)
+    if len(records) != len(wanted):
+        return f"has {len(records)} robots, the cell {cell.name} has {len(wanted)}"
+    for number, (mine, robot) in enumerate(zip(records, wanted, strict=True)):
+        for entry in fields(RobotRecord):
+            here, there = getattr(mine, entry.name), getattr(robot, entry.name)
+            if isinstance(there, np.ndarray):
+                if here.shape != there.shape or not np.abs(here - there).max() <= _SAME_POSE:
+                    return f"has another {entry.name} pose for robot {robot.name} than the cell {cell.name}"
+            elif here != there:
+                what = entry.name.replace("_", " ")
+                return f"says {here!r} as the {what} of robot {number}, not {there!r} as the cell {cell.name}"
+    return ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,10 +213,7 @@ class RobotPlan(Displayed):
         return self.seconds if self.schedule is None else self.schedule.makespan
 
     def grip_of(self, robot: int, part: int) -> Array | None:
-        """Return the configuration in which a robot holds a part at its place, shape (joints,); None if it never does.
-
-        Of several, the last in the order of disassembly, in which it leaves.
-        """
+        """Return the configuration in which a robot holds a part last before it leaves; None if it never does."""
         frames = self.keyframes if self.direction is Direction.ASSEMBLY else self.keyframes[::-1]
         return next((frame.configurations[robot] for frame in frames if frame.held[robot] == part), None)
 
@@ -356,13 +281,9 @@ class RobotPlan(Displayed):
         self.check_cell(cell)
 
     def cell_place(self, file: Path | str) -> str:
-        """Return the cell that the plan names, for `load_cell`: a file, seen from that of the plan, or a built-in cell.
+        """Return the cell that a plan in a file names, for `load_cell`: a file as seen from it, or a built-in cell.
 
-        Args:
-            file: file that the plan was read from.
-
-        Raises:
-            PlanError: it names none.
+        PlanError if it names none.
         """
         if self.cell_source is None:
             raise PlanError(f"{file} does not say where its cell is; name it (--cell, or cell= in Python)")

@@ -9,11 +9,10 @@ from typing import Any, NoReturn
 
 import numpy as np
 from msgspec import convert, to_builtins
-from numpy.typing import NDArray
 
 from falsework.errors import PlanError
 from falsework.robots.plans.loads import step_fault
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, Trajectory
+from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep
 from falsework.robots.plans.robot_plan_model import (
     FORMAT,
     KeyframeEntry,
@@ -23,15 +22,14 @@ from falsework.robots.plans.robot_plan_model import (
     ScheduleEntry,
     TrajectoryEntry,
 )
-from falsework.robots.plans.robot_record import RobotRecord
 from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.task import Direction
+from falsework.utils.arrays import Array
 from falsework.utils.json_file import check_format, read_json, write_json
 from falsework.utils.models import read_model
-
-Array = NDArray[np.float64]
 
 SECOND_FORMAT = "falsework.robot-plan/2"
 """Format whose direction is that of the plan in it; read, no longer written."""
@@ -58,59 +56,24 @@ def save_robot_plan(plan: RobotPlan, path: Path | str) -> None:
 
 def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
     """Return the robot plan as plain JSON values; see `robot_plan_schema`."""
+
+    def plain(value: Any) -> dict[str, Any]:
+        return to_builtins(value, enc_hook=rounded)
+
+    robots = [plain(robot) for robot in plan.robots]
     cell = {
         "name": plan.cell_name,
         "identity": plan.cell_identity,
         "source": plan.cell_source,
-        "robots": [
-            {
-                "name": robot.name,
-                "model": robot.model,
-                "joints": robot.joint_names,
-                "base": rounded(robot.base),
-                "gripper": robot.gripper,
-                "tool": rounded(robot.tool),
-            }
-            for robot in plan.robots
-        ],
+        "robots": [{"joints": robot.pop("joint_names"), **robot} for robot in robots],
     }
-    keyframes = [
-        {
-            "configurations": [rounded(values) for values in keyframe.configurations],
-            "held": keyframe.held,
-            "carried": keyframe.carried or None,
-        }
-        for keyframe in plan.keyframes
-    ]
-    steps = [
-        {
-            "do": plan.does(index),
-            "robot": step.robot,
-            "hands_over": step.hands_over,
-            "put_down": None if step.put_down is None else rounded(step.put_down),
-            "transit": step.transit,
-            "gripped": None if step.gripped is None else rounded(step.gripped),
-            "trajectories": [
-                {
-                    "kind": trajectory.kind,
-                    "part": trajectory.part,
-                    "touches": trajectory.touches,
-                    "times": rounded(trajectory.times),
-                    "positions": rounded(trajectory.positions),
-                    "velocities": rounded(trajectory.velocities),
-                }
-                for trajectory in step.trajectories
-            ],
-        }
-        for index, step in enumerate(plan.steps)
-    ]
     file = {
         "format": FORMAT,
         "direction": plan.direction.value,
         "cell": cell,
         "plan": plan_to_dict(plan.plan, proofs=plan.plan.proof_arrays() is not None),
-        "keyframes": keyframes,
-        "steps": steps,
+        "keyframes": [{**plain(frame), "carried": frame.carried or None} for frame in plan.keyframes],
+        "steps": [{**plain(step), "do": plan.does(index)} for index, step in enumerate(plan.steps)],
         "schedule": None if plan.schedule is None else _schedule_to_dict(plan.schedule),
         "statistics": plan.statistics,
         "before": plan.before,
@@ -153,11 +116,7 @@ def load_robot_plan(path: Path | str) -> RobotPlan:
 
 
 def robot_plan_from_dict(data: Any, source: str = "the robot plan") -> RobotPlan:
-    """Read a robot plan from plain JSON values; `source` is its name in messages.
-
-    Raises:
-        PlanError: as `load_robot_plan`.
-    """
+    """Read a robot plan from plain JSON values as `load_robot_plan`; `source` is its name in messages."""
     return _Reader(data, source).plan()
 
 

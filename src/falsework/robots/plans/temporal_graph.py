@@ -10,14 +10,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from falsework.errors import InputError, PlanError
+from falsework.utils.arrays import Array
 
-Array = NDArray[np.float64]
 Reason = Literal["arm", "state", "part", "volume"]
 
 
@@ -70,25 +71,15 @@ class TemporalPlanGraph:
 
     @cached_property
     def order(self) -> tuple[int, ...]:
-        """Return the nodes so that each comes after all that it waits for.
-
-        Raises:
-            PlanError: a deadlock: motions wait for each other in a cycle.
-        """
-        waits = np.bincount([edge.after for edge in self.edges], minlength=len(self.nodes))
-        ready = [index for index in range(len(self.nodes)) if not waits[index]]
-        found = []
-        while ready:
-            node = ready.pop()
-            found.append(node)
-            for edge in self._after[node]:
-                waits[edge.after] -= 1
-                if not waits[edge.after]:
-                    ready.append(edge.after)
-        if len(found) < len(self.nodes):
-            node = self.nodes[int(np.flatnonzero(waits)[0])]
-            raise PlanError(f"motions wait for each other in a cycle, one of them in step {node.step + 1}; plan again")
-        return tuple(found)
+        """Nodes so that each comes after all that it waits for; PlanError if motions wait for each other in a cycle."""
+        sorter = TopologicalSorter(dict.fromkeys(range(len(self.nodes)), ()))
+        for edge in self.edges:
+            sorter.add(edge.after, edge.before)
+        try:
+            return tuple(sorter.static_order())
+        except CycleError as error:
+            step = self.nodes[min(error.args[1])].step + 1
+            raise PlanError(f"motions wait for each other in a cycle, one of them in step {step}; plan again") from None
 
     @cached_property
     def _after(self) -> tuple[tuple[Precedence, ...], ...]:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from falsework.assembly.state import States
 from falsework.robots.plans.loads import Load, load_at_rest, load_of
-from falsework.robots.plans.robot_plan import RobotPlan, Trajectory
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.problem.task import Direction
-
-Array = NDArray[np.float64]
+from falsework.utils.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -28,28 +30,51 @@ class ArmShares:
     waits: float
 
 
-def arm_shares(plan: RobotPlan, graph: TemporalPlanGraph) -> list[ArmShares]:
+@dataclass(frozen=True)
+class Bar:
+    """Activity of one arm during an interval of its plan."""
+
+    robot: int
+    begin: float
+    end: float
+    """Seconds from the start of the plan."""
+    does: Literal["moves", "carries", "holds"]
+    part: int | None
+
+
+def bars_of(plan: RobotPlan) -> list[Bar]:
+    """Return the activities of the arms of a plan; between two bars of an arm it waits.
+
+    A plan without a schedule is shown one motion after the other.
+    """
+    graph = schedule_of(plan)
+    starts, found = graph.starts().tolist(), []
+    for robot in range(len(plan.robots)):
+        free, held = 0.0, plan.keyframes[0].held[robot]
+        for index in graph.of_robot(robot):
+            node = graph.nodes[index]
+            if held is not None and starts[index] > free:
+                found.append(Bar(robot, free, starts[index], "holds", held))
+            free = starts[index] + node.seconds
+            if node.trajectory is not None:
+                part = plan.steps[node.step].trajectories[node.trajectory].part
+                found.append(Bar(robot, starts[index], free, "moves" if part is None else "carries", part))
+                held = None
+            if node.trajectory is None or node.trajectory == len(plan.steps[node.step].trajectories) - 1:
+                held = plan.keyframes[node.step + 1].held[robot]
+        if held is not None and plan.makespan > free:
+            found.append(Bar(robot, free, plan.makespan, "holds", held))
+    return found
+
+
+def arm_shares(plan: RobotPlan) -> list[ArmShares]:
     """Return the shares of time that every arm of a plan spends in each activity."""
-    total, starts = max(graph.makespan, 1e-12), graph.starts()
-    parts, apart = len(plan.plan.boundary), plan.direction is Direction.DISASSEMBLY
-    held = [part is not None for part in plan.keyframes[0].held]
-    moves, holds, free = np.zeros(graph.robots), np.zeros(graph.robots), np.zeros(graph.robots)
-    for index, node in enumerate(graph.nodes):
-        robot = node.robot
-        last = index + 1 == len(graph.nodes) or graph.nodes[index + 1].step != node.step
-        removes = int(plan.actions[node.step]) >= parts
-        holds[robot] += held[robot] * (starts[index] - free[robot])
-        moves[robot] += node.seconds
-        free[robot] = starts[index] + node.seconds
-        # A removal ends a hold as it begins, an insertion begins one as it ends; holds change at their own instant.
-        if node.trajectory is None or last:
-            held[robot] = plan.keyframes[node.step + 1].held[robot] is not None
-        elif removes and apart:
-            held[robot] = False
-    holds += np.array(held) * (graph.makespan - free)
+    total, spent = max(plan.makespan, 1e-12), np.zeros((len(plan.robots), 2))
+    for bar in bars_of(plan):
+        spent[bar.robot, int(bar.does == "holds")] += (bar.end - bar.begin) / total
     return [
-        ArmShares(record.name, float(m / total), float(h / total), max(0.0, float(1 - (m + h) / total)))
-        for record, m, h in zip(plan.robots, moves, holds, strict=True)
+        ArmShares(record.name, float(moves), float(holds), max(0.0, float(1 - moves - holds)))
+        for record, (moves, holds) in zip(plan.robots, spent, strict=True)
     ]
 
 
@@ -92,17 +117,65 @@ def schedule_of(plan: RobotPlan) -> TemporalPlanGraph:
 
 
 def event_times(plan: RobotPlan, graph: TemporalPlanGraph, stretch: ArrayLike | None = None) -> Array:
-    """Return the time of the event of each step, at which its state is reached, seconds, shape (steps,).
-
-    Args:
-        plan: the robot plan.
-        graph: its schedule.
-        stretch: as for `TemporalPlanGraph.starts`.
-    """
+    """Return the time of the event of each step, at which its state is reached, seconds, shape (steps,)."""
     factor = np.ones(len(graph.nodes)) if stretch is None else np.asarray(stretch, dtype=np.float64)
     starts = graph.starts(stretch)
     ends = starts + factor * graph.durations
     return np.array([(ends if event.at_end else starts)[event.node] for event in nodes_of(plan)[1]])
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """Motion of an arm, or its rest between two nodes of the schedule."""
+
+    robot: int
+    step: int
+    """Step of the plan that it belongs to, or that precedes the rest."""
+    begun: int | None
+    """Node of the graph begun last; None before the first."""
+    count: int
+    """Number of nodes of the arm that have begun."""
+    trajectory: Trajectory | None
+    """None: a rest."""
+    rest: Array
+    """Configuration at its end, shape (joints,)."""
+    load: Load | None
+    frames: frozenset[int]
+    """Steps in the middle of which the arm rests there."""
+
+    @property
+    def high(self) -> float:
+        """Progress at its end, of which a rest before motion i is 2 i, and the motion 2 i + 1 to 2 i + 2."""
+        return 2.0 * self.count
+
+    @property
+    def low(self) -> float:
+        """Progress at its beginning."""
+        return self.high - (self.trajectory is not None)
+
+
+@lru_cache(maxsize=8)
+def segments_of(plan: RobotPlan) -> tuple[tuple[Segment, ...], ...]:
+    """Return rests and motions of each arm of a plan in turn, a rest first and last and around each grip."""
+    nodes = nodes_of(plan)[0]
+    return tuple(tuple(_segments(plan, nodes, robot)) for robot in range(len(plan.robots)))
+
+
+def _segments(plan: RobotPlan, nodes: Sequence[MotionNode], robot: int) -> Iterator[Segment]:
+    values, last = plan.keyframes[0].configurations[robot], None
+    own = [index for index, node in enumerate(nodes) if node.robot == robot]
+    for count, index in enumerate((*own, None)):
+        places = [None if k is None else (nodes[k].step, nodes[k].trajectory) for k in (last, index)]
+        step, load = 0 if last is None else nodes[last].step, load_at_rest(plan, robot, *places)
+        on_way = last is not None and index is not None and nodes[index].step == step
+        yield Segment(robot, step, last, count, None, values, load, frozenset({step} if on_way else ()))
+        if index is None:
+            return
+        last, step, number = index, nodes[index].step, nodes[index].trajectory
+        if number is not None:
+            trajectory = plan.steps[step].trajectories[number]
+            values, load = trajectory.positions[-1], load_of(plan, step, number)
+            yield Segment(robot, step, index, count + 1, trajectory, values, load, frozenset({step}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,36 +200,22 @@ class ArmActivity:
 
 
 def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array | None = None) -> Iterator[ArmActivity]:
-    """Yield the activity of each arm at an instant of the schedule of a plan.
+    """Yield the activity of each arm at an instant, seconds, of a schedule with start times as of its graph.
 
-    Args:
-        plan: robot plan with a schedule.
-        starts: start time of each node, as `TemporalPlanGraph.starts` returns it.
-        moment: seconds from the start of the schedule.
-        factor: factor on the duration of each motion, shape (nodes,); 1 by default.
+    The durations of motions have factors, shape (nodes,); 1 by default.
     """
-    graph = plan.schedule
-    assert graph is not None
+    graph = schedule_of(plan)
     factor = np.ones(len(graph.nodes)) if factor is None else factor
-    for robot in range(graph.robots):
-        mine = graph.of_robot(robot)
-        past = [k for k in mine if starts[k] <= moment]
-        rest = plan.keyframes[0].configurations[robot]
-        for k in past:
-            number = graph.nodes[k].trajectory
-            if number is not None:
-                rest = plan.steps[graph.nodes[k].step].trajectories[number].positions[-1]
-        last = past[-1] if past else None
-        running = last is not None and moment < starts[last] + factor[last] * graph.nodes[last].seconds
-        following = next((k for k in mine if starts[k] > moment), None)
-        before, after = (
-            None if k is None else (graph.nodes[k].step, graph.nodes[k].trajectory) for k in (last, following)
-        )
-        at, number = (0, None) if before is None else before
-        trajectory = plan.steps[at].trajectories[number] if running and number is not None else None
-        load = load_of(plan, at, number) if running else load_at_rest(plan, robot, before, after)
-        begin, late = (0.0, 1.0) if last is None else (float(starts[last]), float(factor[last]))
-        yield ArmActivity(robot, at, trajectory, begin, late, rest, load)
+    ends = starts + factor * graph.durations
+    for robot, segments in enumerate(segments_of(plan)):
+        now = segments[0]
+        for entry in segments[1:]:
+            assert entry.begun is not None
+            if (starts if entry.trajectory is not None else ends)[entry.begun] > moment:
+                break
+            now = entry
+        begin, late = (0.0, 1.0) if now.begun is None else (float(starts[now.begun]), float(factor[now.begun]))
+        yield ArmActivity(robot, now.step, now.trajectory, begin, late, now.rest, now.load)
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,24 +241,12 @@ def interruption(plan: RobotPlan, seconds: float) -> Interruption:
         plan: the robot plan; without a schedule its motions come one after the other.
         seconds: time from its start.
     """
-    graph = schedule_of(plan)
-    begun = graph.starts() <= seconds
+    begun = schedule_of(plan).starts() <= seconds
     row = int(sum(begun[event.node] for event in nodes_of(plan)[1]))  # a motion begins after the events before its own
-    frame = plan.keyframes[row]
-    configurations, held = list(frame.configurations), list(frame.held)
-    grips: list[Array | None] = [None] * graph.robots
-    for robot in range(graph.robots):
-        mine = graph.of_robot(robot)
-        last = next((k for k in reversed(mine) if begun[k]), None)
-        following = next((k for k in mine if not begun[k]), None)
-        moved = [k for k in mine if begun[k] and graph.nodes[k].trajectory is not None]
-        configurations[robot] = plan.keyframes[0].configurations[robot]
-        if moved:
-            node = graph.nodes[moved[-1]]
-            assert node.trajectory is not None
-            configurations[robot] = plan.steps[node.step].trajectories[node.trajectory].positions[-1]
-        places = (None if k is None else (graph.nodes[k].step, graph.nodes[k].trajectory) for k in (last, following))
-        load = load_at_rest(plan, robot, *places)
-        if load is not None:
-            held[robot], grips[robot] = load.part, load.grip
+    held, configurations, grips = list(plan.keyframes[row].held), [], []
+    for robot, segments in enumerate(segments_of(plan)):
+        rest = [one for one in segments if one.trajectory is None and (one.begun is None or begun[one.begun])][-1]
+        configurations.append(rest.rest)
+        grips.append(None if rest.load is None else rest.load.grip)
+        held[robot] = held[robot] if rest.load is None else rest.load.part
     return Interruption(plan.states[row], tuple(configurations), tuple(held), tuple(grips), int(plan.done[row]))

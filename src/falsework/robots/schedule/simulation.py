@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import InputError, PlanError
 from falsework.robots.plans.reachable_positions import ReachablePositions
 from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.utils.arrays import Array
 from falsework.utils.quantity import check_seed
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

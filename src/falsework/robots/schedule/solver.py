@@ -1,38 +1,55 @@
-"""Order of conflicting motions of a plan: a schedule with least makespan, by constraint programming."""
+"""Schedule of a robot plan, from sequential motions to simultaneous ones: least makespan by constraint programming."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
-from falsework.errors import DependencyError, InputError
+from falsework.assembly.load import AnyStructure, as_assembly
+from falsework.errors import DependencyError
+from falsework.robots.cells.cell_file import AnyCell, as_cell
+from falsework.robots.model.part_shapes import PartShapes, place_parts
+from falsework.robots.motion.collision_world import CollisionWorld
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
-from falsework.robots.schedule.conflicts import Choice
+from falsework.robots.schedule.conflicts import Choice, Itineraries, choices, fixed_precedences
 
 _TICKS = 10_000
 """Time units of the solver per second."""
+_SECONDS = 5.0
+"""Time limit of the solver, s."""
 _SEED = 1
 """Seed of the solver: the same schedule each time."""
 
 
-@dataclass(frozen=True)
-class ScheduleSettings:
-    """Limits of the search for a schedule."""
+def schedule_plan(
+    plan: RobotPlan, assembly: AnyStructure, cell: AnyCell, *, parts: PartShapes | None = None
+) -> RobotPlan:
+    """Return a robot plan with a schedule in which its arms move at the same time.
 
-    seconds: float = 5.0
-    """Time limit of the solver, s."""
+    Paths and the order of the states stay as they are. Two arms execute segments of their motions at the same
+    time only if all of one is proven to keep its distance from all of the other, whatever the delays.
 
-    def __post_init__(self) -> None:
-        if not self.seconds > 0:
-            raise InputError("the schedule solver needs time; give seconds above 0")
+    Args:
+        plan: robot plan with sequential motions.
+        assembly: the structure, or its name or path.
+        cell: the robots, or the name or file of the cell.
+        parts: the parts as bodies in the cell, if already available.
+
+    Raises:
+        PlanError: the plan is for another structure or cell.
+        DependencyError: OR-Tools is missing.
+    """
+    assembly, cell = as_assembly(assembly), as_cell(cell)
+    plan.check_identity(assembly, cell)
+    world = CollisionWorld(cell, parts or place_parts(assembly, cell.placement))
+    rows = Itineraries(plan, world)
+    graph = solve(rows.nodes, fixed_precedences(rows), choices(rows), cell.robot_count)
+    return replace(plan, schedule=graph)
 
 
 def import_ortools():
-    """Return the CP-SAT module of OR-Tools.
-
-    Raises:
-        DependencyError: not installed; the message names the extra.
-    """
+    """Return the CP-SAT module of OR-Tools; DependencyError without it."""
     try:
         from ortools.sat.python import cp_model
     except ImportError:
@@ -43,24 +60,9 @@ def import_ortools():
 
 
 def solve(
-    nodes: Sequence[MotionNode],
-    fixed: Sequence[Precedence],
-    choices: Sequence[Choice],
-    robots: int,
-    settings: ScheduleSettings = ScheduleSettings(),
+    nodes: Sequence[MotionNode], fixed: Sequence[Precedence], choices: Sequence[Choice], robots: int
 ) -> TemporalPlanGraph:
-    """Return the temporal plan graph of a schedule with the least makespan found.
-
-    Args:
-        nodes: the motions, in the order of the sequential plan.
-        fixed: precedences that every schedule keeps.
-        choices: conflicts of two arms.
-        robots: number of arms.
-        settings: limits.
-
-    Raises:
-        DependencyError: OR-Tools is missing.
-    """
+    """Return the temporal plan graph of a schedule with the least makespan found, from the order of the plan on."""
     cp = import_ortools()
     model = cp.CpModel()
     horizon = round(sum(node.seconds for node in nodes) * _TICKS) + len(nodes)
@@ -88,7 +90,7 @@ def solve(
         model.add_hint(start, round(seconds * _TICKS))
     model.minimize(makespan)
     solver = cp.CpSolver()
-    solver.parameters.max_time_in_seconds = settings.seconds
+    solver.parameters.max_time_in_seconds = _SECONDS
     solver.parameters.num_workers = 1  # two take more time, and depend on which of them is first
     solver.parameters.random_seed = _SEED
     status = solver.solve(model)

@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.robots.kernels.collision import Bodies, Chain
 from falsework.robots.kernels.coordination import SPLIT, Swept, still, sweep
@@ -15,9 +14,8 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import inverse_pose, move_pieces
 from falsework.robots.motion.collision_world import Attached, CollisionWorld, Scene
 from falsework.robots.plans.loads import Load, LoadKey
-from falsework.robots.plans.robot_plan import Trajectory
-
-Array = NDArray[np.float64]
+from falsework.robots.plans.trajectory import Trajectory
+from falsework.utils.arrays import Array
 
 CELL = 0.05
 """Longest duration of a cell, seconds."""
@@ -27,7 +25,6 @@ class SweptBodies:
     """Swept bodies in one collision world, with the kinematics and bodies that they need."""
 
     def __init__(self, world: CollisionWorld) -> None:
-        """Create an empty cache."""
         self.world = world
         self._bodies: dict[tuple[int, LoadKey | None], tuple[Chain, Bodies]] = {}
         self._standing: dict[int, Swept] = {}

@@ -38,13 +38,13 @@ class BackjumpingSettings:
     """States without a need for a verdict that narrow beams keep, so that the next level has a choice; with fewer,
     little but what the guide puts first is tried."""
 
-    def beam(self, width: int, conflicts: int = 0, factor: int = 1) -> BeamSettings:
-        """Return settings of a beam of some width after so many conflicts, with a wider choice by a factor."""
+    def beam(self, width: int, conflicts: int = 0) -> BeamSettings:
+        """Return settings of a beam of some width after so many conflicts."""
         return BeamSettings(
             width=width,
             direction=self.direction,
             diversity="none",
-            lookahead=factor * max(self.lookahead, AHEAD * width),
+            lookahead=max(self.lookahead, AHEAD * width),
             commit=width == 1,
             number=conflicts,
             seed=self.seed,
@@ -127,11 +127,8 @@ class BackjumpingBeam(Search):
 
     def step(self) -> bool:
         """Find the next level; where there is none, jump back from the dead end, or restart wider."""
-        search = self.search
-        stepped = search.step()
-        if len(search.levels) - 1 > self._farthest and search.conflicts.count:
-            search.settings = self.settings.beam(search.settings.width, search.conflicts.count)
-        if search.done and not self.found and not self.infeasible:
+        stepped = self.search.step()
+        if self.search.done and not self.found and not self.infeasible:
             self._over = not self.jump_back() and not self._restart()
         return stepped
 
@@ -140,6 +137,10 @@ class BackjumpingBeam(Search):
         if not self.infeasible and not any(self._open()):
             limit = f"beams up to a width of {self.search.settings.width} died; wider ones may come through"
         return outcome, limit
+
+    def states(self) -> States:
+        """See `Search.states`."""
+        return self.search.states()
 
     def _farthest_states(self) -> tuple[int, States, States]:
         return self.search._farthest_states()
@@ -195,14 +196,13 @@ class BackjumpingBeam(Search):
         level = len(search.levels) - 1
         if level > self._farthest:
             self._farthest, self._since = level, 0
-        over = luby(self._since + 1)
-        choice = next(islice(search.choices(), over - 1, None), None)
+        choice = next(islice(search.choices(), luby(self._since + 1) - 1, None), None)
         if choice is None:
             return False
         self._since += 1
         back, action = choice
         conflicts.learn(search.before(back), action)
-        search.rewind(back, self.settings.beam(search.settings.width, conflicts.count, over))
+        search.rewind(back, self.settings.beam(search.settings.width, conflicts.count))
         return True
 
     def _restart(self) -> bool:

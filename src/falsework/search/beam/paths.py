@@ -11,12 +11,15 @@ from falsework.assembly.state import Mask, States
 from falsework.search.beam.frontier import Frontier, Level, PackedLevel, Rows
 from falsework.search.problem.oracle import CountingOracle
 from falsework.search.problem.search import ReplaySummary
-from falsework.stability.holds import Press
+from falsework.stability.contact.build_verifier import StepCertificate
 
 if TYPE_CHECKING:
     from falsework.stability.contact.history import History
     from falsework.stability.contact.varied_replay import AnyReplayer
 
+Array = NDArray[np.float64]
+
+_NOTHING: Array = np.zeros((0, 0, 6))
 _HISTORY_BYTES = 256 << 20
 """Memory for histories; the earliest are computed anew where they are needed again, which costs time alone."""
 
@@ -43,9 +46,11 @@ class BeamPaths:
         self._next: dict[int, History] = {}
         """Histories of candidates for the next level."""
         self._most: float = np.inf
+        self._still = _NOTHING
         self._known: list[dict[int, History | None]] = []
-        self._known_steps: list[dict[int, tuple[float, int, tuple[Press, ...]]]] = []
-        """Of the states at rest: the largest movement of a part, that part, and the presses of the step."""
+        self._known_steps: list[dict[int, tuple[float, int, StepCertificate]]] = []
+        """Of the states at rest: the largest movement of a part, that part, and the certificate of the step, whose
+        displacement is empty beyond the memory for them."""
 
     def stable_ancestors(self) -> States:
         """Return for each state of the last level the nearest on the way to it that is known to be stable."""
@@ -122,13 +127,16 @@ class BeamPaths:
         row, level = 0, len(self._levels) - 1
         if self._replayer is None or self._history(level, row) is None:
             return None
-        most, presses = (0.0, -1), list[tuple[Press, ...]]()
+        most: tuple[float, int] = (0.0, -1)
+        steps: list[StepCertificate] = []
         for number in range(level, -1, -1):
-            moved, part, pressed = self._known_steps[number][row]
+            moved, part, step = self._known_steps[number][row]
             most = max(most, (moved, part))
-            presses.append(pressed)
+            steps.append(step)
             row = int(self._levels[number].parent[row])
-        return most[0], most[1], None, tuple(presses[::-1])
+        steps.reverse()
+        known = all(len(step.displacement) for step in steps)
+        return most[0], most[1], None, tuple(step.presses for step in steps), tuple(steps) if known else ()
 
     def _history(self, level: int, row: int) -> History | None:
         """Return the history of a state of a level; None where the way to it does not stand."""
@@ -158,7 +166,18 @@ class BeamPaths:
         self._known[level][row] = history
         if history is not None:
             self._most = histories_in_memory(history)
-            self._known_steps[level][row] = history.moved, history.part, history.presses
+            step = StepCertificate(self._kept(history.track), history.torn.copy(), history.presses)
+            self._known_steps[level][row] = history.moved, history.part, step
+
+    def _kept(self, track: Array | None) -> Array:
+        """Return the displacement of a step to keep: most steps only hold a part, and share one of zeros."""
+        if track is None or len(self._levels) * track.nbytes > 2 * _HISTORY_BYTES:
+            return _NOTHING
+        if track.any():
+            return track.copy()
+        if self._still.shape != track.shape:
+            self._still = np.zeros_like(track)
+        return self._still
 
     def _fit(self, count: int) -> None:
         """Make room for the histories of `count` levels."""

@@ -3,9 +3,6 @@
 The final states of a beam descend from the few that passed its bottleneck, however wide it is, so many beams give more
 diverse paths than one wide beam. In parallel they share batches of verdicts and kernel launches, so that another beam
 costs little beyond its verdicts.
-
-`next_level` and `with_ancestors` serve beams with any order of candidates: at random here, by a policy in
-`falsework.learn.algorithms.policy_beam`.
 """
 
 from __future__ import annotations

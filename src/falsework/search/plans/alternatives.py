@@ -60,23 +60,21 @@ class Alternatives:
 
 
 def order_distance(a: Route, b: Route) -> float:
-    """Return the Kendall distance: share of pairs of removed parts in opposite order, between 0 and 1."""
+    """Return the Kendall distance: share of pairs of removed parts in another order, between 0 and 1."""
     rank_a, rank_b = a.removal_rank(), b.removal_rank()
     removed = np.flatnonzero((rank_a >= 0) & (rank_b >= 0))
     pairs = len(removed) * (len(removed) - 1) // 2
     if pairs == 0:
         return 0.0
     first, second = np.triu_indices(len(removed), 1)
-    order_a = rank_a[removed][first] < rank_a[removed][second]
-    order_b = rank_b[removed][first] < rank_b[removed][second]
+    order_a, order_b = (np.sign(rank[removed][first] - rank[removed][second]) for rank in (rank_a, rank_b))
     return float((order_a != order_b).sum() / pairs)
 
 
 def state_distance(a: Route, b: Route) -> float:
     """Return the Jaccard distance of the sets of states of the routes, between 0 and 1."""
-    # Levels are the same in all plans of a task, so equal states stand in the same row.
-    common = int((a.states == b.states).all(axis=1).sum())
-    return 1.0 - common / (2 * len(a.states) - common)
+    one, two = ({state.tobytes() for state in route.states} for route in (a, b))
+    return 1.0 - len(one & two) / len(one | two)
 
 
 def choose_alternatives(
@@ -146,6 +144,21 @@ def _spread(alternatives: Alternatives) -> tuple[float, float]:
     return round(alternatives.least_distance, 6), round(float(alternatives.distance.sum()), 6)
 
 
+def _pairs_changed(rank: NDArray[np.int64], states: States) -> int:
+    """Return how many pairs leave in another order than their ranks say, by a step between two states.
+
+    These are pairs of parts that leave with it, and of one that does and one that stays longer.
+
+    Args:
+        rank: of each part, -1 if it stays, shape (parts,).
+        states: before and after, shape (2, parts).
+    """
+    before, after = ((state != REMOVED) & (rank >= 0) for state in states)
+    leaving, staying = rank[before & ~after], rank[after]
+    inside = (leaving[:, None] != leaving).sum() // 2
+    return int(inside + (staying[:, None] <= leaving).sum())
+
+
 class _Farthest:
     """Solver for the route of a graph that is farthest from given ones."""
 
@@ -197,6 +210,8 @@ class _Farthest:
                 part = graph.action[edges] - parts
                 present = (graph.states[graph.source[edges]] != REMOVED) & (rank >= 0)
                 gain[edges] = (present & (rank < rank[part][:, None])).sum(axis=1)
+            for edge in removals[graph.level[graph.target[removals]] > graph.level[graph.source[removals]] + 1]:
+                gain[edge] = _pairs_changed(rank, graph.states[[graph.source[edge], graph.target[edge]]])
             gain /= removed * (removed - 1) / 2
         gain -= self._on_route(route.states)[graph.target] / len(route.states)
         self._gains[key] = gain
@@ -223,8 +238,7 @@ class _Farthest:
             choice[source[last]] = edges[order[last]]
         row = int(graph.index.find(graph.task.start[None])[0])
         rows, actions = [row], []
-        for _ in range(graph.task.steps):
-            edge = choice[row]
+        while (edge := choice[row]) >= 0:
             actions.append(graph.action[edge])
             row = int(graph.target[edge])
             rows.append(row)

@@ -48,7 +48,7 @@ def prove_build(
     verifier = BuildVerifier(assembly, claim)
     verdicts = Verdicts.all_undecided(len(states), points=replayer.problem.points if forces else None)
     steps, loads = [], []
-    for row, certificate in enumerate(replayer.certificates(states, presses)):
+    for row, certificate in enumerate(known.steps or replayer.certificates(states, presses)):
         proof = verifier.step(states[row], certificate)
         if not proof.residual <= claim.tolerance:
             why = proof.reason or f"its forces leave {proof.residual:.3g} of gravity"
@@ -60,7 +60,7 @@ def prove_build(
             verdicts.forces[row] = proof.forces
             steps.append(certificate)
     make = Plan.from_route if known.stands else Plan.from_unproven_route
-    plan = replace(make(route, assembly, task, verdicts, claim), replay=known, presses=presses[1:])
+    plan = replace(make(route, assembly, task, verdicts, claim), replay=replace(known, steps=()), presses=presses[1:])
     if len(loads) == len(states) and known.stands:
         borne = larger_loads(tuple(loads), known.loads or _true_loads(replayer, states, presses, tuple(loads)))
         plan = replace(plan, loads=borne)

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.assembly_model import Count, Prop
-from falsework.assembly.state import HELD, INSTALLED, Mask, States
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
 from falsework.errors import PlanError
-from falsework.geometry.paths.exit_paths import ExitPaths
 from falsework.geometry.paths.moves import ExitPath
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay
@@ -43,30 +42,38 @@ class PartDeadline(FileModel, frozen=True):
     """Parts that are placed before it."""
 
 
-def needs_of(actions: NDArray[np.int64], parts: int, missing: tuple[int, ...]) -> tuple[PartDeadline, ...]:
-    """Return when each missing part is inserted, in this order; parts that no action inserts are omitted.
+def needs_of(states: States, missing: tuple[int, ...]) -> tuple[PartDeadline, ...]:
+    """Return when each missing part is inserted, in this order; parts that no step inserts are omitted.
 
     Args:
-        actions: of the plan, shape (steps,).
-        parts: number of parts.
+        states: of the plan, shape (steps + 1, parts).
         missing: the parts in question.
     """
-    placed = np.cumsum(actions >= parts)
-    needs = []
+    there = states != REMOVED
+    placed, needs = there.sum(axis=1), []
     for part in missing:
-        step = np.flatnonzero(actions == parts + part)
-        if len(step):
-            needs.append(PartDeadline(part, int(step[0]), int(placed[step[0]]) - 1))
+        if there[-1, part] and not there[0, part]:
+            step = int(there[:, part].argmax()) - 1
+            needs.append(PartDeadline(part, step, int(placed[step] - placed[0])))
     return tuple(sorted(needs, key=lambda need: need.after_steps))
 
 
-def _exit_paths(route: Route, task: Task) -> tuple[ExitPath, ...]:
-    """Return the moves of each step of a route, in the order of assembly; none for steps without or straight ones."""
-    clearance, found = task.clearance, []
-    for state, action in zip(route.states[-2::-1], route.actions[::-1].tolist(), strict=True):
+def _exit_paths(route: Route, task: Task, props: tuple[Prop, ...]) -> tuple[ExitPath, ...]:
+    """Return the moves of each step of a route, in the order of assembly; none for steps without or straight ones.
+
+    Args:
+        route: states of the parts, and of some of the props of the task.
+        task: knows ways out.
+        props: those of the route.
+    """
+    if task.clearance is None or (task.moves_out == 1 and not task.turns):
+        return ()
+    bare, found = task.part_count - len(task.props), []
+    states = np.zeros((len(route.states), task.part_count), dtype=np.uint8)
+    states[:, [*range(bare), *(bare + task.props.index(prop.part) for prop in props)]] = route.states
+    for state, action in zip(states[-2::-1], route.actions[::-1].tolist(), strict=True):
         part = action - route.states.shape[1]
-        way = clearance.exit_path(state, part) if part >= 0 and isinstance(clearance, ExitPaths) else ()
-        found.append(way or ())
+        found.append((task.clearance.exit_path(state, part) if 0 <= part < bare else ()) or ())
     return tuple(found)
 
 
@@ -176,7 +183,7 @@ class Plan(Displayed):
         cls, route: Route, assembly: Assembly, task: Task, verdicts: Verdicts, claim: StabilityCriterion
     ) -> Plan:
         """Plan as `of`, whatever the verdicts are."""
-        exit_paths = _exit_paths(route, task)
+        exit_paths = _exit_paths(route, task, assembly.props)
         return cls(
             states=route.states[::-1].copy(),
             actions=route.actions[::-1].copy(),
@@ -260,7 +267,7 @@ class Plan(Displayed):
     @property
     def needs(self) -> tuple[PartDeadline, ...]:
         """When each missing part is needed, in order; parts that the plan does not touch are omitted."""
-        return needs_of(self.actions, len(self.boundary), self.missing)
+        return needs_of(self.states, self.missing)
 
     def words(self, number: int) -> str:
         """Describe the step of a number, such as `insert keystone`, with the presses of robots; empty for 0."""

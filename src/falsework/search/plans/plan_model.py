@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Meta
 
 from falsework.assembly.assembly_model import MOST, Count, Earthquake, LoadEntry, Prop
-from falsework.geometry.paths.exit_paths import MOST as MOST_MOVES
+from falsework.geometry.paths.moves import MOST_MOVES
 from falsework.search.margins.demands import Demands
 from falsework.search.plans.plan import PartDeadline
 from falsework.search.plans.steps import Action
@@ -74,8 +74,10 @@ class SourceEntry(FileModel, frozen=True):
     """Whether a fixed ground was put under the lowest point."""
     interfaces: Literal["found", "stored", "compare"] | None = None
     """Source of the contacts: found from the meshes, or stored in the file."""
-    settle: Positive | None = None
+    settle: NotNegative | None = None
     """Largest motion with which parts settled into their clearance, m."""
+    groups: tuple[tuple[int | str, ...], ...] | None = None
+    """Groups of parts that are one part each, handled as one by robots; the part that is held comes first."""
     loads: tuple[LoadEntry, ...] | None = None
     earthquake: Earthquake | None = None
     """Pseudo-static horizontal acceleration along x, or along x and y, in shares of gravity."""

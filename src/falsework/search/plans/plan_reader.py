@@ -95,7 +95,7 @@ class PlanReader:
         if touched:
             self._fail(f"its steps touch part {touched[0]}, which is fixed")
         missing = self._distinct(rules.missing, "rules.missing")
-        if file.needs != needs_of(actions, parts, missing):
+        if file.needs != needs_of(states, missing):
             self._fail("its needs do not agree with its steps")
         loads = [self._loads(record, number) for number, record in enumerate((file.start, *file.steps))]
         if any(loads) and claim.criterion != "contact":

@@ -10,6 +10,7 @@ import numpy as np
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.problem.deadline import PIECE, DeadlineExceeded
+from falsework.stability.contact.build_verifier import StepCertificate
 from falsework.stability.contact.history import ReplaySettings
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.varied_replay import AllVariations
@@ -39,6 +40,8 @@ class PlanReplay:
     """First state in the order of assembly that does not come to rest, counted from 0."""
     presses: tuple[tuple[Press, ...], ...] = field(default=(), compare=False, repr=False)
     """Presses of the step to each state in the order of assembly; empty where they are not known."""
+    steps: tuple[StepCertificate, ...] = field(default=(), compare=False, repr=False)
+    """Certificates of these steps, where the search has kept them."""
     varied: bool = False
     """Whether it also comes to rest under changed settings, see `EnsembleReplayer`."""
     judgement: Judgement | None = None
@@ -53,8 +56,8 @@ class PlanReplay:
         return self.falls_at if self.judgement is None or not self.stands else self.judgement.falls_at
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result as plain JSON values, without the presses and the loads."""
-        plain = {name: value for name, value in vars(self).items() if name not in ("presses", "judgement", "loads")}
+        """Return the result as plain JSON values, without presses, certificates and loads."""
+        plain = {name: value for name, value in vars(self).items() if name not in _NOT_PLAIN}
         return plain if self.judgement is None else {**plain, "judgement": self.judgement.to_dict()}
 
     @classmethod
@@ -72,6 +75,9 @@ class PlanReplay:
         if self.stands and replay.largest > _REPEATS * self.moved + _LEAST:
             return f"that parts move by at most {self.moved * 1e3:.3g} mm"
         return ""
+
+
+_NOT_PLAIN = "presses", "steps", "judgement", "loads"
 
 
 def _histories(replayer: AnyReplayer, states: States, presses: tuple[tuple[Press, ...], ...]) -> list[History]:

@@ -125,18 +125,23 @@ class Route:
         return f"<Route of {counted(len(self.actions), 'step')}>"
 
     def removal_rank(self) -> NDArray[np.int64]:
-        """Return for each part the number removed before it, or -1 if it stays. Shape (parts,)."""
-        parts = self.states.shape[1]
-        removed = self.actions[self.actions >= parts] - parts
-        rank = np.full(parts, -1, dtype=np.int64)
-        rank[removed] = np.arange(len(removed))
-        return rank
+        """Return for each part the number removed before it, or -1 if it stays. Shape (parts,).
+
+        Parts that leave in one step have the same rank.
+        """
+        gone = (self.states == REMOVED) & (self.states[0] != REMOVED)
+        before = gone.sum(axis=1)[np.maximum(gone.argmax(axis=0) - 1, 0)]
+        return np.where(gone[-1], before, -1)
 
 
 def insertion_steps(route: Route, task: Task) -> tuple[int, ...]:
-    """Return the steps of assembly of a route before the first, second, ... missing part is inserted. Ascending."""
-    present = route.states[::-1][:, list(task.missing)] != REMOVED
-    return tuple(sorted(int(steps) for steps in present.argmax(axis=0) - 1))
+    """Return the steps of assembly of a route before the first, second, ... missing part is inserted. Ascending.
+
+    A step that inserts several parts counts as `Task.steps_done` counts it, and as if the missing one came last.
+    """
+    states = route.states[::-1]
+    after = (states[:, list(task.missing)] != REMOVED).argmax(axis=0)
+    return tuple(sorted((task.steps - task.steps_done(states[after]) - 1).tolist()))
 
 
 def barred_row(row: int, count: int) -> int | None:

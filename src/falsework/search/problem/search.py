@@ -17,14 +17,15 @@ from falsework.search.problem.result import (
     Stop,
 )
 from falsework.search.problem.task import Direction, Task
+from falsework.stability.contact.build_verifier import StepCertificate
 from falsework.stability.holds import Press
 
 if TYPE_CHECKING:
     from falsework.search.problem.oracle import CountingOracle
 
-ReplaySummary = tuple[float, int, None, tuple[tuple[Press, ...], ...]]
-"""Replay of a route that comes to rest: the largest movement of a part in m, that part, no state at which it fails, and
-the presses of the step to each state, as `PlanReplay` takes them."""
+ReplaySummary = tuple[float, int, None, tuple[tuple[Press, ...], ...], tuple[StepCertificate, ...]]
+"""Replay of a route that comes to rest: the largest movement of a part in m, that part, no state at which it fails,
+the presses of the step to each state, and the certificates of these steps, as `PlanReplay` takes them."""
 
 
 class Search(ABC):
@@ -61,6 +62,11 @@ class Search(ABC):
         """Verdicts requested so far, earlier runs included."""
         return self.judge.asked
 
+    @property
+    def level(self) -> int:
+        """Step at which the search is."""
+        return self._place()[0]
+
     @abstractmethod
     def step(self) -> bool:
         """Take the next step; False if it led nowhere. An interruption leaves the search as it was before."""
@@ -89,6 +95,10 @@ class Search(ABC):
     def dead_ends(self) -> int:
         """Dead ends so far, from which the search went back."""
         return 0
+
+    def states(self) -> States:
+        """Return the stable states that it keeps, shape (count, parts), from which alternatives are chosen."""
+        return self.route().states
 
     @property
     def examined_all(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -77,7 +78,14 @@ class StateGraph:
     """Whether removals in this graph have a free exit direction."""
 
     @classmethod
-    def from_states(cls, task: Task, states: States, *, name: str = "") -> StateGraph:
+    def from_states(
+        cls,
+        task: Task,
+        states: States,
+        *,
+        name: str = "",
+        several: Callable[[States], Iterable[tuple[States, int]]] | None = None,
+    ) -> StateGraph:
         """Connect stable states by every action that the rules of `task` allow.
 
         Args:
@@ -85,6 +93,8 @@ class StateGraph:
                 between these two are used.
             states: stable states in any order, repeated or not, shape (count, parts).
             name: name of the structure.
+            several: yields the states that removals of several parts from a state, shape (parts,), lead to, each with
+                the number of the step.
         """
         state_hash = StateHash.for_parts(task.part_count)
         states = np.ascontiguousarray(states[task.contains(states)])
@@ -107,7 +117,13 @@ class StateGraph:
             found = index.find_hashed(child, written)
             hit = found >= 0
             edges.append(np.stack([begin + row[hit], action[hit], found[hit]]).astype(np.int32))
-        source, action, target = np.concatenate(edges, axis=1) if edges else np.empty((3, 0), dtype=np.int32)
+        if several is not None:
+            more = [(row, number, after) for row, state in enumerate(states) for after, number in several(state)]
+            found = index.find(np.array([after for _, _, after in more], dtype=np.uint8).reshape(-1, task.part_count))
+            rows = [(row, number, to) for (row, number, _), to in zip(more, found.tolist(), strict=True) if to >= 0]
+            edges.append(np.array(rows, dtype=np.int32).reshape(-1, 3).T)
+        every = np.concatenate(edges, axis=1) if edges else np.empty((3, 0), dtype=np.int32)
+        source, action, target = every[:, np.argsort(every[0], kind="stable")]
         clear = task.clearance is not None
         return cls(states, source, action, target, task, name, removable_only_if_clear=clear)
 
@@ -183,7 +199,8 @@ class StateGraph:
             return None
         useful = self.solvable[self.target]
         row, rows, actions = self._position(self.task.start), [], []
-        for _ in range(self.task.steps):
+        last = self._position(self.task.target)
+        while row != last:
             rows.append(row)
             begin, end = np.searchsorted(self.source, [row, row + 1])
             edge = begin + rng.choice(np.flatnonzero(useful[begin:end]))

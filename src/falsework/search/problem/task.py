@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from operator import index
-from typing import Any, Protocol, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,10 +26,9 @@ from falsework.assembly.state import (
     undo_actions,
 )
 from falsework.errors import InputError, StateError
-from falsework.geometry.paths.exit_paths import ExitPaths
 from falsework.search.problem.legal_moves import LegalMoves
-from falsework.search.problem.oracle import Criterion, Oracle
-from falsework.search.problem.together import Together
+from falsework.search.problem.oracle import Criterion
+from falsework.search.problem.ways_out import Clearance, Together
 from falsework.utils.quantity import counted
 
 STAGE = np.array([2, 0, 1], dtype=np.int64)
@@ -43,16 +42,6 @@ class Direction(StrEnum):
     """From the start state, by holding and removing; a removal needs a verdict."""
     ASSEMBLY = "assembly"
     """From the target state, by inserting and releasing; a release needs a verdict."""
-
-
-class Clearance(Protocol):
-    """Clearance of parts: which of them have a free exit direction."""
-
-    def can_leave(self, states: States) -> Mask:
-        """Shape (batch, parts): part `i` has an exit that no other present part blocks."""
-
-    def caveat(self, parts: Mask) -> str:
-        """Explain why the absence of a plan would not be proven; empty if it would be."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +119,8 @@ class Task:
             together: rule on several parts in one step; needs `clearance`.
 
         Raises:
-            InputError: fewer than one robot, missing parts with allow_regrasp, several parts at once with missing ones,
-                with allow_regrasp or without clearance, or a part number out of range, doubled, or of the boundary.
+            InputError: fewer than one robot, missing parts with allow_regrasp, several parts at once without clearance,
+                or a part number out of range, doubled, or of the boundary.
             StateError: a malformed state, more parts held than robots, or a target that no rule leads to.
         """
         boundary = np.asarray(boundary, dtype=bool)
@@ -140,9 +129,8 @@ class Task:
         missing = _part_numbers(missing, boundary, "missing", boundary_allowed=False)
         if missing and allow_regrasp:
             raise InputError("plans with repeated holds take no missing parts; leave out one of the two")
-        if together is not None and (missing or allow_regrasp or clearance is None):
-            other = "missing parts" if missing else "repeated holds" if allow_regrasp else "parts without a way out"
-            raise InputError(f"plans with several parts in one step take no {other}; leave out one of the two")
+        if together is not None and clearance is None:
+            raise InputError("several parts leave in one step only where parts need a way out; give a clearance")
         if start is None:
             start = complete_state(boundary)
             start[len(boundary) - len(props) :] = REMOVED
@@ -202,9 +190,8 @@ class Task:
 
     def judged_by(self, oracle: Criterion) -> Task:
         """Return the same task with the moves, and the parts that move aside, that an oracle allows."""
-        paths = self.clearance
-        paths = paths.judged_by(cast("Oracle", oracle)) if isinstance(paths, ExitPaths) else paths
-        return replace(self, holds_keep_stable=oracle.holds_keep_stable, clearance=paths)
+        clearance = None if self.clearance is None else self.clearance.judged_by(oracle)
+        return replace(self, holds_keep_stable=oracle.holds_keep_stable, clearance=clearance)
 
     @property
     def caveat(self) -> str:
@@ -218,12 +205,12 @@ class Task:
     @property
     def moves_out(self) -> int:
         """Moves of a way out at most; 1 for straight ways."""
-        return self.clearance.moves if isinstance(self.clearance, ExitPaths) else 1
+        return 1 if self.clearance is None else self.clearance.moves
 
     @property
     def turns(self) -> bool:
         """Whether a part that leaves may turn."""
-        return isinstance(self.clearance, ExitPaths) and self.clearance.turns
+        return self.clearance is not None and self.clearance.turns
 
     @property
     def moves_aside(self) -> bool:

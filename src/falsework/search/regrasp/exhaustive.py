@@ -20,6 +20,7 @@ from falsework.search.problem.result import (
 )
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
+from falsework.search.together.moves import TogetherMoves
 
 STATE_LIMIT = 200_000
 """Stable states after which a search gives up by default."""
@@ -47,6 +48,7 @@ class ExhaustiveRegraspSearch(Search):
             raise InputError(f"a limit of {state_limit} states allows no search; give at least 1")
         self.task = task = task.judged_by(oracle)
         self._moves, self._oracle, self._limit = RegraspMoves(task), oracle, state_limit
+        self._sets = None if task.together is None else TogetherMoves(task, oracle)
         self.parent: dict[bytes, bytes] = {task.start.tobytes(): b""}
         """States found to be stable, each with the one that it was reached from."""
         self.gave_up = False
@@ -101,8 +103,12 @@ class ExhaustiveRegraspSearch(Search):
         return Route.back_from(self.task.target, self.parent, self.direction)
 
     def _failure(self) -> tuple[Outcome, str]:
-        outcome, limit = beam_failure(self._limit, not self.gave_up, *self._open(), self.task.caveat)
+        outcome, limit = beam_failure(self._limit, not self.gave_up, *self._open(), self._caveat)
         return outcome, f"gave up after {self._limit} states with holding again" if self.gave_up else limit
+
+    @property
+    def _caveat(self) -> str:
+        return self.task.caveat if self._sets is None else self._sets.caveat
 
     def _farthest_states(self) -> tuple[int, States, States]:
         return 2 * self._level(self._deepest), self._deepest, self._last
@@ -127,6 +133,10 @@ class ExhaustiveRegraspSearch(Search):
         """Return the stable states one move from a ring that were not found before, and those that are not stable."""
         row, action = np.nonzero(self._moves.legal(ring, Direction.DISASSEMBLY))
         after = self._moves.follow(ring[row], action)
+        if self._sets is not None:
+            several = [(number, to) for number, state in enumerate(ring) for to, _ in self._sets.removals(state)]
+            row = np.concatenate([row, np.array([number for number, _ in several], dtype=row.dtype)])
+            after = np.concatenate([after, *(to[None] for _, to in several)])
         fresh: dict[bytes, int] = {}
         for number, state in enumerate(after):
             key = state.tobytes()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
 from falsework.assembly.model import Assembly
@@ -32,8 +34,15 @@ class InterlockedSets:
                 f"{largest} is not a number of parts of {assembly.name} that can move at once; give 1 (one at a time) "
                 f"to {max(most, 1)}"
             )
-        self.largest, self._assembly = int(largest), assembly
+        self.largest, self._assembly, self.each_held = int(largest), assembly, True
         self._carriers: dict[tuple[PartSet, StabilitySettings], tuple[int, ...]] = {}
+
+    @property
+    def carried(self) -> InterlockedSets:
+        """The same rule for sets that one robot carries."""
+        new = copy(self)
+        new.each_held = False
+        return new
 
     def sets(self, movable: Mask) -> tuple[PartSet, ...]:
         """Return the sets of parts that may leave together from some state."""

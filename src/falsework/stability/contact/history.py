@@ -60,13 +60,16 @@ class History:
     """The part that moved most, -1 where none moved."""
     presses: tuple[Press, ...] = ()
     """Presses of the step that led here."""
+    track: Array | None = None
+    """Displacement of each part in each increment of that step, m and rad, shape (increments, parts, 6)."""
     changed: tuple[History, ...] = ()
     """The same under the changed settings of an `EnsembleReplayer`; empty where one setting alone is replayed."""
 
     @property
     def nbytes(self) -> int:
         """Memory that the arrays take, bytes."""
-        own = self.displacement.nbytes + self.springs.nbytes + self.torn.nbytes + self.age.nbytes
+        arrays = self.displacement, self.springs, self.torn, self.age, self.track
+        own = sum(array.nbytes for array in arrays if array is not None)
         return own + sum(history.nbytes for history in self.changed)
 
 

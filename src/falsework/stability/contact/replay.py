@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -138,14 +139,13 @@ class Replayer:
             presses: of the steps that lead to each state.
         """
         batch = np.require(as_states(states, self.assembly.boundary), requirements=COMPILED_LAYOUT)
-        increments, history, first = self.replay_settings.increments, None, 0
+        history, first = None, 0
         while first < len(batch):
             rows = slice(max(first - 1, 0), first + _TRACKED)
-            track = np.zeros((len(batch[rows]), increments, self.problem.parts, 6))
-            found = self._replay(batch[rows], history, presses[rows], track)
-            for row in range(first - rows.start, len(found.histories)):
-                kept = found.histories[row]
-                yield StepCertificate(track[row], kept.torn, kept.presses)
+            found = self._replay(batch[rows], history, presses[rows])
+            for kept in found.histories[first - rows.start :]:
+                assert kept.track is not None
+                yield StepCertificate(kept.track, kept.torn, kept.presses)
             if not found.good:
                 return
             history, first = found.histories[-1], first + _TRACKED
@@ -196,9 +196,11 @@ class Replayer:
             return None
         shares, pair = self._set_shares(history.age[None])[0], np.stack([before, after])
         for presses in self._presses.proposals(before, after, history.springs, history.torn, shares):
-            if all(self._replay(pair, history, [(), varied]).good for varied in inexact_presses(presses)):
-                found = self._replay_all(pair, history, [(), presses])
-                if found.good:
+            found = self._replay_all(pair, history, [(), presses])
+            if found.good:
+                guess = self._guess(found.histories)
+                inexact = ([(), varied] for varied in inexact_presses(presses))
+                if all(self._replay(pair, history, varied, guess).good for varied in inexact):
                     return found.histories[-1]
         return None
 
@@ -211,11 +213,20 @@ class Replayer:
         """Replay checked states with given presses; an ensemble does so under all of its settings."""
         return self._replay(batch, history, presses)
 
-    def _replay(self, batch: States, history: History | None, presses: Presses, track: Array | None = None) -> Replay:
-        """Replay checked states with given presses; `track` as in `replay_range`."""
-        if track is None:
-            track = np.zeros((1, self.replay_settings.increments, 0, 6))
+    def _guess(self, histories: Sequence[History]) -> Array:
+        """Return the displacement in each increment of the steps to some states as a guess for other settings.
+
+        Shape (states, increments, parts, 6).
+        """
+        track = np.stack([history.track for history in histories if history.track is not None])
+        count = self.replay_settings.increments
+        return track if count == track.shape[1] else np.repeat(track.sum(axis=1, keepdims=True) / count, count, axis=1)
+
+    def _replay(self, batch: States, history: History | None, presses: Presses, guess: Array | None = None) -> Replay:
+        """Replay checked states with given presses; `guess` as in `replay_range`."""
         count, problem = len(batch), self.problem
+        track = np.zeros((count, self.replay_settings.increments, problem.parts, 6))
+        guess = np.zeros((1, 0, problem.parts, 6)) if guess is None else guess
         displacement, springs = np.zeros((count, problem.parts, 6)), np.zeros((count, problem.points, 3))
         torn = np.zeros((count, problem.points), bool)
         age = self._ages(batch, None if history is None else history.age)
@@ -224,6 +235,7 @@ class Replayer:
         if history is not None:
             displacement[0], springs[0], torn[0] = history.displacement, history.springs, history.torn
             moved[0], part[0] = history.moved, history.part
+            track[0] = 0.0 if history.track is None else history.track
         start, pressed, wrench = pack_presses(presses)
         reached = replay_range(
             self.law,
@@ -232,15 +244,13 @@ class Replayer:
             *(start, pressed, (problem.whitening[pressed] @ wrench[:, :, None])[:, :, 0]),
             *(self.options, self.replay_settings.increments, self._noise),
             *(displacement, springs, torn, self._set_shares(age)),
-            *(track, result, residual, part, moved),
+            *(track, guess, result, residual, part, moved),
         )
         given = [tuple(some) for some in presses]
         if history is not None:
             given[0] = history.presses
-        histories = tuple(
-            History(displacement[row], springs[row], torn[row], age[row], float(moved[row]), int(part[row]), given[row])
-            for row in range(reached)
-        )
+        rows = zip(displacement, springs, torn, age, moved.tolist(), part.tolist(), given, track, strict=False)
+        histories = tuple(History(*row) for row in islice(rows, reached))
         done = tuple(history.presses for history in histories)
         return Replay(result, moved, part, residual, self._size, histories, done)
 

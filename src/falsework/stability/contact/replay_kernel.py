@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.stability.contact.hold_kernel import add_across, hold_wrench, overloaded, set_holds
-from falsework.stability.contact.kernel import lacks_contact, move_far_parts, place_contacts
+from falsework.stability.contact.kernel import lacks_contact, move_far_parts, place_contacts, read_displacement
 from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.layout import VERDICT_SCHEDULE, make_contact_scratch
 from falsework.stability.contact.newton import (
@@ -33,6 +33,10 @@ from falsework.stability.contact.newton import (
 from falsework.stability.cpu.layout import restrict, write_motion
 from falsework.stability.cpu.neighbourhood import REACH, freeze_outside_ball
 from falsework.utils.kernels import njit
+
+PASSING = 1e-2
+"""Largest residual, a share of gravity, with which an increment passes on to the next, which takes up what is left.
+Friction then differs by a tenth of what it differs between four increments and sixteen."""
 
 
 class HistoryArrays(NamedTuple):
@@ -83,7 +87,7 @@ def load_history(law, state, contact, history, missing, share):
 def _keep_history(law, contact, pairs, history, track):
     """Add the increment to the displacement, and store the spring forces with friction limited by the law.
 
-    `track`, of shape (parts, 6) unless it is empty, is the displacement of the increment alone.
+    `track`, of shape (parts, 6), is the displacement of the increment alone.
     """
     structure, work, displacement, springs = law.structure, contact.work, history.displacement, history.springs
     moved = np.zeros(displacement.shape)
@@ -91,8 +95,7 @@ def _keep_history(law, contact, pairs, history, track):
     for part in range(len(moved)):
         for r in range(6):
             displacement[part, r] += moved[part, r]
-            if len(track):
-                track[part, r] = moved[part, r]
+            track[part, r] = moved[part, r]
     for p in range(pairs):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
         for j in range(work.start[p], work.start[p + 1]):
@@ -150,7 +153,9 @@ def lose_carriers(structure, before, state, history, lost):
 
 
 @njit(cache=True)
-def settle_step(law, before, state, press_part, press_wrench, lost, options, increments, contact, history, track):
+def settle_step(
+    law, before, state, press_part, press_wrench, lost, options, increments, contact, history, track, guess
+):
     """Move a structure with history to rest in a state.
 
     The parts near the change are solved first with the others fixed, since few of these move much.
@@ -163,13 +168,15 @@ def settle_step(law, before, state, press_part, press_wrench, lost, options, inc
         lost: whitened wrenches by which what the step removes carried held parts, shape (parts, 6).
         increments: in how many the missing wrenches are transferred; all of gravity where the history is empty.
         history: `HistoryArrays`.
-        track: out: displacement in each increment, shape (increments, parts, 6), or (increments, 0, 6) to leave it out.
+        track: out: displacement in each increment, m and rad, shape (increments, parts, 6); zero before.
+        guess: of the displacement in each increment, m and rad, shape (increments, parts, 6): before the last one
+            only the parts near the change come to rest, with the others moved by it; (0, parts, 6) without a guess.
 
     Returns:
         `RESTS`, `MOVES_AWAY`, `OVERLOADS` or `OPEN`; residual; iterations; the part that moved most, or whose robot
         bears too much, and the largest movement in m.
     """
-    structure, work, tolerance, first = law.structure, contact.work, options.tolerance, options.first_step
+    structure, work = law.structure, contact.work
     moving, origin, near = np.empty_like(state), np.empty_like(state), np.empty_like(state)
     set_holds(law, before, state, press_part, press_wrench, contact, moving, origin)
     missing, push = np.zeros((len(work.free), 6)), np.zeros((len(work.free), 6))
@@ -193,40 +200,49 @@ def settle_step(law, before, state, press_part, press_wrench, lost, options, inc
         result, count = MOVES_AWAY, 0
     mends = work.start[pairs] < 0  # not a literal, for which numba would recompile the search
     kept, free = freeze_outside_ball(structure, moving, origin, REACH, near)
-    guess = np.zeros((len(work.free), 6))  # parts move, and contacts slide, in each increment much as in the last
+    ahead = np.zeros((len(work.free), 6))  # parts move, and contacts slide, in each increment much as in the last
     for k in range(1, count + 1):
         share = 1.0 - k / count
+        tolerance = options.tolerance if k == count else max(options.tolerance, PASSING)
         result = OPEN
-        for j in range(len(guess)):
+        for j in range(len(ahead)):
             for r in range(6):
-                contact.displacement[j, r] = guess[j, r]
                 missing[j, r] -= push[j, r]
+        if len(guess):
+            read_displacement(law, work, guess[k - 1], ahead)
+        for j in range(len(ahead)):
+            for r in range(6):
+                contact.displacement[j, r] = ahead[j, r]
         if kept > 0 and 2 * kept <= free:
             pairs, _ = load_history(law, near, contact, history, missing, share)
-            if k > 1:
-                move_far_parts(structure, moving, near, contact, pairs, guess)
+            if k > 1 or len(guess):
+                move_far_parts(structure, moving, near, contact, pairs, ahead)
+            first = options.first_step if k == 1 else options.warm_first_step
             result, residual, taken = equilibrate(
                 law, contact, pairs, options.warm_steps // 2, tolerance, first, VERDICT_SCHEDULE
             )
             spent += taken
         pairs, _ = load_history(law, moving, contact, history, missing, share)
-        if result == RESTS:
+        left = 2 if result == RESTS else 1  # from where the near parts came to rest, then from before
+        if left == 2 and k < count and len(guess) and work.pulled[0] == 0.0:
+            evaluate(law, contact, pairs, contact.displacement, contact.trial, contact.residual)
+            left = 0
+        while left > 0:
+            steps, first = options.warm_steps, options.warm_first_step
+            if left == 1:
+                contact.displacement[:] = 0.0
+                steps, first = options.steps, options.first_step
             result, residual, taken = solve_statics(
-                law, contact, pairs, options.warm_steps, tolerance, options.warm_first_step, mends, VERDICT_SCHEDULE
+                law, contact, pairs, steps, tolerance, first, mends, VERDICT_SCHEDULE
             )
             spent += taken
-        if result != RESTS:
-            contact.displacement[:] = 0.0
-            result, residual, taken = solve_statics(
-                law, contact, pairs, options.steps, tolerance, first, mends, VERDICT_SCHEDULE
-            )
-            spent += taken
-        for j in range(len(guess)):
+            left = 0 if result == RESTS else left - 1
+        for j in range(len(ahead)):
             for r in range(6):
-                guess[j, r] = contact.displacement[j, r]
-                missing[j, r] += contact.grip[j] * guess[j, r]  # zero but for held parts
+                ahead[j, r] = contact.displacement[j, r]
+                missing[j, r] += contact.grip[j] * ahead[j, r]  # zero but for held parts
             if 0.0 < contact.across[j] < np.inf:
-                add_across(contact, j, guess, 1.0, missing)
+                add_across(contact, j, ahead, 1.0, missing)
         _keep_history(law, contact, pairs, history, track[k - 1])
         if result != RESTS:
             break
@@ -248,7 +264,7 @@ def settle_step(law, before, state, press_part, press_wrench, lost, options, inc
 @njit(nogil=True, cache=True)
 def replay_range(
     law, states, fresh, press_start, press_part, press_wrench, options, increments, noise, displacement, springs, torn,
-    set_share, track, result, residual, part, movement,
+    set_share, track, guess, result, residual, part, movement,
 ):  # fmt: skip
     """Replay consecutive states until one does not come to rest; return how many did.
 
@@ -261,7 +277,7 @@ def replay_range(
         noise: as in `place_new`.
         displacement, springs, torn, set_share: `HistoryArrays` before and after each state, with `steps + 1` entries
             each; the first entry is given, the others are written, but for `set_share`.
-        track: as in `settle_step`, one entry a state, or one for all where it is left out.
+        track, guess: as in `settle_step`, one entry a state; one of the guess for all where there is none.
         result, residual, part, movement: out, one entry per state.
     """
     contact, lost = make_contact_scratch(law), np.zeros((states.shape[1], 6))
@@ -286,10 +302,10 @@ def replay_range(
         result[i], residual[i] = RESTS, 0.0
         if settles:
             first, last = press_start[i], press_start[i + 1]
-            moves = track[i] if track.shape[2] else track[0]
+            ways = guess[i] if guess.shape[1] else guess[0]
             result[i], residual[i], _, part[i], movement[i] = settle_step(
                 law, states[max(i - 1, 0)], states[i], press_part[first:last], press_wrench[first:last], lost, options,
-                increments, contact, history, moves,
+                increments, contact, history, track[i], ways,
             )  # fmt: skip
             if result[i] != RESTS:
                 return i

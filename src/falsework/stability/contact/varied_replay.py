@@ -177,8 +177,10 @@ class EnsembleReplayer(Replayer):
         others, reached = list[Sequence[History]](), len(found.histories)
         for number, (member, group) in enumerate(self._members if reached else ()):
             past = None if history is None else history.changed[number]
-            other = member._replay(batch[:reached], past, _inexact(group, presses[:reached]))
-            others.append(other.histories)
+            # Where robots give way, how far depends on the stiffness that the group changes.
+            guess = member._guess(found.histories[:reached]) if np.isinf(self.settings.holds.stiffness) else None
+            other = member._replay(batch[:reached], past, _inexact(group, presses[:reached]), guess)
+            others.append([replace(history, track=None) for history in other.histories])
             if len(other.histories) < reached:
                 reached = len(other.histories)
                 found = _cut(found, other, reached)

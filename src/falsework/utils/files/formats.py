@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from falsework.errors import DependencyError, ExportWarning, InputError, ReadWarning
+from falsework.utils.files.output_file import write_whole
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -27,13 +28,20 @@ class Reader:
 
     suffixes: tuple[str, ...]
     """Endings of the names of its files, in lower case, or `FOLDER`."""
-    load: Callable[..., Any]
-    """Takes the path and the options of `load_structure`, and returns an `Assembly`."""
+    load: Callable[..., Any] | None = None
+    """Takes the path and the options of `load_structure`, and returns an `Assembly`; None: that of the parts."""
     parts: Callable[..., Any] | None = None
     """Takes the path and `unit`, and returns a `Draft`, the parts as they are in the file; `falsework doctor` examines
     them one by one."""
     recognizes: Callable[[Path], bool] = Path.is_file
     """Whether a file with such an ending is of this format."""
+
+    def read(self, path: Path | str, **options: Any) -> Any:
+        """Return the `Assembly` in a file; options are those of `load_structure`."""
+        if self.load is not None:
+            return self.load(path, **options)
+        assert self.parts is not None
+        return self.parts(path, unit=options.pop("unit", None)).assemble(**options)
 
 
 @dataclass(frozen=True)
@@ -50,6 +58,21 @@ class Exporter:
     """Options that it takes for a plan: `step_seconds`, `azimuth`, `elevation`, `progress`."""
     complete: bool = False
     """Whether it keeps joints and loads, or says itself that it cannot."""
+
+
+def writer_of(make: Callable[..., bytes | str]) -> Callable[..., None]:
+    """Return what an exporter calls, whose files are whole or not there at all.
+
+    Args:
+        make: takes the assembly, the plan if there is one and the options, and returns the content of the file.
+    """
+
+    def write(assembly: Any, path: Path | str, plan: Any = None, **options: Any) -> None:
+        made = make(assembly, *(() if plan is None else (plan,)), **options)
+        content = made if isinstance(made, bytes) else made.encode("utf-8", "backslashreplace")
+        write_whole(path, lambda file: file.write(content))
+
+    return write
 
 
 @cache

@@ -176,7 +176,6 @@ def build_cell_model(subject: Cell | str | Path, structure: AnyStructure | None 
     """Return a cell as it is, with its faults; they do not raise.
 
     Args:
-        subject: the cell, its file, or the name of a built-in one.
         structure: structure in it; without it only the cell is shown.
         options: as for `load_structure`.
 

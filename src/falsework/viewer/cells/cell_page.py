@@ -5,8 +5,6 @@ The page reads the files of the cell again when they change, and keeps the joint
 
 from __future__ import annotations
 
-import contextlib
-import io
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -18,15 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
-from falsework.errors import InputError
-from falsework.robots.cells.home import home_text, propose_home
+from falsework.robots.cells.validate import home_text, propose_home
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.utils.files.printable import printable
 from falsework.viewer.cells.cell_model import CellModel, build_cell_model
 from falsework.viewer.cells.cell_scene import LEGEND, CellScene
 from falsework.viewer.palette import MISSING, robot_color
 from falsework.viewer.web.markup import html_text
-from falsework.viewer.web.origin_guard import LOCAL, WILDCARDS, OriginGuard, import_viser, start_server
+from falsework.viewer.web.served_page import ServedPage
 
 Array = NDArray[np.float64]
 
@@ -63,8 +60,8 @@ def view_cell(
     return CellPage(lambda: build_cell_model(subject, loaded), host=host, port=port, allowed_hosts=allowed_hosts)
 
 
-class CellPage:
-    """Page of one cell, shared by all clients."""
+class CellPage(ServedPage):
+    """Page of one cell."""
 
     def __init__(
         self,
@@ -74,33 +71,17 @@ class CellPage:
         port: int = 8080,
         allowed_hosts: Iterable[str] = (),
     ) -> None:
-        """Start the server.
-
-        Args:
-            look: reads the cell; called again when its files have changed.
-            host: address to listen at.
-            port: port to listen at; if it is in use, the next free one.
-            allowed_hosts: names other than `host` under which browsers may open the page.
+        """Read the cell by `look`, which is called again when its files have changed, and start the server.
 
         Raises:
-            DependencyError: viser is not installed.
-            InputError: the cell cannot be read, or the address cannot be listened at.
+            InputError: the cell cannot be read; and as `ServedPage`.
         """
-        viser = import_viser()
-        self.sight = look()
-        self.host = host
-        self._look = look
-        self._lock = threading.RLock()
-        self._stop = threading.Event()
-        try:
-            self.server = start_server(viser, host, port, OriginGuard(host, allowed_hosts))
-        except OSError as error:
-            raise InputError(f"cannot listen at {host} port {port} ({error.strerror}); choose another") from None
+        self.sight, self._look = look(), look
+        super().__init__(host, port, allowed_hosts)
         self.configurations: list[Array] = []
         self.sliders: list[list[Any]] = []
         self.texts: list[Any] = []
         self._folders: list[Any] = []
-        self._quiet = False
         self._latest: dict[int, int] = {}
         self._news = ""
         self._arrange()
@@ -110,28 +91,11 @@ class CellPage:
         self._watcher = threading.Thread(target=self._watch, name="falsework-cell", daemon=True)
         self._watcher.start()
 
-    @property
-    def port(self) -> int:
-        """Port of the page."""
-        return int(self.server.get_port())
-
-    @property
-    def address(self) -> str:
-        """Address to open in a browser."""
-        name = "localhost" if self.host in (*LOCAL, *WILDCARDS) else self.host
-        return f"http://{name}:{self.port}"
-
     def close(self) -> None:
-        """Stop serving."""
+        """Stop serving, and looking at the files."""
         self._stop.set()
         self._watcher.join(timeout=5)
-        with contextlib.redirect_stdout(io.StringIO()):
-            self.server.stop()
-
-    def wait(self) -> None:
-        """Serve until interrupted."""
-        while not self._stop.wait(1.0):
-            pass
+        super().close()
 
     def refresh(self) -> None:
         """Update scene and texts from the joint values."""
@@ -154,18 +118,14 @@ class CellPage:
         """Move an arm, and its sliders.
 
         Args:
-            robot: index of the robot.
             values: joint values in rad or m, shape (joints,).
         """
         with self._lock:
             self.configurations[robot] = np.array(values, dtype=float)
             shown = values / _units(self._robots[robot])
-            self._quiet = True
-            try:
+            with self.quiet():
                 for slider, value in zip(self.sliders[robot], shown.tolist(), strict=True):
                     slider.value = float(np.clip(value, slider.min, slider.max))
-            finally:
-                self._quiet = False
             self.refresh()
 
     @property
@@ -174,8 +134,7 @@ class CellPage:
 
     def _arrange(self) -> None:
         gui, scene = self.server.gui, self.server.scene
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=(0, 114, 178))
-        gui.set_panel_label(f"falsework: {printable(Path(self.sight.name).name)}")
+        self._set_theme(Path(self.sight.name).name)
         scene.set_up_direction("+z")
         scene.configure_environment_map(None)
         scene.configure_default_lights(enabled=True, cast_shadow=True)
@@ -280,11 +239,7 @@ class CellPage:
                 self.refresh()
 
     def read_again(self) -> None:
-        """Read the cell again, and keep the joint values; a robot whose home has changed goes there.
-
-        Raises:
-            InputError: it cannot be read; the page stays as it was.
-        """
+        """Read the cell again, and keep the joint values; a robot whose home has changed goes there."""
         sight = self._look()
         with self._lock, self.server.atomic():
             before = {robot.name: robot for robot in self._robots}

@@ -15,9 +15,16 @@ from falsework.assembly.load import AnyStructure
 from falsework.errors import InputError
 from falsework.robots.model.cell import Cell
 from falsework.robots.motion.near_pairs import NearPair
-from falsework.viewer.cells.cell_model import COLLIDES, NEAR, CellModel, Reach, build_cell_model
+from falsework.utils.quantity import counted
+from falsework.viewer.cells.cell_model import COLLIDES, NEAR, Reach, build_cell_model
 from falsework.viewer.palette import INK, MISSING, robot_color, unit_rgb
-from falsework.viewer.pictures.contact_sheet import check_suffix, import_pillow, to_pixels
+from falsework.viewer.pictures.contact_sheet import (
+    check_suffix,
+    import_pillow,
+    to_pixels,
+    write_legend,
+    write_text,
+)
 from falsework.viewer.pictures.picture import Picture, png_of
 from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
@@ -87,7 +94,6 @@ def picture_cell(
     solids = sight.solids(at, pairs)
     rings = [ring for k, reach in enumerate(sight.reaches) for ring in reach_ring(reach, box[0, 2], k)]
     image = to_pixels(render([*solids, *rings], camera, box))
-    head = [title or sight.cell.name]
     said = [(text, MISSING) for text in sight.faults] + [(pair.words, _color(pair)) for pair in pairs]
     said = said or [("no faults: the arms at home are free of collisions", INK)]
     across = max(40, (width or _WIDTH) // 8)
@@ -95,14 +101,16 @@ def picture_cell(
     whole = pillow.Image.new("RGB", (camera.width, camera.height + _LINE * (len(lines) + 2) + 16), "white")
     whole.paste(pillow.Image.fromarray(image), (0, _LINE + 6))
     pen = pillow.ImageDraw.Draw(whole)
-    _write(pen, pillow, (camera.width / 2, _LINE / 2 + 3), head[0], INK, 18, "mm")
+    write_text(pen, (camera.width / 2, _LINE / 2 + 3), title or sight.cell.name, 18)
     for row, (line, color) in enumerate(lines):
-        _write(pen, pillow, (16, camera.height + _LINE * (row + 1) + 18), line, color, 15, "lm")
-    _write_arms(pen, pillow, sight, camera.height + _LINE * (len(lines) + 1) + 18)
+        write_text(pen, (16, camera.height + _LINE * (row + 1) + 18), line, 15, color, "lm")
+    arms = [(robot_color(k), f"{robot.name}: {robot.model.name}") for k, robot in enumerate(sight.cell.robots)]
+    key = [*arms, (COLLIDES, "collision"), (NEAR, "too near")]
+    write_legend(pen, camera.width, camera.height + _LINE * (len(lines) + 1) + 18, key)
     Picture(sight.cell.name, content=png_of(np.asarray(whole))).save(path)
-    many = len(sight.cell.robots)
-    shows = f"{many} {'arm' if many == 1 else 'arms'} of {sight.cell.name}"
-    return CellPicture(shows, sight.faults, tuple(pair.words for pair in pairs))
+    return CellPicture(
+        f"{counted(len(arms), 'arm')} of {sight.cell.name}", sight.faults, tuple(pair.words for pair in pairs)
+    )
 
 
 def reach_ring(reach: Reach, height: float, robot: int) -> list[ColoredSolid]:
@@ -126,20 +134,5 @@ def reach_ring(reach: Reach, height: float, robot: int) -> list[ColoredSolid]:
     return [ColoredSolid(points, faces, unit_rgb(robot_color(robot)))]
 
 
-def _write_arms(pen: Any, pillow: Any, sight: CellModel, middle: float) -> None:
-    """Write the name of each robot beside its colour, then the colours of near pairs."""
-    assert sight.cell is not None
-    entries = [(robot_color(k), f"{robot.name}: {robot.model.name}") for k, robot in enumerate(sight.cell.robots)]
-    left = 16.0
-    for color, words in [*entries, (COLLIDES, "collision"), (NEAR, "too near")]:
-        pen.rectangle((left, middle - 7, left + 20, middle + 7), fill=color)
-        _write(pen, pillow, (left + 26, middle), words, INK, 14, "lm")
-        left += 46 + pen.textlength(words, font=pillow.ImageFont.load_default(14))
-
-
 def _color(pair: NearPair) -> str:
     return COLLIDES if pair.collides else _NEAR_TEXT
-
-
-def _write(pen: Any, pillow: Any, at: tuple[float, float], text: str, color: str, size: int, anchor: str) -> None:
-    pen.text(at, text, fill=color, font=pillow.ImageFont.load_default(size), anchor=anchor)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from falsework.robots.motion.near_pairs import NearPair
 from falsework.viewer.arms import wxyz_of
 from falsework.viewer.cells.cell_model import COLLIDES, NEAR, CellModel, marks_of
-from falsework.viewer.palette import rgb, robot_color
+from falsework.viewer.page.scene import link_node
+from falsework.viewer.palette import bytes_of, rgb, robot_color
 
 Array = NDArray[np.float64]
 
@@ -24,36 +25,17 @@ class CellScene:
 
         Args:
             scene: `viser.SceneApi`.
-            sight: the cell.
         """
         self._scene, self._sight = scene, sight
-        self._links: list[Any] = []
-        self._bodies: list[Any] = []
-        self._tools: list[Any] = []
-        self._reaches: list[Any] = []
-        self._others: list[Any] = []
+        self._links, self._bodies, self._tools, self._reaches, self._others = ([] for _ in range(5))
         if sight.cell is None:
             return
         for number, link in enumerate(sight.links):
-            self._links.append(
-                scene.add_mesh_simple(
-                    f"/robots/{link.robot}/{number}",
-                    link.vertices.astype(np.float32),
-                    link.faces.astype(np.uint32),
-                    color=_bytes(link.color),
-                    flat_shading=True,
-                )
-            )
+            self._links.append(link_node(scene, f"/robots/{link.robot}/{number}", link))
         for number, body in enumerate(sight.bodies):
-            self._bodies.append(
-                scene.add_mesh_simple(
-                    f"/bodies/{number}",
-                    body.vertices.astype(np.float32),
-                    body.faces.astype(np.uint32),
-                    color=rgb(body.color),
-                    flat_shading=True,
-                )
-            )
+            shape, color = (body.vertices.astype(np.float32), body.faces.astype(np.uint32)), rgb(body.color)
+            node = scene.add_mesh_simple(f"/bodies/{number}", *shape, color=color, flat_shading=True)
+            self._bodies.append(node)
         for number, (robot, reach) in enumerate(zip(sight.cell.robots, sight.reaches, strict=True)):
             color = rgb(robot_color(number))
             self._reaches.append(
@@ -70,12 +52,7 @@ class CellScene:
                 self._others.append(scene.add_icosphere(name, 0.02, color, position=place))
 
     def show(self, configurations: Sequence[Array], pairs: Sequence[NearPair]) -> None:
-        """Move the arms, and colour the bodies that are too near each other.
-
-        Args:
-            configurations: joint values of every arm.
-            pairs: such bodies.
-        """
+        """Move the arms, and colour the bodies that are too near each other."""
         sight = self._sight
         if sight.cell is None:
             return
@@ -83,7 +60,7 @@ class CellScene:
         for node, link in zip(self._links, sight.links, strict=True):
             pose, mark = frames[link.robot][link.frame], marks.get(sight.link_name(link))
             node.position, node.wxyz = pose[:3, 3], wxyz_of(pose[:3, :3])
-            color = _bytes(link.color) if mark is None else rgb(mark)
+            color = bytes_of(link.color) if mark is None else rgb(mark)
             if tuple(node.color) != color:
                 node.color = color
         for node, body in zip(self._bodies, sight.bodies, strict=True):
@@ -106,8 +83,3 @@ class CellScene:
 
 
 LEGEND = ((COLLIDES, "touch"), (NEAR, "too near"))
-
-
-def _bytes(color: Sequence[float]) -> tuple[int, int, int]:
-    red, green, blue = (round(255 * channel) for channel in color)
-    return red, green, blue

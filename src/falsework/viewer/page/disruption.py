@@ -53,9 +53,6 @@ class Disruption:
         """Return the same disruption with one mark set, or removed if it was set.
 
         Args:
-            tool: kind of mark.
-            part: marked part.
-            assembly: the structure.
             state: state that the plan has reached, shape (parts,).
 
         Raises:
@@ -118,7 +115,6 @@ class Disruption:
 
         Args:
             state: state that the plan has reached, shape (parts,).
-            assembly: the structure, with places for the props.
         """
         site = self.found(state)
         for part in self.props:
@@ -132,7 +128,6 @@ class Disruption:
         """Return arguments for `falsework.replanning.replanner.replan`.
 
         Args:
-            assembly: the structure.
             state: state that the plan has reached, shape (parts,).
             direction: whether parts are being added or removed.
         """

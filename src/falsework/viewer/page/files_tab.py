@@ -38,7 +38,6 @@ class FilesTab:
 
         Args:
             gui: `viser.GuiApi`, within the tab.
-            page: page of the tab.
         """
         self._page = page
         self._plan = gui.add_button("Download the plan", hint="A plan file, as falsework plan writes it.")
@@ -76,8 +75,6 @@ def opened(name: str, content: bytes, model: ViewerState) -> ViewerState:
     """Return the viewer of an uploaded plan, robot plan or structure.
 
     Args:
-        name: of the file.
-        content: of the file.
         model: what is shown at present; its structure and cell are those of a plan that was made for them.
 
     Raises:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from falsework.robots.plans.timeline import bars_of
 from falsework.viewer.palette import INK, robot_color
-from falsework.viewer.pictures.gantt import ALPHA, KEY, bars_of
+from falsework.viewer.pictures.gantt import ALPHA, KEY
 from falsework.viewer.web.links import link_to
 from falsework.viewer.web.markup import html_text
 

@@ -14,7 +14,6 @@ def add_graph_tab(gui: Any, model: ViewerState, guard: Callable[[Any, Callable[[
     Args:
         gui: `viser.GuiApi`, within the tab.
         model: state of the viewer; it has a graph.
-        guard: runs an action for an event, and reports errors.
     """
     graph = model.graph
     assert graph is not None

@@ -31,7 +31,6 @@ class LookTab:
 
         Args:
             gui: `viser.GuiApi`, within the tab.
-            page: page of the tab.
         """
         self._page = page
         model = page.model

@@ -32,10 +32,6 @@ def new_plan(answer: ReplanResult, assembly: Assembly, seconds: float, old: Plan
     """Describe the answer to a request.
 
     Args:
-        answer: of the replanner.
-        assembly: its structure.
-        seconds: that it took.
-        old: plan that was shown before.
         before: steps that are done and not in the new plan, with which its numbers go on.
     """
     decided = answer.decided_by.value

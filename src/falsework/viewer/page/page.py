@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import html
-import io
 import re
-import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from falsework.errors import FalseworkError, InputError
+from falsework.errors import FalseworkError
 from falsework.utils.files.printable import printable
 from falsework.viewer.page.files_tab import FilesTab
 from falsework.viewer.page.graph_tab import add_graph_tab
@@ -28,7 +25,7 @@ from falsework.viewer.page.step_list import StepsTab
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.web.links import Unit
 from falsework.viewer.web.markup import markdown_text
-from falsework.viewer.web.origin_guard import LOCAL, WILDCARDS, OriginGuard, import_viser, start_server
+from falsework.viewer.web.served_page import ServedPage
 
 _STYLE = """<span class="falsework-alive"></span><style>
 body:has(div[style*="pointer-events: none"] .falsework-alive)::before {
@@ -45,47 +42,17 @@ body:has(div[style*="pointer-events: none"] .falsework-alive)::before {
 across the lower half of a phone."""
 
 
-class Page:
-    """Browser page of one model, shared by all clients."""
+class Page(ServedPage):
+    """Browser page of one model."""
 
     def __init__(
         self, model: ViewerState, *, host: str = "127.0.0.1", port: int = 8080, allowed_hosts: Iterable[str] = ()
     ) -> None:
-        """Start the server.
-
-        Args:
-            model: state of the viewer.
-            host: address to listen at.
-            port: port to listen at; if it is in use, the next free one.
-            allowed_hosts: names other than `host` under which browsers may open the page.
-
-        Raises:
-            DependencyError: viser is not installed.
-            InputError: the address cannot be listened at.
-        """
-        viser = import_viser()
-        self._lock = threading.RLock()
-        self._stop = threading.Event()
-        self._quiet = False
-        self.host = host
-        try:
-            self.server = start_server(viser, host, port, OriginGuard(host, allowed_hosts), go=self._linked)
-        except OSError as error:
-            raise InputError(f"cannot listen at {host} port {port} ({error.strerror}); choose another") from None
+        """Start the server, see `ServedPage`."""
+        super().__init__(host, port, allowed_hosts, self._linked)
         self._fill(model)
         self.server.scene.on_click()(self._clicked)
         self.server.on_client_connect(self._connected)
-
-    @property
-    def port(self) -> int:
-        """Port of the page."""
-        return int(self.server.get_port())
-
-    @property
-    def address(self) -> str:
-        """Address to open in a browser."""
-        name = "localhost" if self.host in (*LOCAL, *WILDCARDS) else self.host
-        return f"http://{name}:{self.port}"
 
     @property
     def file_name(self) -> str:
@@ -98,11 +65,7 @@ class Page:
         return self.look.asks
 
     def save(self, path: Path | str) -> None:
-        """Write what is shown as one HTML file that plays without a server.
-
-        Raises:
-            InputError: another ending than .html, or a place that cannot be written.
-        """
+        """Write what is shown as one HTML file that plays without a server."""
         save_page(self.model, path)
 
     def _repr_html_(self) -> str:
@@ -114,16 +77,9 @@ class Page:
         )
 
     def close(self) -> None:
-        """Stop serving."""
-        self._stop.set()
+        """Stop serving, and playing."""
         self.play.close()
-        with contextlib.redirect_stdout(io.StringIO()):
-            self.server.stop()
-
-    def wait(self) -> None:
-        """Serve until interrupted."""
-        while not self._stop.wait(1.0):
-            pass
+        super().close()
 
     def show(self, model: ViewerState) -> None:
         """Show another model instead of the present one."""
@@ -167,15 +123,6 @@ class Page:
             self.refresh()
         self.site.say(words)
 
-    @contextlib.contextmanager
-    def quiet(self) -> Iterator[None]:
-        """Change controls without handling their events."""
-        before, self._quiet = self._quiet, True
-        try:
-            yield
-        finally:
-            self._quiet = before
-
     def guard(self, event: Any, act: Callable[[], object]) -> None:
         """Run an action, and report an error in one line; the page continues."""
         if self._quiet:
@@ -192,8 +139,7 @@ class Page:
     def _fill(self, model: ViewerState) -> None:
         gui = self.server.gui
         self.model = model
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="large", brand_color=(0, 114, 178))
-        gui.set_panel_label(f"falsework: {printable(model.assembly.name)}")
+        self._set_theme(model.assembly.name)
         self._set_scene()
         gui.add_html(_STYLE)
         with self.quiet():
@@ -251,34 +197,3 @@ class Page:
         else:
             self.model.go_to_reading(value)
         self.refresh()
-
-
-def check_host(host: str) -> str | None:
-    """Return a warning if others can reach the page, None if not.
-
-    Raises:
-        InputError: the host is empty.
-    """
-    if not host.strip():
-        raise InputError("--host is empty; leave it out to serve this machine alone")
-    if host in LOCAL:
-        return None
-    return f"every client that can reach {host} can see and control this page; there is no password"
-
-
-class Served(Protocol):
-    """Page that is being served."""
-
-    def wait(self) -> None:
-        """Serve until interrupted."""
-
-    def close(self) -> None:
-        """Stop serving."""
-
-
-def serve(page: Served) -> None:
-    """Serve until interrupted by the keyboard."""
-    with contextlib.suppress(KeyboardInterrupt):
-        page.wait()
-    with contextlib.suppress(KeyboardInterrupt):  # a second Ctrl-C
-        page.close()

@@ -9,7 +9,7 @@ import numpy as np
 from falsework.assembly.state import HELD
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
-from falsework.stability.holds import describe_force
+from falsework.utils.quantity import format_quantity, listed
 from falsework.viewer.appearance import Appearance
 from falsework.viewer.arrows import KINDS, Arrows
 from falsework.viewer.page.viewer_state import ViewerState
@@ -21,7 +21,6 @@ def where_text(model: ViewerState, *, ask: bool) -> str:
     """Return the step and its action, in Markdown.
 
     Args:
-        model: state of the viewer.
         ask: whether to include the verdict on the state; it is always included where no plan has proven the state.
     """
     steps = len(model.timeline)
@@ -52,10 +51,10 @@ def labels_of(model: ViewerState, appearance: Appearance) -> dict[int, str]:
     }
     for load in model.timeline.loads_at(model.step):
         if load.part in labels:
-            labels[load.part] += f" bears {describe_force(load.force)}"
+            labels[load.part] += f" bears {format_quantity(load.force, 'force')}"
     for press in model.timeline.presses_at(model.step):
         if press.part in labels:
-            labels[press.part] += f" presses {describe_force(press.force)}"
+            labels[press.part] += f" presses {format_quantity(press.force, 'force')}"
     if model.selected is not None:
         name = model.assembly.names[model.selected]
         labels[model.selected] = f"{name}, {labels[model.selected]}" if model.selected in labels else name
@@ -89,8 +88,7 @@ def facts_of(model: ViewerState, part: int) -> list[tuple[str, str]]:
     contacts = assembly.contacts
     mine = np.flatnonzero((contacts.parts == part).any(axis=1))
     others = sorted({int(other) for other in contacts.parts[mine].ravel()} - {part})
-    touching = ", ".join(assembly.names[other] for other in others[:8])
-    touching += f" and {len(others) - 8} more" if len(others) > 8 else ""
+    touching = listed([assembly.names[other] for other in others], 8)
     value = int(model.site[part])
     now = "boundary" if assembly.boundary[part] else ("not there", "installed", "held")[value]
     who = model.appearance().holder[part]
@@ -102,7 +100,7 @@ def facts_of(model: ViewerState, part: int) -> list[tuple[str, str]]:
     ]
     facts = [
         ("part", f"{assembly.names[part]} (number {part})"),
-        ("mass", f"{assembly.mass.mass[part]:.4g} kg"),
+        ("mass", format_quantity(float(assembly.mass.mass[part]), "mass")),
         ("now", now),
         ("contacts", f"{len(mine)}, {contacts.areas[mine].sum():.3g} m2, with {touching or 'nothing'}"),
         ("held by", "; ".join(spans) if spans else "no robot"),
@@ -115,12 +113,7 @@ def facts_of(model: ViewerState, part: int) -> list[tuple[str, str]]:
 
 
 def legend_text(model: ViewerState, shown: Mapping[str, Arrows]) -> str:
-    """Return the legend of the colours in use, in HTML.
-
-    Args:
-        model: state of the viewer.
-        shown: visible arrows, by kind.
-    """
+    """Return the legend of the colours in use, in HTML."""
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]
     holding = int(model.timeline.holders.max(initial=NO_ROBOT)) + 1
     entries += [(robot_color(robot), f"held by {model.robot_name(robot)}") for robot in range(holding)]
@@ -135,7 +128,7 @@ def legend_text(model: ViewerState, shown: Mapping[str, Arrows]) -> str:
     for kind, color in KINDS.items():
         some = shown.get(kind)
         if some is not None and len(some):
-            longest = f", up to {describe_force(some.longest)}" if some.longest else ""
+            longest = f", up to {format_quantity(some.longest, 'force')}" if some.longest else ""
             entries.append((color, f"{kind}{longest}"))
     if model.sliding and "sliding" not in shown:
         entries.append((SLIDING, "would slide"))

@@ -30,7 +30,6 @@ class PlayPanel:
 
         Args:
             gui: `viser.GuiApi`.
-            page: page of the controls.
         """
         self._page = page
         model = page.model
@@ -45,7 +44,7 @@ class PlayPanel:
         with self._folder:
             self._button = gui.add_button("Play", hint="Space plays, arrow keys go to the next step and back.")
             self._button.on_click(lambda event: page.guard(event, self.toggle))
-            speed = 2.0 if model.arms is None else 0.5 if model.clock is None else 1.0
+            speed = 2.0 if model.arms is None else 1.0
             self.speed = gui.add_slider("Steps per second", min=0.5, max=8.0, step=0.5, initial_value=speed)
             self._order = gui.add_dropdown("Order", tuple(_WORDS.values()), initial_value=_WORDS[model.direction])
             self._order.on_update(lambda event: page.guard(event, self._turned))
@@ -92,10 +91,9 @@ class PlayPanel:
         self.where.content = where_text(model, ask=self._page.asks)
         if model.arms is not self._arms:
             self._arms = model.arms
-            scheduled = None if model.arms is None or model.clock is None else model.arms.plan
-            self.gantt.content = "" if scheduled is None else gantt_svg(scheduled)
+            self.gantt.content = "" if model.arms is None else gantt_svg(model.arms.plan)
             self.marker.content = ""
-        if model.arms is not None and model.clock is not None:
+        if model.clock is not None:
             style = marker_style(model.seconds / max(model.clock.makespan, 1e-3))
             if style != self.marker.content:
                 self.marker.content = style

@@ -1,6 +1,6 @@
 """Plan as one HTML file that plays without a server: viser's client with a recorded scene in it.
 
-A second of the recording is a step, or a second of the schedule, so that the time below the scene is the step.
+A second of the recording is a step, or a second of the motions of arms, so that the time below the scene is the step.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction
-from falsework.utils.files.formats import Exporter
+from falsework.utils.files.formats import Exporter, writer_of
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.files.printable import printable
 from falsework.utils.quantity import counted
@@ -70,7 +70,6 @@ class RecordedScene(ViserScene):
 
         Args:
             scene: `viser.SceneApi`.
-            timeline: timeline to show.
         """
         super().__init__(scene, timeline)
         parts = self.assembly.part_count
@@ -157,9 +156,6 @@ def record(shown: Viewable | ViewerState) -> str:
 
     Returns:
         A self-contained HTML document.
-
-    Raises:
-        DependencyError: viser is not installed.
     """
     viser = import_viser()
     arms = None if shown.arms is None else shown.arms.turned(Direction.ASSEMBLY)
@@ -248,12 +244,11 @@ def _panel(model: ViewerState, shown: dict[str, Arrows]) -> str:
     )
 
 
-def _write_page(
-    assembly: Assembly, path: Path | str, plan: Plan | RobotPlan | None, *, cell: AnyCell | None = None
-) -> None:
+def _page_of(assembly: Assembly, plan: Plan | RobotPlan | None = None, *, cell: AnyCell | None = None) -> str:
     from falsework.viewer.viewable import viewable_of
 
-    save_page(viewable_of(assembly if plan is None else plan, None if plan is None else assembly, cell=cell), path)
+    return record(viewable_of(assembly if plan is None else plan, None if plan is None else assembly, cell=cell))
 
 
-EXPORTER = Exporter(_write_page, (".html",), ("Assembly", "Plan", "RobotPlan"), ("cell",), complete=True)
+_SHOWN = ("Assembly", "Plan", "RobotPlan")
+EXPORTER = Exporter(writer_of(_page_of), (".html",), _SHOWN, ("cell",), complete=True)

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.mesh import triangle_normals
-from falsework.stability.holds import describe_force
 from falsework.utils.files.printable import printable
+from falsework.utils.quantity import format_quantity
 from falsework.viewer.appearance import Appearance, bounds_of, diagonal
-from falsework.viewer.arms import ArmPoses, Arms, wxyz_of
+from falsework.viewer.arms import ArmPoses, Arms, Link, wxyz_of
 from falsework.viewer.arrows import KINDS, Arrows, scale_arrow
-from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, rgb, robot_color
+from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, bytes_of, rgb, robot_color
 from falsework.viewer.section import Plane, cut
 from falsework.viewer.timeline import Timeline
 
@@ -47,7 +47,6 @@ class ViserScene:
 
         Args:
             scene: `viser.SceneApi`.
-            timeline: timeline to show.
         """
         assembly = timeline.assembly
         self._scene = scene
@@ -112,10 +111,6 @@ class ViserScene:
         """Update the parts.
 
         Args:
-            appearance: how they are seen.
-            missing: parts drawn as wires.
-            pale: absent parts to hint at.
-            labels: short texts at parts.
             plane: section of the parts in their places, metres; None for whole parts.
 
         Returns:
@@ -150,18 +145,23 @@ class ViserScene:
         found = scale_arrow(self.assembly, arrows)
         if found is None:
             self._hide("/scale")
-            return
-        arrow, force = found
-        ends = self.place(arrow.ends)
-        key = ends.tobytes()
-        if self._fresh("/scale", key):
-            width = 0.006 * SIZE
-            line = self._scene.add_arrows(
-                "/scale/arrow", ends.astype(np.float32), rgb(arrow.color),
-                shaft_radius=width / 2, head_radius=1.3 * width, head_length=2.6 * width,
-            )  # fmt: skip
-            words = self._scene.add_label("/scale/force", describe_force(force), position=ends[0, 1])
-            self._keep("/scale", key, line, words)
+        elif (node := self._arrow_node("/scale", "/scale/arrow", found[0])) is not None:
+            end = self.place(found[0].ends)[0, 1]
+            words = self._scene.add_label("/scale/force", format_quantity(found[1], "force"), position=end)
+            self._keep("/scale", self.nodes["/scale"][0], node, words)
+
+    def _arrow_node(self, name: str, path: str, arrows: Arrows) -> Any:
+        """Draw arrows as a node of the scene, and return it; None where it is there already."""
+        ends = self.place(arrows.ends)
+        if not self._fresh(name, ends.tobytes()):
+            return None
+        width = 0.006 * SIZE * arrows.breadth
+        node = self._scene.add_arrows(
+            path, ends.astype(np.float32), rgb(arrows.color),
+            shaft_radius=width / 2, head_radius=1.3 * width, head_length=2.6 * width,
+        )  # fmt: skip
+        self._keep(name, ends.tobytes(), node)
+        return node
 
     def show_arrows(self, arrows: Mapping[str, Arrows], moved: Mapping[int, Array], color: str = MOTION) -> None:
         """Update the arrows.
@@ -171,21 +171,12 @@ class ViserScene:
             moved: vertices of parts slightly later in their motion, metres.
             color: colour of these parts.
         """
-        for kind, arrow_color in KINDS.items():
-            name = f"/arrows/{kind.replace(' ', '-')}"
-            some = arrows.get(kind)
+        for kind in KINDS:
+            name, some = f"/arrows/{kind.replace(' ', '-')}", arrows.get(kind)
             if some is None or len(some) == 0:
                 self._hide(name)
-                continue
-            ends = self.place(some.ends)
-            key = ends.tobytes()
-            if self._fresh(name, key):
-                width = 0.006 * SIZE * some.breadth
-                node = self._scene.add_arrows(
-                    name, ends.astype(np.float32), rgb(arrow_color),
-                    shaft_radius=width / 2, head_radius=1.3 * width, head_length=2.6 * width,
-                )  # fmt: skip
-                self._keep(name, key, node)
+            else:
+                self._arrow_node(name, name, some)
         if not moved:
             self._hide("/motion")
             return
@@ -218,30 +209,19 @@ class ViserScene:
             self.show_arms(None, None)
             self._robots = arms.cell
             for number, link in enumerate(arms.links):
-                color = tuple(round(255 * channel) for channel in link.color)
-                vertices = (link.vertices * self.scale).astype(np.float32)
-                self._arms.append(
-                    self._scene.add_mesh_simple(
-                        f"/arms/{number}", vertices, link.faces.astype(np.uint32), color=color, flat_shading=True
-                    )
-                )
+                self._arms.append(link_node(self._scene, f"/arms/{number}", link, self.scale))
         for node, pose in zip(self._arms, arm_poses.poses, strict=True):
             if node.visible != seen:
                 node.visible = seen
-            node.position = self.place(pose[:3, 3])
-            node.wxyz = wxyz_of(pose[:3, :3])
+            node.position, node.wxyz = self.place(pose[:3, 3]), wxyz_of(pose[:3, :3])
         for part in self._carried.keys() - {carried.part for carried in arm_poses.carried}:
             self._carried.pop(part).remove()
         for carried in arm_poses.carried:
             part, turn = carried.part, carried.pose[:3, :3]
             if part not in self._carried:
-                self._carried[part] = self._scene.add_mesh_simple(
-                    f"/carried/{part}",
-                    self._vertices[part],
-                    self._faces[part],
-                    color=rgb(robot_color(carried.robot)),
-                    flat_shading=True,
-                )
+                color, shape = rgb(robot_color(carried.robot)), (self._vertices[part], self._faces[part])
+                node = self._scene.add_mesh_simple(f"/carried/{part}", *shape, color=color, flat_shading=True)
+                self._carried[part] = node
             self._carried[part].wxyz = wxyz_of(turn)
             self._carried[part].position = self.place(turn @ self.origin + carried.pose[:3, 3])
 
@@ -271,15 +251,9 @@ class ViserScene:
         missing, pale, standing = name == "/parts/missing", name == "/parts/pale", name.startswith("/parts/standing")
         digits = MISSING if missing else INSTALLED if standing or pale else f"#{name[-6:]}"
         node = self._scene.add_mesh_simple(
-            name,
-            vertices,
-            faces.astype(np.uint32),
-            color=rgb(digits),
-            flat_shading=not missing,
-            wireframe=missing,
-            opacity=_PALE if pale else self._opacity,
-            cast_shadow=not (missing or pale),
-        )
+            name, vertices, faces.astype(np.uint32), color=rgb(digits), flat_shading=not missing, wireframe=missing,
+            opacity=_PALE if pale else self._opacity, cast_shadow=not (missing or pale),
+        )  # fmt: skip
         nodes = [node]
         if self._lined and not (missing or pale):
             lines = np.concatenate([edges for _, _, edges in shapes])
@@ -371,6 +345,12 @@ class ViserScene:
             del self.shown[name]
             for node in self.nodes[name][1]:
                 node.visible = False
+
+
+def link_node(scene: Any, name: str, link: Link, size: float = 1.0) -> Any:
+    """Add a piece of a robot to a scene, in lengths of it, and return its node."""
+    vertices, faces = (link.vertices * size).astype(np.float32), link.faces.astype(np.uint32)
+    return scene.add_mesh_simple(name, vertices, faces, color=bytes_of(link.color), flat_shading=True)
 
 
 def sharp_edges(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> NDArray[np.float32]:

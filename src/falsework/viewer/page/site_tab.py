@@ -23,7 +23,6 @@ class SiteTab:
 
         Args:
             gui: `viser.GuiApi`, within the tab.
-            page: page of the tab.
         """
         self._page = page
         model = page.model

@@ -25,9 +25,7 @@ def set_stage(server: Any, scene: ViserScene, arms: Arms | None, *, aside: bool)
 
     Args:
         server: `viser.ViserServer`.
-        scene: parts that are seen.
         arms: robots that must be seen too.
-        aside: leave space for controls in the right of the window.
     """
     node = server.scene
     node.set_up_direction("+z")
@@ -47,10 +45,7 @@ def aim_upright(camera: Any, scene: ViserScene, arms: Arms | None, aspect: float
     """Place the camera of a narrow window, whose controls cover the lower half.
 
     Args:
-        camera: of a client.
-        scene: parts that are seen.
         arms: robots that must be seen too.
-        aspect: width of the window by its height.
     """
     _aim(camera, scene, arms, np.array([0.0, 0.0, -0.25 * SIZE]), 0.9 / max(aspect, 0.1))
 

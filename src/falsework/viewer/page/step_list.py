@@ -44,9 +44,7 @@ def step_list(
     """Return a table of steps: number, robot, action.
 
     Args:
-        timeline: timeline whose steps are listed.
         places: places that the steps lead to; all if not given.
-        names: name of each robot.
         linked: whether a click on a step goes there.
     """
     rows = []
@@ -73,7 +71,6 @@ class StepsTab:
 
         Args:
             gui: `viser.GuiApi`, within the tab.
-            page: page of the tab.
         """
         self._page = page
         self._timeline: Timeline | None = None

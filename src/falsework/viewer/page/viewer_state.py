@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, REMOVED, States, action_mask, empty_state
 from falsework.errors import InputError
 from falsework.replanning.since import places_under
-from falsework.search.problem.task import Direction
+from falsework.search.problem.rollout import follow_scores
+from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
@@ -25,8 +26,7 @@ from falsework.viewer.clock import Clock
 from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
 from falsework.viewer.page.new_plan import NewPlan, new_plan
 from falsework.viewer.palette import FIXED, SELECTED
-from falsework.viewer.proof import StateProof
-from falsework.viewer.proof_cache import ProofCache
+from falsework.viewer.proof import ProofCache, StateProof
 from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
@@ -54,12 +54,8 @@ class ViewerState:
         """Show a timeline.
 
         Args:
-            timeline: states and actions.
-            plan: the plan that it shows, to compare new ones with.
             policy: action policy, a `torch.nn.Module`; None if there is none.
-            graph: state graph to show beside the plan.
             arms: robots that execute the plan, in the same order as the timeline.
-            oracle: decides stability.
             criterion: stability criterion, where no oracle is given.
             deadline: time limit for a new plan, s; None for no limit.
         """
@@ -119,17 +115,17 @@ class ViewerState:
 
     @property
     def clock(self) -> Clock | None:
-        """Times of the schedule; None for sequential motions, or without motions."""
+        """Times of the motions; None without arms."""
         return None if self.arms is None else self.arms.clock
 
     @property
     def step(self) -> int:
-        """Place that the step in progress leads to; with a schedule, where several are, the last that is reached."""
+        """Place that the step in progress leads to; with arms, where several are, the last that is reached."""
         return (self.timeline.row if self.clock else self.timeline.next)(self.position)
 
     @property
     def reading(self) -> float:
-        """Position of the slider: seconds of the schedule, or steps without one."""
+        """Position of the slider: seconds of the motions, or steps without arms."""
         return self.position if self.clock is None else self.seconds
 
     @property
@@ -154,14 +150,14 @@ class ViewerState:
             self.seconds = 0.0 if self.clock is None else self.clock.seconds(self.position)
 
     def rewind(self) -> None:
-        """Show the beginning, in the order shown; with a schedule, that of its motions."""
+        """Show the beginning, in the order shown; with arms, that of their motions."""
         if self.clock is None:
             self.go_to(self.timeline.begin)
         else:
             self.go_to_reading(0.0)
 
     def go_to_reading(self, reading: float) -> None:
-        """Show another position, in seconds of the schedule, or steps without one; clipped to the ends."""
+        """Show another position, in seconds of the motions, or steps without arms; clipped to the ends."""
         with self.lock:
             if self.clock is None:
                 self.go_to(reading)
@@ -175,7 +171,7 @@ class ViewerState:
         return self.reading == (self.timeline.end if self.clock is None else self.clock.makespan)
 
     def advance(self, amount: float) -> None:
-        """Go on in the order shown, by seconds of the schedule, or steps without one."""
+        """Go on in the order shown, by seconds of the motions, or steps without arms."""
         with self.lock:
             back = self.clock is None and self.direction is Direction.DISASSEMBLY
             self.go_to_reading(self.reading - amount if back else self.reading + amount)
@@ -212,9 +208,7 @@ class ViewerState:
     def arm_poses(self) -> ArmPoses | None:
         """Return the present arm poses; None where there are no arms."""
         with self.lock:
-            if self.arms is None:
-                return None
-            return self.arms.at(self.position) if self.clock is None else self.arms.at_time(self.seconds)
+            return None if self.arms is None else self.arms.at_time(self.seconds)
 
     @property
     def pale(self) -> Sequence[int]:
@@ -225,11 +219,7 @@ class ViewerState:
         return [part for part in np.flatnonzero(absent).tolist() if part not in self.disruption.missing]
 
     def click(self, origin: NDArray[np.float64], ray: NDArray[np.float64]) -> int | None:
-        """Select the part that a ray hits, None if none, and toggle its mark if a tool is chosen; return the part.
-
-        Raises:
-            InputError: the part cannot be marked.
-        """
+        """Select the part that a ray hits, None if none, and toggle its mark if a tool is chosen; return the part."""
         with self.lock:
             appearance = self.appearance()
             opacity = appearance.opacity.copy()
@@ -325,20 +315,29 @@ class ViewerState:
             return chance_of_parts(np.exp(scores[0]))
 
     def visited(self, rollouts: int = 32) -> States:
-        """Return states that the policy visits from the start, greedily and at random. Shape (count, parts)."""
-        from falsework.viewer.coverage import visited_states
+        """Return the stable states on rollouts of the policy from the complete structure, shape (count, parts).
 
-        assert self._guide is not None or self.policy is not None
+        The first rollout is greedy, the others are sampled; each state is returned once.
+        """
         self.action_probabilities()
-        assert self._guide is not None
-        return visited_states(self._guide, self.oracle, self.timeline.states[-1], self.timeline.robots, rollouts)
+        guide, oracle = self._guide, self.oracle
+        assert guide is not None
+        start = self.timeline.states[-1]
+        task = Task.from_rules(oracle.assembly.boundary, self.timeline.robots, start=start).judged_by(oracle)
+        starts = np.repeat(task.start[None], rollouts, axis=0)
+
+        def stable(_: NDArray[np.int64], states: States, parents: States) -> NDArray[np.bool_]:
+            return oracle.verdicts(states, near=parents).stable
+
+        seen = [starts[:1]]
+        for several, rng in ((starts[:1], None), (starts[1:], np.random.default_rng(0))):
+            owner = np.zeros(len(several), dtype=np.int64)
+            played = follow_scores([task], several, owner, guide.log_probabilities, rng=rng, stable=stable)
+            seen += [rollout.states[: len(rollout.states) - rollout.unstable] for rollout in played]
+        return np.unique(np.concatenate(seen), axis=0)
 
     def replan(self) -> NewPlan:
-        """Replan from the marked state, and show the new plan if there is one.
-
-        Raises:
-            InputError: the marks contradict each other or the state; the message says what to do.
-        """
+        """Replan from the marked state, and show the new plan if there is one."""
         from falsework.replanning.replanner import Replanner, replan
 
         begun = time.perf_counter()

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.state import States
 from falsework.errors import DependencyError, InputError
 from falsework.geometry.paths.moves import apply
 from falsework.search.plans.steps import NO_ROBOT
+from falsework.search.problem.task import Direction
 from falsework.viewer.appearance import TRAVEL, Appearance, appearance_at, bounds_of, diagonal
 from falsework.viewer.arms import Arms, appearance_with_arms, bounds_with_arms, solids_of_arms
 from falsework.viewer.arrows import Arrows, arrows_of_step
@@ -30,6 +32,8 @@ CELL = Camera(width=480, height=300, zoom=0.97)
 """Camera for each state of a contact sheet."""
 WHOLE = Camera(width=1200, height=800, zoom=0.94)
 """Camera for a single state."""
+FRAME = Camera(width=480, height=320, zoom=0.94)
+"""Camera for the picture of an environment."""
 _LINE = 26
 """Pixels for a line of text."""
 _ARROW = 0.006
@@ -60,9 +64,6 @@ def draw(
     """Return the picture of one state.
 
     Args:
-        assembly: the structure.
-        appearance: how its parts are seen.
-        camera: view of them.
         bounds: box that the picture shows, shape (2, 3); the structure if not given.
         arrows: drawn over the parts, which become pale if any of them lie inside.
         extra: other meshes, such as arms.
@@ -96,10 +97,6 @@ def contact_sheet(
     Args:
         timeline: timeline to show, in its order.
         places: states to show; chosen evenly if not given.
-        frames: how many to choose.
-        columns: pictures in a row.
-        camera: view of each.
-        title: a line above.
         proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
             above.
 
@@ -120,7 +117,7 @@ def contact_sheet(
     sheet = pillow.Image.new("RGB", (columns * camera.width, head + rows * cell + _LINE + 14), "white")
     pen = pillow.ImageDraw.Draw(sheet)
     if title:
-        _write(pen, pillow, (sheet.width / 2, head / 2 + 2), title, 18)
+        write_text(pen, (sheet.width / 2, head / 2 + 2), title, 18)
     for number, position in enumerate(chosen):
         left, top = (number % columns) * camera.width, head + (number // columns) * cell
         proof = proofs.get(position)
@@ -128,8 +125,8 @@ def contact_sheet(
         arrows = list(arrows_of_step(timeline, position).values())
         picture = to_pixels(draw(timeline.assembly, appearance, camera, arrows=arrows))
         sheet.paste(pillow.Image.fromarray(picture), (left, top + _LINE))
-        _write(pen, pillow, (left + camera.width / 2, top + _LINE / 2 + 4), caption(timeline, position, proof), 14)
-    _write_legend(pen, pillow, sheet.width, sheet.height - _LINE / 2 - 5, entries)
+        write_text(pen, (left + camera.width / 2, top + _LINE / 2 + 4), caption(timeline, position, proof))
+    write_legend(pen, sheet.width, sheet.height - _LINE / 2 - 5, entries)
     return np.asarray(sheet)
 
 
@@ -152,16 +149,11 @@ def one_state(
     """Return the picture of one place of a timeline, with its action and the legend.
 
     Args:
-        timeline: timeline to show.
         position: where; between whole numbers parts are on their way.
-        camera: view of it.
-        arrows: drawn as well.
         key: the legend, colour and words; of the timeline if not given.
-        arms: robots that carry the plan out.
-        time: of their schedule, seconds; None shows them one after the other.
+        time: of their motions, seconds; that at which the place is reached if not given.
         action_probabilities: probability of the action that concerns each part, or another share that colours it, NaN
             where there is none, shape (parts,).
-        share_of: what they are shares of, for the legend.
         bounds: box that the picture shows, shape (2, 3); the structure and the ways of its parts if not given.
         words: the line above; the step if not given.
         marks: colours of parts that stand out, such as those that slide.
@@ -193,22 +185,23 @@ def one_state(
     image.paste(pillow.Image.fromarray(picture), (0, _LINE + 4))
     pen = pillow.ImageDraw.Draw(image)
     text = caption(timeline, timeline.next(position)) if words is None else words
-    _write(pen, pillow, (camera.width / 2, _LINE / 2 + 4), text, 18)
+    write_text(pen, (camera.width / 2, _LINE / 2 + 4), text, 18)
     entries = list(legend(timeline) if key is None else key)
     if action_probabilities is not None:
         entries = entries[:1] + legend_of_shares(share_of)
-    _write_legend(pen, pillow, camera.width, camera.height + 1.5 * _LINE + 4, entries)
+    write_legend(pen, camera.width, camera.height + 1.5 * _LINE + 4, entries)
     return np.asarray(image)
 
 
-def legend(timeline: Timeline, sliding: bool = False, pressing: bool = False) -> list[tuple[str, str]]:
-    """Return the colour and words of all that a timeline shows.
+def state_frame(assembly: Assembly, state: States, robots: int, words: str) -> Pixels:
+    """Draw a state with a line above and the legend; see `falsework.utils.display.frame.frame_of`."""
+    timeline = Timeline.from_state(assembly, state, robots).turned(Direction.DISASSEMBLY)
+    box = bounds_of(assembly)
+    return one_state(timeline, 0, FRAME, key=legend(timeline), bounds=box, words=words or assembly.name, samples=2)
 
-    Args:
-        timeline: gives the robots.
-        sliding: parts are marked that slide.
-        pressing: arrows show presses.
-    """
+
+def legend(timeline: Timeline, sliding: bool = False, pressing: bool = False) -> list[tuple[str, str]]:
+    """Return the colour and words of all that a timeline shows."""
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]
     for robot in range(min(int(timeline.holders.max(initial=NO_ROBOT)) + 1, len(ROBOTS))):
         entries.append((robot_color(robot), f"held by robot {robot + 1}"))
@@ -292,14 +285,18 @@ def import_pillow() -> Any:
     return PIL
 
 
-def _write(pen: Any, pillow: Any, position: tuple[float, float], text: str, size: int) -> None:
-    pen.text(position, text, fill=INK, font=pillow.ImageFont.load_default(size), anchor="mm")
+def write_text(
+    pen: Any, position: tuple[float, float], text: str, size: int = 14, color: str = INK, anchor: str = "mm"
+) -> None:
+    """Write a line of text, its middle or another anchor of Pillow at a position in pixels."""
+    pen.text(position, text, fill=color, font=import_pillow().ImageFont.load_default(size), anchor=anchor)
 
 
-def _write_legend(pen: Any, pillow: Any, width: int, middle: float, entries: Sequence[tuple[str, str]]) -> None:
+def write_legend(pen: Any, width: int, middle: float, entries: Sequence[tuple[str, str]]) -> None:
+    """Write colours and words in one line, as small as it takes, in the middle of a picture so many pixels across."""
     size = 14
     while True:
-        font = pillow.ImageFont.load_default(size)
+        font = import_pillow().ImageFont.load_default(size)
         lengths = [pen.textlength(words, font=font) + 42 for _, words in entries]
         if sum(lengths) <= width or size <= 5:
             break
@@ -307,5 +304,5 @@ def _write_legend(pen: Any, pillow: Any, width: int, middle: float, entries: Seq
     left = (width - sum(lengths)) / 2 + 8
     for (color, words), length in zip(entries, lengths, strict=True):
         pen.rectangle((left, middle - 7, left + 20, middle + 7), fill=color)
-        pen.text((left + 26, middle), words, fill=INK, font=font, anchor="lm")
+        write_text(pen, (left + 26, middle), words, size, anchor="lm")
         left += length

@@ -51,7 +51,6 @@ def outlines(assembly: Assembly, axis: int) -> list[list[Array]]:
     """Return closed lines around each part, seen along an axis; holes are lines of their own.
 
     Args:
-        assembly: a structure that is flat along the axis.
         axis: 0 for x, 1 for y.
 
     Returns:
@@ -84,9 +83,6 @@ def drawing(
     """Return the line drawings of some states, with the legend, as SVG.
 
     Args:
-        timeline: timeline to show.
-        places: states to show.
-        columns: drawings in a row.
         width: of each, pixels.
         arrows: drawn into each, instead of the presses of its step.
         key: the legend, colour and words; of the timeline if not given.

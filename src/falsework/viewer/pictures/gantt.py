@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.plans.timeline import schedule_of
+from falsework.robots.plans.timeline import bars_of
 from falsework.utils.files.output_file import write_whole
 from falsework.viewer.palette import INK, rgb, robot_color
 from falsework.viewer.pictures.graph_picture import figure_pixels
@@ -33,43 +33,6 @@ _LETTER = 0.065
 """Width of a letter in a bar, inches."""
 
 
-@dataclass(frozen=True)
-class Bar:
-    """Activity of one arm during an interval."""
-
-    robot: int
-    begin: float
-    end: float
-    """Seconds from the start of the plan."""
-    does: Literal["moves", "carries", "holds"]
-    part: int | None
-
-
-def bars_of(plan: RobotPlan) -> list[Bar]:
-    """Return the activities of the arms of a plan; between two bars of an arm it waits.
-
-    A plan without a schedule is shown one motion after the other.
-    """
-    graph = schedule_of(plan)
-    starts, found = graph.starts().tolist(), []
-    for robot in range(len(plan.robots)):
-        free, held = 0.0, plan.keyframes[0].held[robot]
-        for index in graph.of_robot(robot):
-            node = graph.nodes[index]
-            if held is not None and starts[index] > free:
-                found.append(Bar(robot, free, starts[index], "holds", held))
-            free = starts[index] + node.seconds
-            if node.trajectory is not None:
-                part = plan.steps[node.step].trajectories[node.trajectory].part
-                found.append(Bar(robot, starts[index], free, "moves" if part is None else "carries", part))
-                held = None
-            if node.trajectory is None or node.trajectory == len(plan.steps[node.step].trajectories) - 1:
-                held = plan.keyframes[node.step + 1].held[robot]
-        if held is not None and plan.makespan > free:
-            found.append(Bar(robot, free, plan.makespan, "holds", held))
-    return found
-
-
 @dataclass(frozen=True, eq=False)
 class GanttChart:
     """A chart as a figure, on which times can be marked."""
@@ -83,7 +46,6 @@ class GanttChart:
         """Draw the chart.
 
         Args:
-            plan: the robot plan.
             width: of the figure, inches.
             title: a line above, of the plan if empty; None for a low strip without one.
 
@@ -154,10 +116,7 @@ def draw_gantt(plan: RobotPlan, path: Path, *, width: int = 0, title: str = "") 
     """Draw the chart as PNG or SVG, and return the number of bars.
 
     Args:
-        plan: the robot plan.
-        path: file to write.
         width: pixels across; 0 chooses.
-        title: a line above.
 
     Raises:
         DependencyError: matplotlib is not installed.

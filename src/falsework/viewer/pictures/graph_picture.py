@@ -58,7 +58,6 @@ def covered(graph: StateGraph, visited: States) -> NDArray[np.bool_]:
     """Return whether each state of a graph is among the visited ones.
 
     Args:
-        graph: the graph.
         visited: shape (count, parts), repeated or not.
     """
     seen = np.zeros(len(graph), dtype=bool)
@@ -79,14 +78,9 @@ def graph_figure(
     """Return a Matplotlib figure of a state graph.
 
     Args:
-        graph: graph to draw.
         assembly: its structure; a graph of few states of a two-dimensional one gets small pictures of them.
         route: states of a plan, drawn as a thick line, shape (steps + 1, parts).
         visited: states that a policy visits, drawn in blue, shape (count, parts).
-        title: a line above.
-
-    Raises:
-        DependencyError: Matplotlib is not installed.
     """
     figures, collections = _matplotlib()
     place = places_of(graph)

@@ -42,11 +42,7 @@ class Picture(PictureReport):
     kind: Kind = "png"
 
     def save(self, path: Path | str) -> None:
-        """Write the file, whole or not at all.
-
-        Raises:
-            InputError: a name with the ending of another format, or a place that cannot be written.
-        """
+        """Write the file, whole or not at all."""
         check_suffix(path, f".{self.kind}")
         write_whole(path, lambda file: file.write(self.content))
 
@@ -57,11 +53,7 @@ class Picture(PictureReport):
 
 
 def png_of(pixels: NDArray[np.uint8]) -> bytes:
-    """Return a PNG file of pixels of shape (height, width, 3).
-
-    Raises:
-        DependencyError: Pillow is not installed.
-    """
+    """Return a PNG file of pixels of shape (height, width, 3)."""
     file = io.BytesIO()
     import_pillow().Image.fromarray(pixels).save(file, format="PNG", optimize=True)
     return file.getvalue()

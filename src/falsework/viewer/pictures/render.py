@@ -91,11 +91,8 @@ def render(
     """Return the picture of some solids.
 
     Args:
-        solids: solids to show.
-        camera: view of it.
         bounds: lower and upper corner of the box that the picture shows, shape (2, 3), metres; the same for several
             pictures keeps their scale.
-        floor: let a floor under the box catch shadows.
         samples: pixels are averaged over `samples` squared.
     """
     opaque = [solid for solid in solids if solid.opacity >= 1]
@@ -154,7 +151,6 @@ class _Eye:
         """Return red, green, blue times opacity, and opacity, shape (height, width, 4), and the depth at each pixel.
 
         Args:
-            surface: surface to draw.
             floor: draw the floor, and white where there is nothing; otherwise nothing is drawn there.
             behind: only surfaces nearer than this are drawn, shape (height, width).
         """

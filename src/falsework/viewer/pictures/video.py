@@ -52,11 +52,9 @@ def frames_of(
 
     Args:
         timeline: timeline to show, in its order.
-        seconds: length of a step; a plan with a schedule plays by its own clock instead.
+        seconds: length of a step; a robot plan plays by its own clock instead.
         rate: pictures a second.
-        speed: seconds of a schedule that pass in a second.
-        camera: view of it.
-        arms: robots that carry the plan out.
+        speed: seconds of a robot plan that pass in a second.
         proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
             above.
         samples: as for `render`.
@@ -65,7 +63,7 @@ def frames_of(
     sliding = any(proof.slides for proof in (proofs or {}).values())
     still = max(round(HOLD * rate), 1)
     moments = _moments(timeline, arms, seconds, rate, speed)
-    chart = None if arms is None or arms.clock is None else strip_of(arms.plan, camera.width)
+    chart = None if arms is None else strip_of(arms.plan, camera.width)
     for number, (position, time) in enumerate(moments):
         # One after the other, a step is written as soon as it begins; else the last that the structure has come to.
         step = timeline.next(position) if time is None else timeline.row(position)
@@ -94,14 +92,14 @@ def frames_of(
 def _moments(
     timeline: Timeline, arms: Arms | None, seconds: float, rate: float, speed: float
 ) -> list[tuple[float, float | None]]:
-    """Return the place of every picture, and its time of the schedule if there is one."""
-    if arms is None or arms.clock is None:
+    """Return the place of every picture, and its time if there are arms."""
+    if arms is None:
         return [(abs(place - timeline.begin), None) for place in frame_places(len(timeline), seconds, rate)]
     return [(arms.clock.position(time), time) for time in frame_times(arms.clock.makespan, rate, speed)]
 
 
 def frame_times(makespan: float, rate: float, speed: float) -> list[float]:
-    """Return times of a schedule that are shown, in seconds.
+    """Return times of a robot plan that are shown, in seconds.
 
     Raises:
         InputError: no pictures a second, or a speed of zero.
@@ -147,12 +145,9 @@ def write_film(
 
     Args:
         path: file that ends in .mp4 or .gif.
-        timeline: timeline to show.
-        seconds: length of a step; a plan with a schedule plays by its own clock instead.
+        seconds: length of a step; a robot plan plays by its own clock instead.
         rate: pictures a second.
-        speed: seconds of a schedule that pass in a second.
-        camera: view of it.
-        arms: robots that carry the plan out.
+        speed: seconds of a robot plan that pass in a second.
         proofs: as for `frames_of`.
         progress: called with the number of pictures drawn and of all.
 
@@ -184,20 +179,13 @@ def _write_gif(path: Path, pictures: Iterator[Pixels], rate: float) -> int:
     pillow = import_pillow()
     palette = pillow.Image.new("P", (1, 1))
     palette.putpalette(_gif_colors().ravel().tolist())
-    frames: list[Any] = []
-    lengths: list[int] = []
-    last: Pixels | None = None
-    for picture in pictures:
-        if last is not None and picture is last:
-            lengths[-1] += round(1000 / rate)
-            continue
-        frames.append(pillow.Image.fromarray(picture).quantize(palette=palette, dither=pillow.Image.Dither.NONE))
-        lengths.append(round(1000 / rate))
-        last = picture
+    none = pillow.Image.Dither.NONE
+    frames = [pillow.Image.fromarray(picture).quantize(palette=palette, dither=none) for picture in pictures]
+    each = round(1000 / rate)
 
     def save(file: Any) -> None:
         frames[0].save(
-            file, format="GIF", save_all=True, append_images=frames[1:], duration=lengths, loop=0, optimize=True
+            file, format="GIF", save_all=True, append_images=frames[1:], duration=each, loop=0, optimize=True
         )
 
     write_whole(path, save)

@@ -69,7 +69,6 @@ def unpack(text: str, size: int) -> bytes:
 
     Args:
         text: digits of base 88, five for four bytes, of a Zstandard frame.
-        size: of what is in it, bytes.
 
     Raises:
         ValueError: the text is nothing of that size.

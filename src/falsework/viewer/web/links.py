@@ -18,9 +18,7 @@ def link_to(unit: Unit, value: float, inside: str) -> str:
     """Return a link to a step, or to a second of a schedule.
 
     Args:
-        unit: what the value is.
         value: number of the step, or seconds.
-        inside: HTML or SVG that is clicked.
     """
     return f'<a href="{PATH}?{unit}={value:.6g}" style="color:inherit;text-decoration:none">{inside}</a>'
 

@@ -52,7 +52,6 @@ class OriginGuard:
         """Collect the names that the server answers to.
 
         Args:
-            host: address that the server listens at.
             allowed: further names under which browsers reach it, such as that of a proxy.
         """
         self._extra = {name.strip().lower() for name in allowed} - {""}
@@ -87,10 +86,7 @@ def start_server(
     viser has no settings for these, so `websockets.asyncio.server.serve` is replaced while the server starts.
 
     Args:
-        viser: the package.
-        host: address to listen at.
         port: port to listen at; if it is in use, the next free one, and any if it is 0.
-        guard: decides who is answered.
         go: called with the step or second that a click on a link of the page asks for, see `links`.
 
     Raises:

@@ -1,0 +1,87 @@
+"""Ways out of parts, and of several that leave in one step, as tasks know them."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from falsework.assembly.state import Mask, States
+from falsework.geometry.clearance.locked import PartSet
+from falsework.geometry.paths.moves import ExitPath
+from falsework.search.problem.oracle import Oracle
+
+
+class Clearance(Protocol):
+    """Clearance of parts: which of them have a way out.
+
+    A class that inherits from it has to define `can_leave` and `caveat` alone: by default ways are straight.
+    """
+
+    @property
+    def moves(self) -> int:
+        """Moves of a way out at most; 1 for straight ways."""
+        return 1
+
+    @property
+    def turns(self) -> bool:
+        """Whether a part that leaves may turn."""
+        return False
+
+    def judged_by(self, oracle: Any) -> Clearance:
+        """Return the same clearance, where parts move aside only if an oracle says that the rest stands."""
+        return self
+
+    def can_leave(self, states: States) -> Mask:
+        """Shape (batch, parts): part `i` has an exit that no other present part blocks."""
+        ...
+
+    def exit_path(self, state: States, part: int) -> ExitPath | None:
+        """Return the moves in which a part leaves a state, none of them where it leaves straight; None if it cannot."""
+        return () if self.can_leave(state[None])[0, part] else None
+
+    def caveat(self, parts: Mask) -> str:
+        """Explain why the absence of a plan would not be proven; empty if it would be."""
+        ...
+
+
+class Together(Protocol):
+    """Rule that up to some number of parts may be removed, or inserted, in one step."""
+
+    largest: int
+    """Parts of a step at most."""
+    each_held: bool
+    """Whether several robots may move a set, each with a part of its own; else one robot carries it."""
+
+    @property
+    def carried(self) -> Together:
+        """The same rule for sets that one robot carries."""
+        ...
+
+    def sets(self, movable: Mask) -> tuple[PartSet, ...]:
+        """Return the sets of two parts and more, among parts of shape (parts,), that may leave together somewhere."""
+        ...
+
+    def leave_together(self, parts: PartSet, states: States, *, apart: bool) -> Mask:
+        """Return whether a set, present or not, leaves together from states, shape (batch,).
+
+        Args:
+            parts: the set.
+            states: shape (batch, parts).
+            apart: whether its parts may move along different directions.
+        """
+        ...
+
+    def carriers(self, parts: PartSet, oracle: Oracle) -> tuple[int, ...]:
+        """Return the parts by which one robot can carry a set."""
+        ...
+
+    def can_begin_to_move(self, parts: PartSet, state: States) -> bool:
+        """Return whether all of some parts can begin to move in a state, by shifting and turning."""
+        ...
+
+    def name(self, parts: PartSet) -> str:
+        """Return the names of some parts."""
+        ...
+
+    def caveat(self, sets: tuple[PartSet, ...]) -> str:
+        """Explain why the absence of a plan would not be proven; empty if it would be."""
+        ...
