@@ -28,7 +28,7 @@ from falsework.stability import HoldSettings
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.varied_replay import DRAWS, EnsembleReplayer, replay_varied
 from falsework.stability.holds import HoldMode
-from falsework.stability.judges.build_judge import BuildJudge
+from falsework.stability.judges.discrete_elements import BuildJudge
 
 
 @dataclass(frozen=True)

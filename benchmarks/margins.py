@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from record import report, spread, write_to
+from settling import settle
 from states import find
 
 from falsework import (
@@ -39,7 +40,6 @@ from falsework import (
 from falsework.assembly import INSTALLED, complete_state
 from falsework.search import Demands, PlanMargins
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.judges.discrete_elements import settle
 from falsework.stability.margins.conditions import Condition
 from falsework.stability.margins.state_margins import Bound
 from falsework.stability.verdict import Criterion

@@ -40,7 +40,7 @@ from falsework.geometry.clearance import table
 from falsework.robots.cells.warm_up import compile_kernels
 from falsework.robots.kernels import collision, coordination, numeric_ik, rrt_connect, speed_profile
 from falsework.robots.kinematics import forward
-from falsework.stability.contact.kernel import rest_range
+from falsework.stability.contact.kernel import rest_range, rest_under
 from falsework.stability.contact.press import PressPlanner
 from falsework.stability.contact.press_kernel import press_responses
 from falsework.stability.contact.replay import Replayer
@@ -50,7 +50,6 @@ from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.neighbourhood import local_instability_range
 from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.solver import CpuSolver
-from falsework.stability.margins.kernel import rest_under
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
@@ -152,7 +151,7 @@ def record() -> dict[str, tuple[Any, ...]]:
         problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
         solver = ContactSolver(assembly, problem, settings)
         solver.check(states)
-        solver.check(states, certificates=False, parents=states)  # looks for parts that fall nearby first
+        solver.falls(states, states)
         CpuSolver(problem).check(states, parents=states, guess=np.ones((2, problem.points, 3)))  # repairs forces
         Replayer(assembly).replay(states)
         held = np.where(np.arange(states.shape[1]) < 2, 2, states[0]).astype(np.uint8)

@@ -33,10 +33,10 @@ def _motion() -> None:
 
 
 def _judge() -> None:
-    from falsework.stability.judges.discrete_elements import settle
+    from falsework.stability.judges.discrete_elements import BuildJudge
 
     assembly, states, _ = _arch()
-    settle(assembly, states[0])
+    BuildJudge(assembly).judge(states[:1], [()])
 
 
 def _picture() -> None:

@@ -26,8 +26,8 @@ from falsework.assembly import States
 from falsework.assembly.state import as_states
 from falsework.errors import DependencyError, InputError
 from falsework.stability import Verdicts
+from falsework.stability.exact_solver import block_diagonal, wrench_matrix
 from falsework.stability.problem import Problem, build_problem
-from falsework.stability.reference.conic_program import block_diagonal, wrench_matrix
 from falsework.stability.settings import EQUILIBRIUM
 from falsework.stability.verdict import Solver
 

@@ -36,7 +36,10 @@ def test_a_drawer_is_planned_checked_and_drawn(falsework: Run, folder: Path, tmp
     ("options", "message"),
     [
         (("--moves", 0), "0 is not a number of moves of a way out; give 1 (one move) to 100"),
-        (("--moves", 2, "--parts-at-once", 2), "2 is not a number of parts of drawer that can move at once; give 1 (one at a time) to 1"),
+        (
+            ("--moves", 2, "--parts-at-once", 2),
+            "2 is not a number of parts of drawer that can move at once",
+        ),
     ],
 )
 def test_moves_that_cannot_be_had(falsework: Run, folder: Path, options: tuple, message: str) -> None:

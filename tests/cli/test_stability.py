@@ -156,12 +156,11 @@ def test_solvers_agree_on_an_arch(falsework: Run, solver: str) -> None:
 
 def test_a_gpu_that_is_not_there_gets_one_line(falsework: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     from falsework.errors import DependencyError
-    from falsework.stability import solvers
 
     def missing(*_: Any) -> None:
         raise DependencyError("no GPU here")
 
-    monkeypatch.setattr(solvers, "GpuSolver", missing)
+    monkeypatch.setattr("falsework.stability.oracle.GpuSolver", missing)
     result = falsework("stability", "arch", "--solver", "gpu")
     assert result.code == 2
     assert "no GPU here" in result.error

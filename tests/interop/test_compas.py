@@ -26,7 +26,7 @@ COMPAS_FORMATS = {"meshes": "compas", "assembly": "compas-assembly", "dem": "com
 @pytest.fixture
 def compas() -> Any:
     """The package itself."""
-    return pytest.importorskip("compas", reason="needs compas; pip install 'falsework[judge]'")
+    return pytest.importorskip("compas", reason="needs compas; pip install compas")
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -19,9 +19,8 @@ from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import Stop
 from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.contact.history import History, Replay, ReplaySettings
-from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.contact.varied_replay import AllVariations
-from falsework.stability.judges import build_judge
+from falsework.stability.judges import discrete_elements
 from falsework.stability.judges.judgement import Judgement
 from falsework.utils.cores import core_count
 
@@ -45,7 +44,7 @@ class RuleReplayer:
         self.replayed = 0
 
     def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> RuleReplayer:
-        return RuleReplayer(self.falls | self.varied if replay.first_step < FIRST_STEP else self.falls)
+        return RuleReplayer(self.falls | self.varied if replay.first_step < ReplaySettings.first_step else self.falls)
 
     def replay(self, states: Any, history: History | None = None, presses: Any = None) -> Replay:
         self.replayed += 1
@@ -172,7 +171,7 @@ class RuleJudge:
 @pytest.fixture
 def judged_by(monkeypatch: pytest.MonkeyPatch) -> Callable[[set[tuple[int, ...]]], None]:
     """Set the states in which the judge sees structures fall."""
-    return lambda falls: monkeypatch.setattr(build_judge, "BuildJudge", lambda assembly, holds: RuleJudge(falls))
+    return lambda falls: monkeypatch.setattr(discrete_elements, "BuildJudge", lambda assembly, holds: RuleJudge(falls))
 
 
 @pytest.mark.parametrize("direction", list(Direction))
@@ -275,7 +274,7 @@ def test_the_variation_that_failed_comes_first(rules: Any) -> None:
     tried.clear()
     assert every.falls_at(states, presses) == 3
     assert len(tried) <= core_count()
-    assert any(replay.first_step < FIRST_STEP for replay in tried)
+    assert any(replay.first_step < ReplaySettings.first_step for replay in tried)
 
 
 def test_a_route_says_whether_its_replay_was_varied(rules: Any) -> None:

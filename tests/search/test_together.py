@@ -48,7 +48,7 @@ from falsework.search.together.moves import TogetherMoves
 from falsework.search.together.rule import InterlockedSets
 from falsework.search.together_beam import TogetherBeam
 from falsework.stability import HoldSettings, Verdicts
-from falsework.stability.judges.build_judge import BuildJudge
+from falsework.stability.judges.discrete_elements import BuildJudge
 from falsework.viewer import Timeline
 from falsework.viewer.appearance import appearance_at
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from settling import settle
 
 from falsework import StabilityOracle, StabilitySettings, Verdict, find_plans, verify_certificates
 from falsework.assembly import Joints, complete_state, fasten, library
@@ -14,7 +15,6 @@ from falsework.errors import InputError
 from falsework.stability import ExactSolver
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.gpu.solver import GpuSolver
-from falsework.stability.judges.discrete_elements import settle
 from falsework.stability.margins.placement import placement_curve
 from falsework.stability.problem import build_problem
 

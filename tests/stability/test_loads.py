@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from settling import settle
 
 from falsework import StabilityOracle, StabilitySettings, Verdict
 from falsework.assembly import Loads, complete_state
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.judges.discrete_elements import settle
 
 
 def verdict(assembly: Any, **settings: Any) -> int:

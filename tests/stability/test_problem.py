@@ -13,13 +13,13 @@ from falsework import Assembly, StabilitySettings
 from falsework.assembly import library
 from falsework.errors import AssemblyError, InputError
 from falsework.stability import ExactSolver, NumericalSettings
-from falsework.stability.cpu.admm import factor_admm
 from falsework.stability.cpu.elimination import eliminate
+from falsework.stability.cpu.kernel import factor_admm
 from falsework.stability.cpu.layout import add_wrenches, build_structure, make_scratch, restrict
 from falsework.stability.cpu.panels import factor_panels, solve_panels
 from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.exact_solver import wrench_matrix
 from falsework.stability.problem import Problem, build_problem
-from falsework.stability.reference.conic_program import wrench_matrix
 
 STRUCTURES = ("arch:blocks=7", "wall:bricks=3,courses=3", "dome")
 

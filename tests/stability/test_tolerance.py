@@ -11,7 +11,7 @@ import pytest
 from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, find_plans, verify_certificates
 from falsework.assembly import complete_state, library
 from falsework.search.plans.plan_check import validate_plan
-from falsework.stability import Verdicts, solvers
+from falsework.stability import Verdicts
 from falsework.stability.certificate import residual_of_forces
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.settings import EQUILIBRIUM
@@ -91,7 +91,7 @@ def test_a_gpu_is_no_exception(on_host: Any, simplex: Any, monkeypatch: pytest.M
     def driven(assembly: Assembly, problem: Any, settings: StabilitySettings) -> GpuSolver:
         return on_host(assembly, settings)
 
-    monkeypatch.setattr(solvers, "GpuSolver", driven)
+    monkeypatch.setattr("falsework.stability.oracle.GpuSolver", driven)
     critical = critical_thickness(simplex)
     for thickness, verdict in ((critical - 2e-5, Verdict.UNSTABLE), (critical + 1e-3, Verdict.STABLE)):
         verdicts = checked(arch(thickness), criterion, solver="gpu")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -63,7 +62,6 @@ class CheckPlan(JudgingCommand):
         "reserve",
         "hold_force",
         "margin",
-        "by",
     )
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -100,8 +98,6 @@ class CheckPlan(JudgingCommand):
     replay: bool = False
     """Also replay the plan with contact history, and print one line per step. A plan that
     fails with another stiffness ratio, release increment or initial friction is reported as marginal."""
-    by: Literal["contact", "lmgc90"] = "contact"
-    """Replay method: the contact law of the criterion, or LMGC90 on each state by itself."""
     judge: bool = False
     """Also build the plan by an independent method, with its presses, under the true friction: discrete elements on
     springs as stiff as the contacts of the criterion, as `falsework plan --judge` does. It takes seconds to minutes."""
@@ -119,8 +115,6 @@ class CheckPlan(JudgingCommand):
         from falsework.stability.holds import HoldSettings
         from falsework.stability.settings import StabilitySettings
 
-        if self.by != "contact" and not self.replay:
-            raise InputError("--by selects the method of a replay; add --replay")
         if self.replay and self.criterion != "contact":
             raise InputError("the criterion equilibrium has no contact history; leave out --replay or --criterion")
         settings = StabilitySettings(
@@ -146,14 +140,8 @@ class CheckPlan(JudgingCommand):
         self._report(plan, assembly, found, overrides, output)
         if not found.good:
             return Exit.NO
-        if self.replay:
-            stands = (
-                self._judge_with_lmgc90(plan, assembly, output)
-                if self.by == "lmgc90"
-                else self._replay(plan, assembly, settings, output)
-            )
-            if not stands:
-                return Exit.NO
+        if self.replay and not self._replay(plan, assembly, settings, output):
+            return Exit.NO
         if self.judge and not self._build(plan, assembly, output):
             return Exit.NO
         return exit_of_good(self.plan, overrides, output, accepted=self.accept_overrides)
@@ -166,7 +154,7 @@ class CheckPlan(JudgingCommand):
         from falsework.search.problem.task import Direction
         from falsework.stability.holds import describe_loads
 
-        verified = {REPLAY} if self.replay and self.by == "contact" else set()
+        verified = {REPLAY} if self.replay else set()
         verified |= {JUDGEMENT} if self.judge else set()
         unverified = [claim for claim in found.unverified if claim not in verified]
         moving = [] if found.verdict is None else motions_at(assembly, found.verdict, 0)
@@ -290,7 +278,7 @@ class CheckPlan(JudgingCommand):
     def _build(self, plan: Plan, assembly: Assembly, output: Output) -> bool:
         """Build the plan by discrete elements; return whether no state collapses."""
         from falsework.search.plans.plan_report import describe_place
-        from falsework.stability.judges.build_judge import BuildJudge
+        from falsework.stability.judges.discrete_elements import BuildJudge
 
         judge = BuildJudge(assembly, plan.claim.holds)
         judgement = judge.judge(plan.states, plan.presses_before)
@@ -301,24 +289,4 @@ class CheckPlan(JudgingCommand):
             output.note(f"falsework: {self.plan}: {name} falls when discrete elements build the plan, {where}")
             return False
         output.say(judge_text(judgement))
-        return True
-
-    def _judge_with_lmgc90(self, plan: Plan, assembly: Assembly, output: Output) -> bool:
-        """Check states by LMGC90 up to the first unstable one; states that it cannot compute are only reported."""
-        from falsework.search.plans.plan_report import describe_place
-        from falsework.stability.judges.lmgc90 import judge_by_lmgc90
-
-        stands = refused = 0
-        for row in range(len(plan.states)):
-            (answer,) = judge_by_lmgc90(assembly, plan.states[row : row + 1])
-            moved = answer.moved * 1e3 if math.isfinite(answer.moved) else None
-            record: dict[str, Any] = {"step": row, "lmgc90": answer.answer, "moved_mm": moved}
-            output.row("steps", record | {"reason": answer.reason})
-            output.say(f"{plan.line(row)}: {answer.answer}{f'; {answer.reason}' if answer.reason else ''}")
-            stands += answer.answer == "stands"
-            refused += answer.answer == "not judged"
-            if answer.answer == "falls":
-                output.note(f"falsework: {self.plan}: a part falls under LMGC90 {describe_place(plan, row)}")
-                return False
-        output.say(f"LMGC90: {stands} states are stable, {refused} could not be computed")
         return True

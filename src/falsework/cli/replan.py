@@ -41,6 +41,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
+class _WayOptions(WayOptions):
+    """Ways on which parts leave."""
+
+    rare: ClassVar[tuple[str, ...]] = (*WayOptions.rare, "parts_at_once")
+
+
+@dataclass(frozen=True, kw_only=True)
 class MakeReplan(Command):
     """Plan again from the current state, for instance when a part is late or a robot has failed.
 
@@ -62,8 +69,6 @@ class MakeReplan(Command):
         "device",
         "solver",
         "prop",
-        "parts_at_once",
-        *WayOptions.rare,
     )
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -98,7 +103,7 @@ class MakeReplan(Command):
         None
     )
     """Number of robots: parts that can be held at a time."""
-    ways: WayOptions
+    ways: _WayOptions
     holds: HoldOptions
     criterion: CriterionOfPlan = None
     alternatives: int = 1

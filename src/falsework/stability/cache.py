@@ -92,9 +92,3 @@ def unique_rows(states: States) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     _, first, back = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(first)
     return first[order], np.argsort(order)[back]
-
-
-def unique_states(states: States) -> tuple[States, NDArray[np.intp]]:
-    """Return every distinct state once, and for each row the index of its distinct state."""
-    first, back = unique_rows(states)
-    return states[first], back

@@ -43,7 +43,6 @@ def verify_certificates(
     """Return whether each verdict is proven by its certificate.
 
     Args:
-        assembly: the structure.
         states: shape (batch, parts).
         verdicts: with forces and velocity, under `contact` with displacement.
         claim: criterion, cone, gravity, tolerance and force bound; if not given, those that `StabilityOracle` has by
@@ -109,7 +108,6 @@ def residual_of_displacement(
     strength, tangential springs limited by friction and cohesion, no force at zero displacement.
 
     Args:
-        assembly: the structure.
         states: shape (batch, parts).
         displacement: `(translation, rotation)` about the centres of mass in m and rad, shape (batch, parts, 6);
             those of parts that are fixed in a state are ignored.
@@ -140,7 +138,6 @@ def residual_of_forces(
     """Return the residual that contact forces leave; infinity where they are not admissible.
 
     Args:
-        assembly: the structure.
         states: shape (batch, parts).
         forces: `(n, t1, t2)` in N at every contact point, shape (batch, points, 3); those that do not act in
             a state are ignored.
@@ -173,7 +170,6 @@ def residuals_in_order(
     other parts keep their residual.
 
     Args:
-        assembly: the structure.
         states: shape (batch, parts).
         forces: of each state, shape (points, 3); not all of them need to be in memory.
         claim: cone, gravity and force bound.
@@ -241,7 +237,6 @@ def _share_of_gravity(assembly: Assembly, wrench: Array, parts: NDArray[np.int64
     """Return the acceleration of some parts under contact forces and loads, a share of gravity, shape (..., parts).
 
     Args:
-        assembly: the structure.
         wrench: of the contact forces, shape (..., parts, 6).
         parts: their numbers.
         claim: gravity.
@@ -266,7 +261,6 @@ def residual_bound_of_velocity(
     times the 1-norm of the momentum, angular momenta divided by the radii of gyration (a quantitative Farkas lemma).
 
     Args:
-        assembly: the structure.
         states: shape (batch, parts).
         velocity: `(linear, angular)` about the centres of mass, shape (batch, parts, 6); ignored for parts that are
             fixed in a state.

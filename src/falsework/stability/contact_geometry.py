@@ -57,6 +57,10 @@ class ContactGeometry(NamedTuple):
         rows = (6 * parts[:, None] + np.arange(6)).ravel()
         return (self.wrench[rows] @ forces.ravel()).reshape(-1, 6)
 
+    def present(self, states: States) -> NDArray[np.bool_]:
+        """Return the contact points with both parts present, shape (..., points)."""
+        return (states[..., self.part_a] > 0) & (states[..., self.part_b] > 0)
+
     def acts(self, states: States, points: NDArray[np.int64] | slice = slice(None)) -> NDArray[np.bool_]:
         """Return the contact points with both parts present and at least one that can move. Shape (batch, points)."""
         one, other = states[:, self.part_a[points]], states[:, self.part_b[points]]

@@ -20,7 +20,6 @@ def motion_of(assembly: Assembly, verdicts: Verdicts, row: int) -> NDArray[np.fl
     state that tips it is the motion that grows, without those too.
 
     Args:
-        assembly: the structure.
         verdicts: with certificates, as `StabilityOracle.verdicts` returns them where asked to.
         row: index of the state.
 

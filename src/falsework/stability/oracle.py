@@ -12,28 +12,26 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import States, as_states
-from falsework.errors import StateError
-from falsework.stability.cache import VerdictCache, unique_rows, unique_states
+from falsework.errors import InputError, StateError
+from falsework.stability.cache import VerdictCache, unique_rows
 from falsework.stability.certificate import chunks, verify_certificates
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.solver import ContactSolver
+from falsework.stability.contact.varied_replay import EnsembleReplayer
 from falsework.stability.counters import Counters
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.margins.margins import QUICK, MarginFinder
 from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.state_margins import StateMargins
-from falsework.stability.problem import build_problem
+from falsework.stability.problem import Problem, build_problem
 from falsework.stability.settings import StabilitySettings
-from falsework.stability.solvers import criterion_solver, gpu_solver
 from falsework.stability.state_memory import Guesses
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
-    from falsework.stability.reference.clarabel import ExactSolver
-
-_WORTH_A_GPU = 8
-"""States from which `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
+    from falsework.assembly.model import Assembly
+    from falsework.stability.exact_solver import ExactSolver
 
 
 class StabilityOracle:
@@ -50,16 +48,24 @@ class StabilityOracle:
             assembly, cone=settings.friction_cone, gravity=settings.gravity, reserve=settings.reserve
         )
         self.counters = Counters()
-        self._criterion = criterion_solver(assembly, self.problem, settings)
+        if contact := settings.criterion == "contact":
+            self._criterion: CpuSolver = ContactSolver(assembly, self.problem, settings)
+        elif assembly.joints is not None and assembly.joints.setting:
+            raise InputError("joints that set need the criterion contact; equilibrium has no steps")
+        else:
+            self._criterion = CpuSolver(self.problem, settings)
+        known = contact or (settings.solver in ("auto", "cpu") and not self.problem.strength.idle.any())
+        self._cpu = self._criterion if known else None
+        """Solver on the CPU; None where the exact solver is asked for, or the only one that knows all contacts."""
         self._gpu = gpu_solver(assembly, settings, self.problem)
-        self._cache = VerdictCache(holds_keep_stable=self.holds_keep_stable)
-        nothing = self._criterion.no_guess(1)[0]
-        self.guesses = Guesses(nothing, assembly.boundary, holds_keep_stable=self.holds_keep_stable)
+        keep = self._criterion.holds_keep_stable
+        self._cache = VerdictCache(holds_keep_stable=keep)
+        self.guesses = Guesses(self._criterion.no_guess(1)[0], assembly.boundary, holds_keep_stable=keep)
 
     @cached_property
     def exact(self) -> ExactSolver:
         """Exact solver for states that the others leave undecided; most searches never need it."""
-        from falsework.stability.reference.clarabel import ExactSolver
+        from falsework.stability.exact_solver import ExactSolver
 
         return ExactSolver(self.assembly, self.settings, self.problem)
 
@@ -74,7 +80,10 @@ class StabilityOracle:
 
         With a reserve it is an `EnsembleReplayer`.
         """
-        return self._criterion.replayer
+        if not isinstance(self._criterion, ContactSolver):
+            return None
+        kind = EnsembleReplayer if self.settings.reserve > 1.0 else Replayer
+        return kind(self.assembly, self.settings, solver=self._criterion)
 
     def verdicts(
         self, states: ArrayLike, *, near: ArrayLike | None = None, require_certificate: bool = False
@@ -134,7 +143,7 @@ class StabilityOracle:
         """Solver of single states under modified friction and additional loads, which count from the true friction."""
         if self.settings.reserve != 1.0:
             return StabilityOracle(self.assembly, replace(self.settings, reserve=1.0)).prober
-        return Prober(self.assembly, self.problem, self.settings, self._criterion.cpu)
+        return Prober(self.assembly, self.settings, self._criterion)
 
     @cached_property
     def _margins(self) -> MarginFinder:
@@ -151,7 +160,7 @@ class StabilityOracle:
         verdict, residual, _ = self._cache.look_up(states)
         rest = np.flatnonzero(verdict == 0)
         if len(rest):
-            falls = self._criterion.is_locally_unstable(states[rest], parents[rest])
+            falls = self._criterion.falls(states[rest], parents[rest])
             self.counters.cpu += int(falls.sum())
             verdict[rest[falls]] = Verdict.UNSTABLE
             self._cache.store(states[rest[falls]], verdict[rest[falls]], residual[rest[falls]])
@@ -166,16 +175,13 @@ class StabilityOracle:
 
         What is found of one state serves others of the batch that it is near to.
         """
-        unique, back = unique_states(states)
-        verdicts, left, origins = (
-            self._criterion.all_undecided(len(unique)),
-            np.arange(len(unique)),
-            np.empty_like(unique),
-        )
+        first, back = unique_rows(states)
+        unique = states[first]
+        verdicts = self.problem.undecided(len(unique), displaced=self._criterion.displaced)
+        left, origins = np.arange(len(unique)), np.empty_like(unique)
         if near is not None:
             origins[back] = near
-        starts_near = near is not None and self._criterion.cpu is not None
-        starts_near = starts_near and self._choose(len(unique)) is self._criterion.cpu
+        starts_near = near is not None and self._choose(len(unique)) is self._cpu is not None
         while len(left):
             begun, found = left[:0], None
             if starts_near:
@@ -203,11 +209,11 @@ class StabilityOracle:
         new = {row: guess for row in others if (guess := self.guesses.get(near[row])) is not None}
         known = own | new
         chosen = np.array(list(known), dtype=np.intp)
-        if self._criterion.cpu is None or not known:
+        if self._cpu is None or not known:
             return chosen, None
         origins = np.concatenate([states[list(own)], near[list(new)]])
         guess = np.array(list(known.values()), dtype=np.float64)
-        found = self._criterion.cpu.check(states[chosen], parents=origins, guess=guess)
+        found = self._cpu.check(states[chosen], parents=origins, guess=guess)
         found.verdict[~(found.stable & self._accept(states[chosen], found))] = Verdict.UNDECIDED
         self._criterion.refine_undecided(states[chosen], found)
         self.counters.warm += len(chosen)
@@ -216,7 +222,7 @@ class StabilityOracle:
 
     def _certify_from_rest(self, states: States) -> Verdicts:
         """Return verdicts with certificates on distinct states, of which nothing is known."""
-        solver, cpu = self._choose(len(states)), self._criterion.cpu
+        solver, cpu = self._choose(len(states)), self._cpu
         if solver is None:
             return self.exact.check(states)
         verdicts = solver.check(states, certificates=True)
@@ -281,8 +287,8 @@ class StabilityOracle:
                 self.guesses.remember(states[rows][solved.stable], guess[solved.stable])
             verdicts.put(rows, solved)
         rest = np.flatnonzero(verdicts.undecided)
-        if len(rest) and solver is self._gpu and self._criterion.cpu is not None:
-            verdicts.put(rest, self._criterion.cpu.check(states[rest], certificates=False))
+        if len(rest) and solver is self._gpu and self._cpu is not None:
+            verdicts.put(rest, self._cpu.check(states[rest], certificates=False))
             rest = rest[verdicts.undecided[rest]]
         if len(rest):
             exact = self._decide_exactly(states[rest], verdicts[rest])
@@ -316,11 +322,11 @@ class StabilityOracle:
             decided.put(rows, exact)
         return decided
 
-    def _choose(self, count: int) -> CpuSolver | ContactSolver | GpuSolver | None:
+    def _choose(self, count: int) -> CpuSolver | GpuSolver | None:
         """Choose the solver for a batch of this size; None for the exact solver."""
-        if self._gpu is not None and (self.settings.solver == "gpu" or count >= _WORTH_A_GPU):
+        if self._gpu is not None and (self.settings.solver == "gpu" or count >= self.settings.numerics.gpu_states):
             return self._gpu
-        return self._criterion.cpu
+        return self._cpu
 
     def _count(self, verdicts: Verdicts) -> None:
         self.counters.cpu += int((verdicts.decided_by == Solver.CPU).sum())
@@ -334,3 +340,15 @@ def _roots(states: States, near: States, rows: NDArray[np.intp]) -> NDArray[np.i
     asked = {states[row].tobytes(): row for row in rows}
     first = [row for row in rows if asked.get(near[row].tobytes(), row) == row]
     return np.array(first, dtype=np.intp) if first else rows
+
+
+def gpu_solver(assembly: Assembly, settings: StabilitySettings, problem: Problem) -> GpuSolver | None:
+    """Return the GPU solver if the settings ask for it; with `auto`, only where there is a GPU."""
+    if settings.solver not in ("auto", "gpu"):
+        return None
+    try:
+        return GpuSolver(assembly, problem, settings)
+    except InputError:  # no torch, no bindings or no device
+        if settings.solver == "gpu":
+            raise
+        return None

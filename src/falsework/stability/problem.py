@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
-from falsework.errors import AssemblyError, InputError
+from falsework.errors import AssemblyError
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.strength import Strength, strength_of
+from falsework.stability.verdict import Verdicts
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -96,6 +97,11 @@ class Problem:
         """Number of pairs of parts in contact."""
         return len(self.pair_parts)
 
+    def undecided(self, batch: int, *, certificates: bool = True, displaced: bool = False) -> Verdicts:
+        """Return undecided verdicts on a batch of states, with room for certificates, and for displacements in them."""
+        points, parts = (self.points, self.parts) if certificates else (None, None)
+        return Verdicts.all_undecided(batch, points=points, parts=parts, displaced=displaced)
+
     def free(self, states: States) -> Mask:
         """Return the parts that can move: installed and not held. Shape (batch, parts)."""
         return states == INSTALLED
@@ -118,13 +124,8 @@ def build_problem(
         reserve: number by which friction is divided.
 
     Raises:
-        InputError: unknown cone, or gravity that is not positive.
         AssemblyError: a part whose inertia is not positive definite.
     """
-    if cone not in ("octagon", "quadratic"):
-        raise InputError(f"unknown friction cone {cone!r}; choose octagon or quadratic")
-    if not (np.isfinite(gravity) and gravity > 0):
-        raise InputError(f"gravity is {gravity} m/s2; give a positive number such as 9.81")
     contacts, mass = assembly.contacts, assembly.mass
     owner = contacts.contact_of_point
     part_a, part_b = contacts.parts[owner, 0], contacts.parts[owner, 1]

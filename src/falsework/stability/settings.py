@@ -33,13 +33,29 @@ class NumericalSettings:
     interior_steps: int = 50
     """Iterations of the interior point method before a state is left to the exact solver."""
     contact_steps: int = 400
-    """Newton iterations under the criterion `contact` before a state is left undecided."""
+    """Newton iterations under the criterion `contact` before a state is left undecided, and in replays an increment."""
+    warm_steps: int = 64
+    """The same from the displacement of a neighbour, before a state is tested for equilibrium; if it is, they continue,
+    by as many where no certificate is requested: a search has other states to try. Before them come half as many of
+    the parts near the difference alone. Checked on recorded searches."""
+    first_step: float = 30.0
+    """First time step of these iterations from rest, in units in which the median contact stiffness is 1: longer means
+    lower viscosity. With much longer ones iterations may jump to an equilibrium that parts would not reach as they
+    settle into their contacts."""
+    warm_first_step: float = 1e4
+    """The same from the displacement of a neighbour, which is closer to the solution."""
+    gpu_states: int = 8
+    """States from which the solver `auto` uses the GPU: a launch costs as much as a few states on the CPU."""
+    gpu_bytes: int = 2 << 30
+    """Device memory for the forces and velocities of one chunk of states."""
     threads: int | None = None
     """Worker threads on the CPU; all cores by default."""
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.rho) and self.rho > 0):
-            raise InputError(f"rho is {self.rho}; give a positive number")
+        for name in ("rho", "first_step", "warm_first_step"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"{name} is {value}; give a positive number")
         if not 0 < self.relaxation < 2:
             raise InputError(f"relaxation is {self.relaxation}; give a number between 0 and 2")
         for name, least in (
@@ -47,6 +63,9 @@ class NumericalSettings:
             ("check_every", 1),
             ("interior_steps", 0),
             ("contact_steps", 1),
+            ("warm_steps", 1),
+            ("gpu_states", 1),
+            ("gpu_bytes", 1),
             ("threads", 1),
         ):
             value = getattr(self, name)

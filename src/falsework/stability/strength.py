@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.assembly.joints import Joints
 from falsework.assembly.model import Assembly
 from falsework.geometry.contact.contacts import Contacts
 
@@ -48,6 +49,13 @@ class Strength(NamedTuple):
         """Return the strength of selected points."""
         friction, pull, stick, tears, idle = self
         return Strength(friction[points], pull[points], stick[points], tears[points], idle[points])
+
+    def at(self, torn: NDArray[np.bool_], age: NDArray[np.int32], joints: Joints | None) -> Strength:
+        """Return the strength where points have torn, or joints not yet set at their age in steps, shape (points,)."""
+        share = np.where(torn, 0.0, 1.0)
+        if joints is not None and joints.setting:
+            share = share * joints.set_share(age[None])[0]
+        return self._replace(pull=share * self.pull, stick=share * self.stick)
 
 
 def strength_of(assembly: Assembly, gravity: float = 9.81, reserve: float = 1.0) -> Strength:

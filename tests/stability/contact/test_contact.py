@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from settling import settle
 
 from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, load_structure, verify_certificates
 from falsework.assembly import complete_state, empty_state, library
@@ -15,7 +16,6 @@ from falsework.errors import InputError
 from falsework.geometry import TriangleMesh
 from falsework.stability import Proof, Verdicts
 from falsework.stability.certificate import forces_of_displacement, residual_of_displacement
-from falsework.stability.judges.discrete_elements import settle
 from falsework.stability.settings import EQUILIBRIUM
 
 RATIOS = (0.4, 0.7, 1.0)

@@ -259,8 +259,7 @@ def test_forces_respond_to_presses_as_in_the_replay(scenes: Any) -> None:
     index, forces = np.zeros(problem.points, np.int64), np.zeros((7, problem.points, 3))
     moves = np.zeros((7, 6))
     count = press_responses(
-        replayer.structure,
-        replayer.contact,
+        replayer.law,
         BESIDE[1],
         BESIDE[2],
         np.array([PRESSER]),

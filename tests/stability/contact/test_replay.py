@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from settling import replay_by_discrete_elements
 
 from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, find_plans, load_structure, make_task
 from falsework.assembly import complete_state, library
 from falsework.errors import InputError
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.stability.contact.history import ReplaySettings
-from falsework.stability.contact.replay import Replayer, replay_plans
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.varied_replay import replay_varied
-from falsework.stability.judges.discrete_elements import replay_by_discrete_elements
 
 
 def plan_states(assembly: Assembly, robots: int = 2) -> NDArray[np.uint8]:
@@ -151,7 +152,7 @@ def test_friction_at_the_start_changes_the_forces(dome: Assembly, dome_states: N
 
 
 @pytest.mark.parametrize(
-    "settings", [{"increments": 0}, {"first_step": 0.0}, {"friction_noise": -1.0}, {"steps": 0}, {"first_step": np.nan}]
+    "settings", [{"increments": 0}, {"first_step": 0.0}, {"friction_noise": -1.0}, {"first_step": np.nan}]
 )
 def test_wrong_settings_are_named(settings: dict[str, Any]) -> None:
     with pytest.raises(InputError):
@@ -160,7 +161,8 @@ def test_wrong_settings_are_named(settings: dict[str, Any]) -> None:
 
 def test_plans_are_replayed_side_by_side(dome: Assembly, dome_states: NDArray) -> None:
     replayer = Replayer(dome)
-    first, second = replay_plans(replayer, [dome_states, dome_states[:10]])
+    with ThreadPoolExecutor(2) as pool:
+        first, second = pool.map(replayer.replay, [dome_states, dome_states[:10]])
     assert (first.good, second.good) == (True, True)
     np.testing.assert_array_equal(first.moved[:10], second.moved)
 
@@ -176,7 +178,7 @@ def test_plans_of_real_structures_stand(shared_assembly: Callable[[str], Path], 
 def test_parts_that_settle_first_near_a_change_end_where_the_whole_would(dome: Assembly, dome_states: NDArray) -> None:
     """Iterations that begin near the change come to the same rest as those of the whole from where it was."""
     replayer, plain = Replayer(dome), Replayer(dome)
-    plain.options = plain.options._replace(near_steps=0)
+    plain.options = plain.options._replace(warm_steps=0)
     near, whole = replayer.replay(dome_states), plain.replay(dome_states)
     assert near.good
     assert whole.good

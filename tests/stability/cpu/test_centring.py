@@ -22,10 +22,10 @@ Found = tuple[NDArray[np.bool_], NDArray[np.float64]]
 
 def _centre(solver: CpuSolver, states: NDArray, parents: NDArray, forces: NDArray) -> Found:
     verdict, residual = np.zeros(len(states), np.int8), np.full(len(states), np.nan)
-    counts, out = np.zeros((2, len(states)), np.int32), forces.copy()
+    counts, out = np.zeros(len(states), np.int32), forces.copy()
     known = np.ones(len(states), dtype=bool)
     kernel = solver.structure, states, parents, known, solver.reach, True, kernel_options(EQUILIBRIUM)
-    repair_range(*kernel, out, verdict, residual, *counts)
+    repair_range(*kernel, out, verdict, residual, counts)
     return verdict == Verdict.STABLE, out
 
 

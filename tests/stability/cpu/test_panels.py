@@ -7,70 +7,33 @@ import pytest
 from numpy.typing import NDArray
 
 from falsework import load_structure
-from falsework.stability.cpu import ordering
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.layout import KernelArrays, build_structure, make_scratch
-from falsework.stability.cpu.ordering import Graph, elimination_order
 from falsework.stability.cpu.panels import factor_panels, solve_panels
 from falsework.stability.problem import build_problem
 
 
-def sheet(width: int, height: int, shear: bool = False) -> Graph:
-    """Return staggered courses of cells in contact with six others each; with `shear` all are shifted the same way."""
-    neighbours: Graph = {i: set() for i in range(width * height)}
-    for i in neighbours:
-        x, y = i % width, i // width
-        left = 0 if shear else y % 2 - 1
-        for dx, dy in ((1, 0), (left, 1), (left + 1, 1)):
-            if 0 <= x + dx < width and y + dy < height:
-                neighbours[i].add(i + dx + dy * width)
-                neighbours[i + dx + dy * width].add(i)
-    return neighbours
-
-
-def fill(neighbours: Graph, order: list[int]) -> NDArray[np.int64]:
-    """Return the number of blocks below the diagonal of each column of the factor."""
-    left, sizes = {part: set(others) for part, others in neighbours.items()}, []
-    for part in order:
-        clique = left.pop(part)
-        sizes.append(len(clique))
-        for other in clique:
-            left[other] |= clique
-            left[other] -= {part, other}
-    return np.array(sizes)
-
-
-@pytest.mark.parametrize(("width", "height"), [(5, 4), (40, 30)])
-def test_an_order_takes_every_part_once(width: int, height: int) -> None:
-    neighbours = sheet(width, height)
-    before = {part: set(others) for part, others in neighbours.items()}
-    assert sorted(elimination_order(neighbours)) == list(range(width * height))
-    assert neighbours == before
-
-
-def test_dissection_is_taken_where_it_fills_less() -> None:
-    staggered, sheared = sheet(50, 40), sheet(50, 40, shear=True)
-    orders = elimination_order(staggered), elimination_order(sheared)
-    plain = elimination_order(staggered, leaf=10**6)
-    assert (fill(staggered, orders[0]) ** 2).sum() < 0.7 * (fill(staggered, plain) ** 2).sum()
-    assert orders[1] == elimination_order(sheared, leaf=10**6)
-
-
-def test_structures_in_pieces_are_dissected_too() -> None:
-    one, many = sheet(30, 15), sheet(30, 15)
-    neighbours = one | {part + 1000: {other + 1000 for other in others} for part, others in many.items()}
-    neighbours[5000] = set()
-    assert sorted(elimination_order(neighbours)) == sorted(neighbours)
-
-
-def test_separators_separate() -> None:
-    neighbours = sheet(30, 20)
-    one, other, between = ordering.separate(neighbours, set(neighbours))
-    assert one | other | between == set(neighbours)
-    assert len(one) + len(other) + len(between) == len(neighbours)
-    assert not any(neighbours[part] & other for part in one)
-    assert len(between) <= 21
-    assert max(len(one), len(other)) < 0.7 * len(neighbours)
+@pytest.mark.parametrize("name", ["vault:parts=62", "wall:bricks=3,courses=3", "stack", "dome"])
+def test_rows_below_supernodes_are_the_fill(name: str) -> None:
+    """What elimination of one part after another fills is what the pattern has, with few zeros in addition."""
+    problem = build_problem(load_structure(name))
+    pattern = build_structure(problem).elimination
+    assert sorted(pattern.order) == np.flatnonzero(~problem.boundary).tolist()
+    touches = [set[int]() for _ in pattern.order]
+    for pair in pattern.position[problem.pair_parts].tolist():
+        if min(pair) >= 0:
+            touches[min(pair)].add(max(pair))
+    stored = 0
+    for j, rows in enumerate(touches):
+        supernode = pattern.supernode[j]
+        end, bounds = pattern.start[supernode + 1], pattern.row_start[supernode : supernode + 2]
+        row = pattern.row[bounds[0] : bounds[1]]
+        assert (np.diff(row) > 0).all()
+        assert {i for i in rows if i >= end} <= set(row.tolist())
+        stored += end - 1 - j + len(row)
+        if rows:
+            touches[min(rows)] |= rows - {min(rows)}
+    assert sum(map(len, touches)) <= stored <= 1.3 * sum(map(len, touches))
 
 
 @pytest.fixture(scope="module", params=["vault:parts=62", "wall:bricks=3,courses=3", "stack"])

@@ -25,7 +25,7 @@ def test_repaired_forces_prove_the_state(
     solver = CpuSolver(build_problem(vault))
     known = solver.check(before)
     verdict, residual = np.zeros(len(states), np.int8), np.full(len(states), np.nan)
-    counts = np.zeros((2, len(states)), np.int32)
+    counts = np.zeros(len(states), np.int32)
     assert known.forces is not None
     forces = known.forces.copy()
     kernel = (
@@ -37,7 +37,7 @@ def test_repaired_forces_prove_the_state(
         interior,
         kernel_options(EQUILIBRIUM),
     )
-    left = repair_range(*kernel, forces, verdict, residual, *counts)
+    left = repair_range(*kernel, forces, verdict, residual, counts)
     good = np.flatnonzero(verdict == Verdict.STABLE)
     assert len(good) == len(states) - left > 0
     checked = solver.check(states)[good]

@@ -14,7 +14,7 @@ import pytest
 from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, load_structure, verify_certificates
 from falsework.assembly import library
 from falsework.errors import DependencyError, InputError
-from falsework.stability import NumericalSettings, solvers
+from falsework.stability import NumericalSettings
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.gpu.driver import KERNELS, CudaDriver, compile_kernel
 from falsework.stability.gpu.layout import build_layout
@@ -39,7 +39,7 @@ def compare(make_solver: Callable[..., GpuSolver], assembly: Assembly, states: A
     expected = CpuSolver(solver.problem, settings).check(states, certificates=False)
     both = ~verdicts.undecided & ~expected.undecided  # what either leaves open goes to the exact solver
     np.testing.assert_array_equal(verdicts.verdict[both], expected.verdict[both])
-    assert both.mean() > 0.95
+    assert both.mean() >= 0.95
     np.testing.assert_array_equal(verify_certificates(assembly, states, verdicts, settings.claim), ~verdicts.undecided)
     np.testing.assert_array_equal(verdicts.decided_by, np.where(verdicts.undecided, Solver.NONE, Solver.GPU))
     return verdicts
@@ -243,8 +243,7 @@ def test_compiles_for_a_gpu(kernel: str, tmp_path: Path, monkeypatch: pytest.Mon
 def test_oracle_sends_large_batches_to_the_gpu_and_small_ones_to_the_processor(monkeypatch, host_driver, criterion):
     assembly = library.build("arch:blocks=7")
     monkeypatch.setattr(
-        solvers,
-        "GpuSolver",
+        "falsework.stability.oracle.GpuSolver",
         lambda assembly, problem, settings: GpuSolver(
             assembly, problem, settings, make_driver=lambda defines, _: host_driver(defines)
         ),
@@ -271,7 +270,7 @@ def test_oracle_without_a_gpu_says_so_or_takes_the_processor(monkeypatch):
     def missing(assembly, problem, settings):
         raise DependencyError("no torch here; pip install 'falsework[gpu]'")
 
-    monkeypatch.setattr(solvers, "GpuSolver", missing)
+    monkeypatch.setattr("falsework.stability.oracle.GpuSolver", missing)
     assembly = library.build("arch:blocks=5")
     state = np.where(assembly.boundary, 2, 1).astype(np.uint8)[None].repeat(9, axis=0)
     auto = StabilityOracle(assembly, StabilitySettings(solver="auto"))

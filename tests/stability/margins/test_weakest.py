@@ -56,8 +56,7 @@ class Families:
             guess=lambda _: 1.0,
             cap=CAP,
             floor=lambda _: 1e-4,
-            around=around,
-            sample=count // 3 if around else None,
+            around=count // 3 if around else 0,
             hurry=hurry,
         ).search(self.confirm)
 

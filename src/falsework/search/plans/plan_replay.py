@@ -20,7 +20,7 @@ from falsework.stability.judges.judgement import Judgement
 if TYPE_CHECKING:
     from falsework.search.problem.result import Stop
     from falsework.stability.contact.history import History, Replay
-    from falsework.stability.contact.varied_replay import VariableReplayer
+    from falsework.stability.contact.varied_replay import AnyReplayer
 
 _REPEATS, _LEAST = 1.1, 1e-9
 """Factor and length in m within which two replays of the same plan agree, on different processors too."""
@@ -80,7 +80,7 @@ class PlanReplay:
 _NOT_PLAIN = "presses", "steps", "judgement", "loads"
 
 
-def _histories(replayer: VariableReplayer, states: States, presses: tuple[tuple[Press, ...], ...]) -> list[History]:
+def _histories(replayer: AnyReplayer, states: States, presses: tuple[tuple[Press, ...], ...]) -> list[History]:
     """Return the histories along a route, up to the first state that does not come to rest.
 
     A few steps at a time: a replayer with a deadline looks at the clock between them, and keeps no histories of more.
@@ -106,7 +106,7 @@ class Acceptance:
     Where it is asked for, it comes to rest under every change of settings, and discrete elements build it as well.
     """
 
-    def __init__(self, replayer: VariableReplayer | None, *, robust: bool = False, judge: bool = False) -> None:
+    def __init__(self, replayer: AnyReplayer | None, *, robust: bool = False, judge: bool = False) -> None:
         """Prepare the test; without a replayer there is none.
 
         Raises:
@@ -116,7 +116,7 @@ class Acceptance:
             raise InputError("the judge builds plans under the criterion contact; choose it, or leave the judge out")
         self._judge = None
         if judge and replayer is not None:
-            from falsework.stability.judges.build_judge import BuildJudge
+            from falsework.stability.judges.discrete_elements import BuildJudge
 
             self._judge = BuildJudge(replayer.assembly, replayer.settings.holds)
         self._replayer, self._plain = replayer, replayer

@@ -10,7 +10,7 @@ from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Route, Stop, barred_row
 from falsework.search.problem.search import ReplaySummary
 from falsework.search.settings import PlannerSettings
-from falsework.stability.contact.varied_replay import VariableReplayer
+from falsework.stability.contact.varied_replay import AnyReplayer
 
 
 def barred_state(states: States, row: int) -> States:
@@ -40,7 +40,7 @@ class RouteTests:
         """Of the routes that stand in their replays, and that the judge does not accept, the one built farthest."""
         self.forbidden = np.empty((0, parts), dtype=np.uint8)
         """Excluded states, shape (count, parts)."""
-        self.replayer: VariableReplayer | None = oracle.replayer
+        self.replayer: AnyReplayer | None = oracle.replayer
         """Replayer of complete routes; None where there is no history to take into account."""
         self._settings = settings
         self._acceptance = Acceptance(self.replayer, robust=settings.robust, judge=settings.judge)

@@ -12,7 +12,7 @@ from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdicts
 
 if TYPE_CHECKING:
-    from falsework.stability.contact.varied_replay import VariableReplayer
+    from falsework.stability.contact.varied_replay import AnyReplayer
 
 
 class Criterion(Protocol):
@@ -37,7 +37,7 @@ class Oracle(Criterion, Protocol):
         return False
 
     @property
-    def replayer(self) -> VariableReplayer | None:
+    def replayer(self) -> AnyReplayer | None:
         """Replayer of sequences of states; None where there is no history to take into account."""
         return None
 

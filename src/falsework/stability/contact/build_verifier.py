@@ -67,7 +67,6 @@ class BuildVerifier:
         """Begin before the first state.
 
         Args:
-            assembly: the structure.
             claim: cone, gravity, tolerance, reserve, and the stiffness and limits of robots.
         """
         self._assembly, self._claim = assembly, claim
@@ -84,7 +83,7 @@ class BuildVerifier:
         """Evaluate the step to the next state, shape (parts,); the first one is loaded from rest."""
         assembly, claim, law = self._assembly, self._claim, self._law
         before = np.zeros_like(state) if self._before is None else self._before
-        there, was = law.present(state), law.present(before)
+        there, was = law.geometry.present(state), law.geometry.present(before)
         if self._before is not None:
             self._age = np.where(there & was, self._age + 1, 0)
         springs = np.where((there & was)[:, None], self._springs, 0.0)
@@ -92,7 +91,7 @@ class BuildVerifier:
         steps = certificate.displacement * (state != REMOVED)[None, :, None]
         sound = bool(np.isfinite(steps).all())
         torn = certificate.torn if len(certificate.torn) else np.zeros(law.points, dtype=bool)
-        strength = law.strength(torn, self._age)
+        strength = law.whole.at(torn, self._age, assembly.joints)
         for step in steps if sound else ():
             springs, whole = law.follow(springs, step, strength, torn, there)
             sound = sound and whole
@@ -182,35 +181,18 @@ class _Law:
 
     def __init__(self, assembly: Assembly, claim: StabilityCriterion) -> None:
         self.geometry = geometry_of(assembly.contacts, assembly.mass)
-        self._whole = strength_of(assembly, claim.gravity, claim.reserve)
+        self.whole = strength_of(assembly, claim.gravity, claim.reserve)
         stiffness = normal_stiffness(assembly, claim.gravity)
         self._stiffness = np.column_stack([stiffness, *[claim.stiffness_ratio * stiffness] * 2])
-        self._cone, self._joints = claim.cone, assembly.joints
+        self._cone = claim.cone
         self.points = len(stiffness)
-
-    def present(self, state: States) -> NDArray[np.bool_]:
-        """Return the contact points whose parts are both there, shape (points,)."""
-        there = state != REMOVED
-        return there[self.geometry.part_a] & there[self.geometry.part_b]
 
     def compression(self, springs: Array) -> Array:
         """Return the largest compression of a contact point at spring forces of shape (points, 3), m, shape ()."""
         return (springs[:, 0] / self._stiffness[:, 0]).max(initial=0.0)
 
-    def strength(self, torn: NDArray[np.bool_], age: NDArray[np.int32]) -> Strength:
-        """Return the strength of the contact points at their age."""
-        share = np.where(torn, 0.0, 1.0)
-        if self._joints is not None and self._joints.setting:
-            share = share * self._joints.set_share(age[None])[0]
-        return self._whole._replace(pull=share * self._whole.pull, stick=share * self._whole.stick)
-
     def follow(
-        self,
-        springs: Array,
-        step: Array,
-        strength: Strength,
-        torn: NDArray[np.bool_],
-        there: NDArray[np.bool_],
+        self, springs: Array, step: Array, strength: Strength, torn: NDArray[np.bool_], there: NDArray[np.bool_]
     ) -> tuple[Array, bool]:
         """Return the spring forces after an increment, and whether no point breaks that is called whole."""
         change = self._stiffness * self.geometry.relative(step[None])[0]

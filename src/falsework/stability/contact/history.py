@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.stability.contact.newton import FIRST_STEP, OPEN, RESTS
+from falsework.stability.contact.newton import OPEN, RESTS
 from falsework.stability.holds import Press
+from falsework.stability.settings import NumericalSettings
 
 Array = NDArray[np.float64]
 
@@ -24,19 +25,17 @@ class ReplaySettings:
 
     increments: int = 4
     """Increments in which the load of a robot is transferred to the contacts when it releases a part."""
-    first_step: float = FIRST_STEP
+    first_step: float = NumericalSettings.first_step
     """First time step of the Newton iterations; a shorter one means higher viscosity."""
     friction_noise: float = 0.0
     """Largest tangential force in new contact points before they carry load, as a share of the friction limit of a
     typical point under its share of a part's weight."""
     seed: int = 0
     """Seed of the noise."""
-    steps: int = 400
-    """Newton iterations per increment before it is left undecided."""
 
     def __post_init__(self) -> None:
-        if self.increments < 1 or self.steps < 1:
-            raise InputError("a replay needs at least one increment and one iteration a step")
+        if self.increments < 1:
+            raise InputError("a replay needs at least one increment")
         if not (np.isfinite(self.first_step) and self.first_step > 0):
             raise InputError(f"first_step is {self.first_step}; give a positive number")
         if not (np.isfinite(self.friction_noise) and self.friction_noise >= 0):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, REMOVED, States
+from falsework.assembly.state import HELD, States
 from falsework.stability.certificate import chunks
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.holds import HoldLoad
@@ -18,30 +18,12 @@ from falsework.stability.settings import StabilitySettings
 from falsework.stability.strength import strength_of
 
 if TYPE_CHECKING:
+    from falsework.stability.contact.history import History
     from falsework.stability.problem import Problem
 
 Array = NDArray[np.float64]
 Loads = tuple[tuple[HoldLoad, ...], ...]
 """Loads of robots in each state of a plan, one entry a state."""
-
-
-class ContactHistory(Protocol):
-    """What is read of a `History`."""
-
-    @property
-    def springs(self) -> Array:
-        """Spring forces of the contact points in scaled variables, shape (points, 3)."""
-        ...
-
-    @property
-    def torn(self) -> NDArray[np.bool_]:
-        """Contact points whose tensile strength was exceeded, shape (points,)."""
-        ...
-
-    @property
-    def age(self) -> NDArray[np.int32]:
-        """Steps for which both parts of each contact point have been present, shape (points,)."""
-        ...
 
 
 CLOSE = 0.01
@@ -52,7 +34,6 @@ def loads_in(assembly: Assembly, state: States, wrenches: Array) -> tuple[HoldLo
     """Return what robots bear in a state.
 
     Args:
-        assembly: the structure.
         state: shape (parts,).
         wrenches: on each held part about its centre of mass, N and N m, shape (parts, 6).
     """
@@ -62,16 +43,11 @@ def loads_in(assembly: Assembly, state: States, wrenches: Array) -> tuple[HoldLo
 
 
 def loads_of_build(
-    assembly: Assembly,
-    problem: Problem,
-    settings: StabilitySettings,
-    states: States,
-    histories: Sequence[ContactHistory],
+    assembly: Assembly, problem: Problem, settings: StabilitySettings, states: States, histories: Sequence[History]
 ) -> Loads:
     """Return what robots bear in the states of a replay.
 
     Args:
-        assembly: the structure.
         problem: its equilibrium problem.
         settings: cone, gravity and reserve of the replay.
         states: in assembly order, shape (states, parts).
@@ -80,19 +56,16 @@ def loads_of_build(
     geometry = geometry_of(assembly.contacts, assembly.mass)
     whole, loads = strength_of(assembly, settings.gravity, settings.reserve), assembly.applied_wrench(settings.gravity)
     joints, found = assembly.joints, []
-    setting = joints is not None and joints.setting
     # Where joints set or break, every state has contacts of its own strength.
     rows = np.arange(len(histories))
-    alone = setting or any(history.torn.any() for history in histories)
+    alone = (joints is not None and joints.setting) or any(history.torn.any() for history in histories)
     for together in np.split(rows, rows[1:]) if alone else chunks(rows, len(whole.friction)):
         some, here = [histories[row] for row in together], states[together]
-        share = np.where(some[0].torn, 0.0, 1.0)
-        if joints is not None and setting:
-            share = share * joints.set_share(some[0].age[None])[0]
-        strength = whole._replace(pull=share * whole.pull, stick=share * whole.stick)
+        strength = whole.at(some[0].torn, some[0].age, joints)
         springs = np.stack([history.springs for history in some]) * problem.force_scale[:, None]
-        there = (here[:, geometry.part_a] != REMOVED) & (here[:, geometry.part_b] != REMOVED)
-        forces = np.where(there[..., None], into_cone(springs, strength, settings.friction_cone)[0], 0.0)
+        forces = np.where(
+            geometry.present(here)[..., None], into_cone(springs, strength, settings.friction_cone)[0], 0.0
+        )
         wrenches = -(geometry.wrenches(forces) + loads)
         found += [loads_in(assembly, state, wrench) for state, wrench in zip(here, wrenches, strict=True)]
     return tuple(found)

@@ -1,114 +1,40 @@
-"""Compiled verdict under `contact` for one state and for a range of states, without the GIL."""
+"""Compiled verdict under `contact` on a range of states, and rest positions of one under loads, without the GIL."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
-from falsework.assembly.model import Assembly
 from falsework.stability.contact.law import contact_force
-from falsework.stability.contact.newton import (
-    MOVES_AWAY,
-    RESTS,
-    VERDICT_SCHEDULE,
-    ContactArrays,
-    StepSchedule,
-    close_gap,
-    equilibrate,
-    make_contact_scratch,
-    solve_statics,
-)
-from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity, restrict, set_gravity
-from falsework.stability.cpu.neighbourhood import freeze_outside_ball
-from falsework.stability.cpu.products import LANES, ROWS
-from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED
-from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, limits_of
-from falsework.stability.problem import Problem
-from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
+from falsework.stability.contact.layout import VERDICT_SCHEDULE, make_contact_scratch
+from falsework.stability.contact.newton import MOVES_AWAY, OPEN, RESTS, close_gap, equilibrate, solve_statics
+from falsework.stability.cpu.kernel import solve_state
+from falsework.stability.cpu.layout import pair_velocity, point_velocity, restrict, set_gravity, write_motion
+from falsework.stability.cpu.neighbourhood import REACH, find_mechanism, freeze_outside_ball
+from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, UNSTABLE
+from falsework.stability.verdict import Verdict
 from falsework.utils.kernels import njit
 
-NEAR_RINGS = 3
-"""Distance from a changed part, in contacts, within which parts settle first; smaller where that is half of all."""
-
-
-class ContactOptions(NamedTuple):
-    """Numerical options of the kernel."""
-
-    tolerance: float
-    """Largest residual of a state at rest."""
-    steps: int
-    """Limit on Newton iterations from rest."""
-    warm_steps: int
-    """The same from the displacement of a parent."""
-    near_steps: int
-    """The same for the parts near a change, while the others are fixed."""
-    first_step: float
-    """First time step from rest."""
-    warm_first_step: float
-    """The same from the displacement of a parent."""
-    schedule: StepSchedule = VERDICT_SCHEDULE
-    """Rules by which the time step grows."""
-
-
-def build_contact_structure(
-    assembly: Assembly,
-    problem: Problem,
-    gravity: float,
-    ratio: float = TANGENTIAL_RATIO,
-    holds: HoldSettings = HoldSettings(),
-) -> ContactArrays:
-    """Lay out the stiffness of a structure for the kernel.
-
-    Args:
-        assembly: the structure.
-        problem: its scaled equilibrium problem.
-        gravity: m/s2.
-        ratio: ratio of tangential to normal stiffness.
-        holds: stiffness and limits of the holds of robots.
-    """
-    stiffness = normal_stiffness(assembly, gravity) / problem.force_scale**2
-    scale = 1.0 / float(np.median(stiffness)) if len(stiffness) else 1.0
-    wider = ((0, 0), (0, 0), (0, LANES - ROWS))
-    mass, limits = assembly.mass.mass, limits_of(assembly, holds, gravity)
-    stiff = holds.stiffness
-    pressing = min(stiff, PRESS_STIFFNESS) / mass * scale
-    return ContactArrays(
-        normal=stiffness * scale,
-        tangential=ratio * stiffness * scale,
-        turned_a=np.array(np.pad(problem.transfer_a.transpose(0, 2, 1), wider), order="C"),
-        turned_b=np.array(np.pad(problem.transfer_b.transpose(0, 2, 1), wider), order="C"),
-        rows=np.array(np.pad(problem.basis.transpose(0, 2, 1), wider), order="C"),
-        scale=scale,
-        reach=assembly.mass.gyration,
-        limit=MOVEMENT * structure_size(assembly),
-        grip=np.zeros(len(mass)) if np.isinf(stiff) else stiff / mass * scale,
-        press_grip=pressing,
-        force_limit=limits.force / np.sqrt(mass),
-        moment_limit=limits.moment,
-        hybrid=holds.mode is HoldMode.HYBRID,
-    )
+SLIDES = int(Verdict.SLIDES)
 
 
 @njit(cache=True)
-def place_contacts(structure, contact_structure, state, work, contact, pairs):
-    """Copy stiffness and gravity into the compact order of a state, without history."""
-    normal, tangential = contact_structure.normal, contact_structure.tangential
+def place_contacts(law, state, contact, pairs):
+    """Copy stiffness and gravity into the compact order of a state that `restrict` has prepared, without history."""
+    work = contact.work
     for p in range(pairs):
-        shift = structure.pair_start[work.pair[p]] - work.start[p]
+        shift = law.structure.pair_start[work.pair[p]] - work.start[p]
         for j in range(work.start[p], work.start[p + 1]):
-            contact.normal[j] = normal[j + shift]
-            contact.tangential[j] = tangential[j + shift]
+            contact.normal[j], contact.tangential[j] = law.normal[j + shift], law.tangential[j + shift]
             for k in range(3):
                 contact.offset[j, k] = 0.0
-    close_gap(work, contact, pairs)
-    set_gravity(structure, state, contact.load)
+    close_gap(contact, pairs)
+    set_gravity(law.structure, state, contact.load)
 
 
 @njit(cache=True)
-def read_displacement(structure, contact_structure, work, displacement, out):
+def read_displacement(law, work, displacement, out):
     """Whiten a displacement in m and rad of shape (parts, 6); zero for parts that cannot move."""
-    order, factor = structure.elimination.order, structure.momentum
+    order, factor = law.structure.elimination.order, law.structure.momentum
     for j in range(len(work.free)):
         for r in range(6):
             out[j, r] = 0.0
@@ -117,26 +43,13 @@ def read_displacement(structure, contact_structure, work, displacement, out):
             for r in range(6):
                 for c in range(6):
                     out[j, r] += factor[part, c, r] * displacement[part, c]
-                out[j, r] /= contact_structure.scale
+                out[j, r] /= law.scale
 
 
 @njit(cache=True)
-def write_displacement(structure, contact_structure, work, whitened, out):
-    """Write the displacement in m and rad of the parts that can move; other rows of (parts, 6) are kept."""
-    order, turn = structure.elimination.order, structure.acceleration
-    for j in range(len(work.free)):
-        if work.free[j]:
-            part = order[j]
-            for r in range(6):
-                out[part, r] = 0.0
-                for c in range(6):
-                    out[part, r] += turn[part, r, c] * whitened[j, c]
-                out[part, r] *= contact_structure.scale
-
-
-@njit(cache=True)
-def write_forces(structure, work, contact, pairs, out):
+def write_forces(structure, contact, pairs, out):
     """Write contact forces in N, shape (points, 3), from the spring forces of a state."""
+    work = contact.work
     out[:] = 0.0
     for p in range(pairs):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
@@ -149,9 +62,9 @@ def write_forces(structure, work, contact, pairs, out):
 
 
 @njit(cache=True)
-def lacks_contact(work, contact, pairs):
+def lacks_contact(contact, pairs):
     """Return whether a part that can move, and that no robot holds, has no contact with a present part."""
-    touched = contact.grip > 0.0
+    work, touched = contact.work, contact.grip > 0.0
     for p in range(pairs):
         if work.slot_a[p] >= 0:
             touched[work.slot_a[p]] = True
@@ -161,15 +74,16 @@ def lacks_contact(work, contact, pairs):
 
 
 @njit(cache=True)
-def move_far_parts(structure, state, near, work, contact, pairs, displacement):
+def move_far_parts(structure, state, near, contact, pairs, displacement):
     """Load the springs between the parts that move in `near` and those that move in `state` only, by these.
 
     Args:
-        structure, work, contact, pairs: as in `equilibrate`, of the state `near`.
+        structure: `KernelArrays`.
         state, near: shape (parts,).
+        contact, pairs: the state `near`, prepared as for `equilibrate`.
         displacement: whitened, of all parts, shape (n, 6).
     """
-    position, parts = structure.elimination.position, structure.pair_parts
+    position, parts, work = structure.elimination.position, structure.pair_parts, contact.work
     ta, tb = structure.transfer_a, structure.transfer_b
     for p in range(pairs):
         q = work.pair[p]
@@ -187,58 +101,50 @@ def move_far_parts(structure, state, near, work, contact, pairs, displacement):
 
 
 @njit(cache=True)
-def settle_near(
-    structure, contact_structure, state, parent, options, tolerance, work, contact, near, moved, displacement
-):
+def settle_near(law, state, parent, options, contact, displacement):
     """Move the parts near the difference of a state from its parent to rest, while the others are fixed.
 
     Forces change most there, and the matrix of the whole structure is not factored. Improves `displacement`, in m and
-    rad, shape (parts, 6), even where the parts do not reach rest; `near` (parts,) and `moved` (n, 6) are scratch.
+    rad, shape (parts, 6), even where the parts do not reach rest.
 
     Returns:
         Number of iterations.
     """
-    rings, kept, free = NEAR_RINGS + 1, 1, 0
+    structure, work, near = law.structure, contact.work, np.empty(len(state), np.uint8)
+    rings, kept, free = REACH + 1, 1, 0
     while 2 * kept > free and rings > 0:
         rings -= 1
         kept, free = freeze_outside_ball(structure, state, parent, rings, near)
     if kept == 0 or rings == 0:
         return 0
+    moved, order = np.empty((len(work.free), 6)), structure.elimination.order
     pairs, _ = restrict(structure, state, work)
-    read_displacement(structure, contact_structure, work, displacement, moved)
-    order = structure.elimination.order
+    read_displacement(law, work, displacement, moved)
     for j in range(len(order)):
         if near[order[j]] == 1:
             for r in range(6):
                 moved[j, r] = 0.0
     pairs, _ = restrict(structure, near, work)
-    place_contacts(structure, contact_structure, near, work, contact, pairs)
-    move_far_parts(structure, state, near, work, contact, pairs, moved)
-    read_displacement(structure, contact_structure, work, displacement, contact.displacement)
+    place_contacts(law, near, contact, pairs)
+    move_far_parts(structure, state, near, contact, pairs, moved)
+    read_displacement(law, work, displacement, contact.displacement)
+    tolerance = (1.0 - MARGIN) * options.tolerance
     result, _, spent = equilibrate(
-        structure,
-        contact_structure,
-        work,
-        contact,
-        pairs,
-        options.near_steps,
-        tolerance,
-        options.first_step,
-        VERDICT_SCHEDULE,
+        law, contact, pairs, options.warm_steps // 2, tolerance, options.first_step, VERDICT_SCHEDULE
     )
     if result != MOVES_AWAY:
-        write_displacement(structure, contact_structure, work, contact.displacement, displacement)
+        write_motion(structure, work, contact.displacement, law.scale, displacement)
     return spent
 
 
 @njit(cache=True)
-def solve_contact_state(structure, contact_structure, state, options, work, contact, displacement, forces, warm):
+def solve_contact_state(law, state, options, steps, contact, displacement, forces, warm):
     """Search for a displacement at which a state is in equilibrium.
 
     Args:
-        structure, contact_structure, options, work, contact: `KernelArrays`, `ContactArrays`, `ContactOptions`,
-            `Scratch` and `ContactScratch`.
+        law, options, contact: `ContactArrays`, `ContactOptions` and `ContactScratch`.
         state: shape (parts,).
+        steps: limit on iterations.
         displacement: in: a guess in m and rad where `warm`; out: the displacement. Shape (parts, 6).
         forces: out: contact forces in N, shape (points, 3) or (0, 3).
         warm: whether to start from the guess; else the structure is loaded from rest.
@@ -246,74 +152,170 @@ def solve_contact_state(structure, contact_structure, state, options, work, cont
     Returns:
         `RESTS`, `MOVES_AWAY` or `OPEN`; the residual; iterations.
     """
-    pairs, count = restrict(structure, state, work)
-    if count == 0:
+    pairs, count = restrict(law.structure, state, contact.work)
+    adrift = count > 0 and lacks_contact(contact, pairs)
+    if count == 0 or adrift:
         displacement[:] = 0.0
         forces[:] = 0.0
-        return RESTS, 0.0, 0
-    if lacks_contact(work, contact, pairs):
-        displacement[:] = 0.0
-        forces[:] = 0.0
-        return MOVES_AWAY, np.inf, 0
-    place_contacts(structure, contact_structure, state, work, contact, pairs)
-    tolerance, steps, first_step = (1.0 - MARGIN) * options.tolerance, options.steps, options.first_step
+        return (MOVES_AWAY, np.inf, 0) if adrift else (RESTS, 0.0, 0)
+    place_contacts(law, state, contact, pairs)
     if warm:
-        read_displacement(structure, contact_structure, work, displacement, contact.displacement)
-        steps, first_step = options.warm_steps, options.warm_first_step
+        read_displacement(law, contact.work, displacement, contact.displacement)
     else:
         contact.displacement[:] = 0.0
+    first_step = options.warm_first_step if warm else options.first_step
+    tolerance = (1.0 - MARGIN) * options.tolerance
     result, residual, spent = solve_statics(
-        structure, contact_structure, work, contact, pairs, steps, tolerance, first_step, count > 0, options.schedule
+        law, contact, pairs, steps, tolerance, first_step, count > 0, options.schedule
     )
     displacement[:] = 0.0
-    write_displacement(structure, contact_structure, work, contact.displacement, displacement)
+    write_motion(law.structure, contact.work, contact.displacement, law.scale, displacement)
     if len(forces):
-        write_forces(structure, work, contact, pairs, forces)
+        write_forces(law.structure, contact, pairs, forces)
     return result, residual, spent
 
 
 @njit(nogil=True, cache=True)
 def rest_range(
-    structure, contact_structure, states, parents, options, displacement, forces, warm, verdict, residual, steps, found
-):
-    """Search for rest positions of states whose `verdict` is `UNDECIDED`; arrays as in `solve_contact_state`, batched.
+    law, states, parents, balance, options, more, seeks, bonded, displacement, forces, velocity, warm, verdict,
+    residual, iterations,
+):  # fmt: skip
+    """Decide states under `contact`, one by one: the first of these attempts that ends with a proof counts.
 
-    States at rest become `STABLE`. `forces` may be empty; `parents` is read where `warm`; `found` is `RESTS`,
-    `MOVES_AWAY` or `OPEN`, and iterations are added to `iterations`.
+    Where joints pull, the structure as bonded; where `seeks`, a mechanism near the difference from the parent; a rest
+    position, from that of the parent where `warm`; a mechanism farther from the difference; the solver of the
+    equilibrium problem; and `more` iterations from where those from the parent's position ended.
 
-    Returns:
-        Number of states left undecided.
+    Args:
+        law, options: as in `solve_contact_state`.
+        states, parents: shape (batch, parts).
+        balance: `Options` of the equilibrium problem.
+        more: limit on the last iterations.
+        seeks: whether mechanisms are sought near the difference.
+        bonded: whether joints pull.
+        displacement: in: guesses where `warm`; out: where iterations ended, shape (batch, parts, 6).
+        forces, velocity: out, batched, or empty.
+        warm: shape (batch,).
+        verdict, residual, iterations: out, one entry a state. Where parts move away though forces in equilibrium may
+            exist, the residual is infinite.
     """
-    nothing = np.zeros((0, 3))
-    work, contact = make_scratch(structure), make_contact_scratch(structure)
-    near, moved = np.empty(states.shape[1], np.uint8), np.zeros((len(structure.elimination.order), 6))
-    tolerance = (1.0 - MARGIN) * options.tolerance
-    count = 0
+    nothing, none = np.zeros((0, 3)), np.zeros((0, 6))
+    contact, parts, points = make_contact_scratch(law), states.shape[1], len(law.normal)
+    moved, pressed = np.empty((parts, 6)), np.empty((points if len(forces) else 0, 3))
+    again, no_steps = parts > 0, len(nothing)  # not literals, for which numba would recompile the search
     for i in range(len(states)):
-        if verdict[i] != UNDECIDED:
-            continue
-        force = forces[i] if len(forces) else nothing
-        if warm[i]:
-            steps[i] += settle_near(
-                structure,
-                contact_structure,
-                states[i],
-                parents[i],
-                options,
-                tolerance,
-                work,
-                contact,
-                near,
-                moved,
-                displacement[i],
+        state, force = states[i], forces[i] if len(forces) else nothing
+        motion = velocity[i] if len(velocity) else none
+        if bonded:  # the first iterations of any search, which start from rest
+            result, left, taken = solve_contact_state(law, state, options, no_steps, contact, moved, force, not again)
+            iterations[i] += taken
+            if result == RESTS:
+                verdict[i], residual[i] = STABLE, left
+                for p in range(parts):  # entry by entry: assigning rows to rows would compile numba's messages
+                    for r in range(6):
+                        displacement[i, p, r] = moved[p, r]
+                continue
+        if seeks:
+            verdict[i], residual[i], taken = find_mechanism(
+                law.structure, state, parents[i], 1, balance, contact.work, motion
             )
-        result, left, taken = solve_contact_state(
-            structure, contact_structure, states[i], options, work, contact, displacement[i], force, warm[i]
-        )
-        found[i] = result
-        steps[i] += taken
+            iterations[i] += taken
+            if verdict[i] == UNSTABLE:
+                continue
+        if warm[i]:
+            iterations[i] += settle_near(law, state, parents[i], options, contact, displacement[i])
+        steps = options.warm_steps if warm[i] else options.steps
+        result, left, taken = solve_contact_state(law, state, options, steps, contact, displacement[i], force, warm[i])
+        iterations[i] += taken
         if result == RESTS:
             verdict[i], residual[i] = STABLE, left
-        else:
-            count += 1
-    return count
+            continue
+        if seeks:
+            verdict[i], residual[i], taken = find_mechanism(
+                law.structure, state, parents[i], REACH, balance, contact.work, motion
+            )
+            iterations[i] += taken
+        if verdict[i] == UNDECIDED:
+            verdict[i], residual[i], taken = solve_state(
+                law.structure, state, balance, contact.work, force, motion, not again
+            )
+            iterations[i] += taken
+        if warm[i] and result == OPEN and verdict[i] != UNSTABLE:
+            result, left, taken = solve_contact_state(
+                law, state, options, more, contact, displacement[i], pressed, again
+            )
+            iterations[i] += taken
+            if result == RESTS:
+                verdict[i], residual[i] = STABLE, left
+                for j in range(len(pressed)):
+                    for k in range(3):
+                        force[j, k] = pressed[j, k]
+        if result == OPEN and verdict[i] != UNSTABLE:
+            verdict[i] = UNDECIDED
+        if result == MOVES_AWAY and verdict[i] == STABLE:
+            verdict[i] = SLIDES
+        elif result == MOVES_AWAY and verdict[i] == UNDECIDED:
+            residual[i] = np.inf
+
+
+@njit(nogil=True, cache=True)
+def rest_under(law, state, loads, moved, options, displacement, warm, after, result):
+    """Search for the rest position of a state under each load; the law is that of `solve_contact_state`.
+
+    The search ends with the first load under which none is found.
+
+    Args:
+        law, options: as in `solve_contact_state`; without iterations from rest, the result from the guesses counts.
+        state: shape (parts,).
+        loads: wrenches on the parts, N and Nm, shape (loads, parts, 6).
+        moved: scaled spring forces of the contact points at zero displacement, caused by displaced fixed parts,
+            shape (points, 3) or (0, 3).
+        displacement: in: guesses in m and rad where `warm`; out: displacements, shape (loads, parts, 6).
+        warm: whether `displacement` holds guesses.
+        after: for each load, an earlier one whose displacement is the guess; -1 for its own.
+        result: out: `RESTS`, `MOVES_AWAY` or `OPEN`, one entry per load.
+
+    Returns:
+        Number of loads that were tried.
+    """
+    contact, structure = make_contact_scratch(law), law.structure
+    work, order, turn = contact.work, structure.elimination.order, structure.acceleration
+    pairs, count = restrict(structure, state, work)
+    adrift = count > 0 and lacks_contact(contact, pairs)
+    place_contacts(law, state, contact, pairs)
+    for p in range(pairs if len(moved) else 0):
+        shift = structure.pair_start[work.pair[p]] - work.start[p]
+        for j in range(work.start[p], work.start[p + 1]):
+            for r in range(3):
+                contact.offset[j, r] = moved[j + shift, r]
+    tolerance = (1.0 - MARGIN) * options.tolerance
+    mends = pairs >= 0  # not a literal, for which numba would recompile the search
+    for k in range(len(loads)):
+        if count == 0 or adrift:
+            result[k] = MOVES_AWAY if adrift else RESTS
+            displacement[k] = 0.0
+            if adrift:
+                return k + 1
+            continue
+        for j in range(len(order)):
+            part = order[j]
+            for r in range(6):
+                contact.load[j, r] = 0.0
+                for c in range(6):
+                    contact.load[j, r] += turn[part, c, r] * loads[k, part, c]
+        for cold in range(0 if warm else 1, 2):
+            if cold:
+                contact.displacement[:] = 0.0
+                steps, first_step = options.steps, options.first_step
+            else:
+                guess = displacement[k if after[k] < 0 else after[k]]
+                read_displacement(law, work, guess, contact.displacement)
+                steps, first_step = options.warm_steps, options.warm_first_step
+            result[k], _, _ = solve_statics(law, contact, pairs, steps, tolerance, first_step, mends, options.schedule)
+            if result[k] == RESTS or options.steps == 0:
+                break
+        displacement[k] = 0.0
+        write_motion(structure, work, contact.displacement, law.scale, displacement[k])
+        if result[k] != RESTS:
+            return k + 1
+    return len(loads)

@@ -18,8 +18,6 @@ import math
 from falsework.stability.cpu.cones import QUADRATIC
 from falsework.utils.kernels import njit
 
-_C = math.cos(math.pi / 8)
-_S = math.sin(math.pi / 8)
 _FACET = math.tan(math.pi / 8)
 
 

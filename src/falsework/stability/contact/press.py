@@ -30,7 +30,7 @@ _WEAK = 1e-3
 _HELPS = 0.5
 """A press must leave less than this share of the energy of forces outside the cones to be tried."""
 _STEPS = 50
-"""Newton steps of the choice; it converges in about ten."""
+"""Newton steps of the choice."""
 _SAME = 0.05
 """Relative difference below which two proposals count as one."""
 
@@ -58,19 +58,7 @@ class PressPlanner:
         columns = 1 + 6 * len(held)
         index, forces = np.zeros(problem.points, np.int64), np.zeros((columns, problem.points, 3))
         moves = np.zeros((columns, columns - 1))
-        count = press_responses(
-            self._solver.structure,
-            contact,
-            before,
-            after,
-            held,
-            springs,
-            torn,
-            set_share,
-            index,
-            forces,
-            moves,
-        )
+        count = press_responses(contact, before, after, held, springs, torn, set_share, index, forces, moves)
         if not count:
             return
         index, forces = index[:count], forces[:, :count]

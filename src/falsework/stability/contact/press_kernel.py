@@ -5,31 +5,29 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.stability.contact.hold_kernel import set_holds
-from falsework.stability.contact.kernel import NEAR_RINGS
-from falsework.stability.contact.newton import evaluate, make_contact_scratch
-from falsework.stability.contact.replay_kernel import load_history
+from falsework.stability.contact.layout import make_contact_scratch
+from falsework.stability.contact.newton import evaluate
+from falsework.stability.contact.replay_kernel import HistoryArrays, load_history
 from falsework.stability.contact.tangent import assemble_tangent
 from falsework.stability.cpu.cones import NEGLIGIBLE
 from falsework.stability.cpu.elimination import lay_out_panels
-from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_velocity
-from falsework.stability.cpu.neighbourhood import freeze_outside_ball
+from falsework.stability.cpu.layout import pair_velocity, point_velocity
+from falsework.stability.cpu.neighbourhood import REACH, freeze_outside_ball
 from falsework.stability.cpu.panels import factor_panels, solve_panels
 from falsework.utils.kernels import njit
 
 
 @njit(nogil=True, cache=True)
-def press_responses(
-    structure, contact_structure, before, state, pressed, springs, torn, set_share, points, forces, moves
-):
+def press_responses(law, before, state, pressed, springs, torn, set_share, points, forces, moves):
     """Write the spring forces after a release, and by how much unit wrenches of robots change them.
 
-    Parts more than `NEAR_RINGS` contacts away stay where they are.
+    Parts more than `REACH` contacts away stay where they are.
 
     Args:
-        structure, contact_structure: as in `settle_step`.
+        law: as in `settle_step`.
         before, state: state before and after a part is released, shape (parts,).
         pressed: held parts on which robots press, shape (n,).
-        springs, torn, set_share: the history before the release, as in `settle_step`.
+        springs, torn, set_share: the history before the release, as in `HistoryArrays`.
         points: out: contact points whose forces follow, shape (points,).
         forces: out: scaled spring forces without pressing, then their change by each component of a whitened wrench on
             the first, second, ... pressed part, in the order of `points`, shape (1 + 6 n, points, 3).
@@ -38,26 +36,25 @@ def press_responses(
     Returns:
         Number of contact points; 0 where there is no response.
     """
-    work, contact = make_scratch(structure), make_contact_scratch(structure)
-    parts = len(state)
-    near, origin, moving = np.empty(parts, np.uint8), np.empty(parts, np.uint8), np.empty(parts, np.uint8)
+    contact, parts, structure = make_contact_scratch(law), len(state), law.structure
+    work, near = contact.work, np.empty(parts, np.uint8)
+    origin, moving = np.empty(parts, np.uint8), np.empty(parts, np.uint8)
     position = structure.elimination.position
     nothing = np.zeros((0, 6))
-    set_holds(structure, contact_structure, before, state, pressed, nothing, contact, moving, origin)
-    freeze_outside_ball(structure, moving, origin, NEAR_RINGS, near)
+    set_holds(law, before, state, pressed, nothing, contact, moving, origin)
+    freeze_outside_ball(structure, moving, origin, REACH, near)
     missing = np.zeros((len(work.free), 6))
-    pairs, count = load_history(
-        structure, contact_structure, near, work, contact, springs, torn, set_share, missing, 0.0
-    )
+    history = HistoryArrays(missing, springs, torn, set_share)
+    pairs, count = load_history(law, near, contact, history, missing, 0.0)
     if count == 0:
         return 0
     contact.displacement[:] = 0.0
-    evaluate(structure, work, contact, pairs, contact.displacement, contact.trial, contact.residual)
+    evaluate(law, contact, pairs, contact.displacement, contact.trial, contact.residual)
     total = work.start[pairs]
     for j in range(total):
         work.friction[j] = 1.0 / NEGLIGIBLE
     lay_out_panels(structure, work.free, work.panels)
-    assemble_tangent(structure, contact_structure, work, contact, pairs, NEGLIGIBLE)
+    assemble_tangent(law, contact, pairs, NEGLIGIBLE)
     if not factor_panels(structure.elimination.supernode, work.panels, pairs < 0):
         return 0
     step = contact.step

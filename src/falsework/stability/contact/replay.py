@@ -9,7 +9,6 @@ Robots that hold parts are springs with limits. Where a part cannot be let go of
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
 from itertools import islice
@@ -24,27 +23,22 @@ from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states
 from falsework.stability.contact.build_verifier import StepCertificate
 from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings, joined
 from falsework.stability.contact.hold_loads import Loads, loads_of_build
-from falsework.stability.contact.kernel import NEAR_RINGS, ContactOptions
+from falsework.stability.contact.layout import ContactOptions
 from falsework.stability.contact.newton import OPEN, RESTS
 from falsework.stability.contact.press import PressPlanner
 from falsework.stability.contact.replay_kernel import replay_range
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.layout import COMPILED_LAYOUT
+from falsework.stability.cpu.neighbourhood import REACH
 from falsework.stability.holds import Press, inexact_presses, pack_presses
 from falsework.stability.problem import build_problem
 from falsework.stability.second_order.growing_motion import SecondOrder
 from falsework.stability.second_order.springs import springs_at
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.stiffness import structure_size
-from falsework.utils.cores import core_count
 
 Array = NDArray[np.float64]
 
-_NEAR_STEPS, _WARM_STEPS = 32, 64
-"""Newton iterations of the parts near a change with the others fixed, and then of the whole structure, before the
-whole is solved again from where it was."""
-_LONGER_STEP = 1e4
-"""Factor on the first time step of the whole structure after the parts near the change came to rest."""
 _TRACKED = 64
 """Steps whose certificates are in memory at once."""
 
@@ -65,7 +59,6 @@ class Replayer:
         """Lay out the structure.
 
         Args:
-            assembly: the structure.
             settings: cone, gravity, tolerance and stiffness ratio.
             replay: numerical settings of the replay.
             solver: solver of the assembly under these settings, whose layout is then shared.
@@ -80,11 +73,10 @@ class Replayer:
             solver = ContactSolver(assembly, problem, settings)
         self.problem = solver.problem
         self._solver = solver
-        self.structure, self.contact = solver.structure, solver.contact_structure
-        first = replay.first_step
-        self.options = ContactOptions(
-            settings.tolerance, replay.steps, _WARM_STEPS, _NEAR_STEPS, first, _LONGER_STEP * first
-        )
+        self.law = solver.contact_structure
+        first, numerics = replay.first_step, settings.numerics
+        later = first / numerics.first_step * numerics.warm_first_step
+        self.options = ContactOptions(settings.tolerance, numerics.contact_steps, numerics.warm_steps, first, later)
         self._noise = self._draw_noise(replay)
         self._size = structure_size(assembly)
 
@@ -170,7 +162,7 @@ class Replayer:
                 continue  # a part that is held or placed changes no force, and only hinders others
             changed = state != states[row - 1] if row else np.ones(len(state), dtype=bool)
             near = np.asarray(changed, dtype=np.float64)
-            for _ in range(NEAR_RINGS):
+            for _ in range(REACH):
                 near = near + self._touches @ near
             local = np.where((state == INSTALLED) & (near == 0), HELD, state).astype(np.uint8)
             forces = (history.springs * self.problem.force_scale[:, None])[None]
@@ -239,34 +231,20 @@ class Replayer:
         torn = np.zeros((count, problem.points), bool)
         age = self._ages(batch, None if history is None else history.age)
         result, residual, moved = np.full(count, OPEN, np.int8), np.full(count, np.nan), np.zeros(count)
-        iterations, part = np.zeros(count, np.int32), np.full(count, -1, np.int32)
+        part = np.full(count, -1, np.int32)
         if history is not None:
             displacement[0], springs[0], torn[0] = history.displacement, history.springs, history.torn
             moved[0], part[0] = history.moved, history.part
             track[0] = 0.0 if history.track is None else history.track
         start, pressed, wrench = pack_presses(presses)
         reached = replay_range(
-            self.structure,
-            self.contact,
+            self.law,
             batch,
             history is None,
-            start,
-            pressed,
-            (problem.whitening[pressed] @ wrench[:, :, None])[:, :, 0],
-            self.options,
-            self.replay_settings.increments,
-            self._noise,
-            displacement,
-            springs,
-            torn,
-            self._set_shares(age),
-            track,
-            guess,
-            result,
-            residual,
-            iterations,
-            part,
-            moved,
+            *(start, pressed, (problem.whitening[pressed] @ wrench[:, :, None])[:, :, 0]),
+            *(self.options, self.replay_settings.increments, self._noise),
+            *(displacement, springs, torn, self._set_shares(age)),
+            *(track, guess, result, residual, part, moved),
         )
         given = [tuple(some) for some in presses]
         if history is not None:
@@ -302,10 +280,4 @@ class Replayer:
         return noise
 
 
-def replay_plans(replayer: Replayer, plans: Sequence[States]) -> list[Replay]:
-    """Replay several sequences of states, one per thread."""
-    with ThreadPoolExecutor(core_count()) as pool:
-        return list(pool.map(replayer.replay, plans))
-
-
-__all__ = ["Replayer", "replay_plans"]
+__all__ = ["Replayer"]

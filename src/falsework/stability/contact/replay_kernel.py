@@ -10,27 +10,28 @@ given wrenches in the increments in which the part is released.
 
 from __future__ import annotations
 
-import numpy as np
+from typing import NamedTuple
 
-from falsework.stability.contact.hold_kernel import hold_wrench, overloaded, set_holds
-from falsework.stability.contact.hybrid_kernel import add_across
-from falsework.stability.contact.kernel import NEAR_RINGS, lacks_contact, move_far_parts, read_displacement
+import numpy as np
+from numpy.typing import NDArray
+
+from falsework.stability.contact.hold_kernel import add_across, hold_wrench, overloaded, set_holds
+from falsework.stability.contact.kernel import lacks_contact, move_far_parts, place_contacts, read_displacement
 from falsework.stability.contact.law import contact_force
+from falsework.stability.contact.layout import VERDICT_SCHEDULE, make_contact_scratch
 from falsework.stability.contact.newton import (
     MOVES_AWAY,
     OPEN,
     OVERLOADS,
     RESTS,
-    VERDICT_SCHEDULE,
     close_gap,
     equilibrate,
     evaluate,
-    make_contact_scratch,
     moves_far,
     solve_statics,
 )
-from falsework.stability.cpu.layout import make_scratch, restrict, set_gravity
-from falsework.stability.cpu.neighbourhood import freeze_outside_ball
+from falsework.stability.cpu.layout import restrict, write_motion
+from falsework.stability.cpu.neighbourhood import REACH, freeze_outside_ball
 from falsework.utils.kernels import njit
 
 PASSING = 1e-2
@@ -38,8 +39,21 @@ PASSING = 1e-2
 Friction then differs by a tenth of what it differs between four increments and sixteen."""
 
 
+class HistoryArrays(NamedTuple):
+    """What a structure keeps from step to step; changed in place."""
+
+    displacement: NDArray[np.float64]
+    """Displacement of the parts since they were placed, m and rad, shape (parts, 6)."""
+    springs: NDArray[np.float64]
+    """Scaled spring forces of all contact points, shape (points, 3)."""
+    torn: NDArray[np.bool_]
+    """Contact points whose tensile strength was exceeded, shape (points,)."""
+    set_share: NDArray[np.float64]
+    """Share of its full strength that each contact point has reached, shape (points,), or (0,) if all."""
+
+
 @njit(cache=True)
-def load_history(structure, contact_structure, state, work, contact, springs, torn, set_share, missing, share):
+def load_history(law, state, contact, history, missing, share):
     """Prepare a state with the spring forces of its history, under gravity minus a share of the missing wrenches.
 
     The part of a hold, where `contact.grip` is not zero, misses all of its wrench: that is what the robot bears.
@@ -47,21 +61,20 @@ def load_history(structure, contact_structure, state, work, contact, springs, to
     Returns:
         Number of acting pairs of parts, and number of parts that can move.
     """
+    structure, work = law.structure, contact.work
     pairs, count = restrict(structure, state, work)
+    place_contacts(law, state, contact, pairs)
     for p in range(pairs):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
         for j in range(work.start[p], work.start[p + 1]):
-            contact.normal[j] = contact_structure.normal[j + shift]
-            contact.tangential[j] = contact_structure.tangential[j + shift]
             for k in range(3):
-                contact.offset[j, k] = springs[j + shift, k]
-            if torn[j + shift]:
+                contact.offset[j, k] = history.springs[j + shift, k]
+            if history.torn[j + shift]:
                 work.pull[j], work.stick[j] = 0.0, 0.0
-            elif len(set_share):
-                work.pull[j] *= set_share[j + shift]
-                work.stick[j] *= set_share[j + shift]
-    close_gap(work, contact, pairs)
-    set_gravity(structure, state, contact.load)
+            elif len(history.set_share):
+                work.pull[j] *= history.set_share[j + shift]
+                work.stick[j] *= history.set_share[j + shift]
+    close_gap(contact, pairs)
     for j in range(len(work.free)):
         if work.free[j]:
             left = 1.0 if contact.grip[j] > 0.0 else share
@@ -71,28 +84,25 @@ def load_history(structure, contact_structure, state, work, contact, springs, to
 
 
 @njit(cache=True)
-def _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn, track):
+def _keep_history(law, contact, pairs, history, track):
     """Add the increment to the displacement, and store the spring forces with friction limited by the law.
 
     `track`, of shape (parts, 6), is the displacement of the increment alone.
     """
-    order, turn = structure.elimination.order, structure.acceleration
-    for j in range(len(work.free)):
-        if work.free[j]:
-            part = order[j]
-            for r in range(6):
-                total = 0.0
-                for c in range(6):
-                    total += turn[part, r, c] * contact.displacement[j, c]
-                displacement[part, r] += total * contact_structure.scale
-                track[part, r] = total * contact_structure.scale
+    structure, work, displacement, springs = law.structure, contact.work, history.displacement, history.springs
+    moved = np.zeros(displacement.shape)
+    write_motion(structure, work, contact.displacement, law.scale, moved)
+    for part in range(len(moved)):
+        for r in range(6):
+            displacement[part, r] += moved[part, r]
+            track[part, r] = moved[part, r]
     for p in range(pairs):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
         for j in range(work.start[p], work.start[p + 1]):
             n, mu, pull, stick = contact.trial[j, 0], work.friction[j], contact.pull[j], contact.stick[j]
             _, x, y = contact_force(structure.cone, mu, pull, stick, n, contact.trial[j, 1], contact.trial[j, 2])
             if work.pull[j] + work.stick[j] > pull + stick:
-                torn[j + shift] = True
+                history.torn[j + shift] = True
                 work.pull[j], work.stick[j] = 0.0, 0.0
             springs[j + shift, 0], springs[j + shift, 1], springs[j + shift, 2] = n, x, y
             contact.offset[j, 0], contact.offset[j, 1], contact.offset[j, 2] = n, x, y
@@ -100,43 +110,32 @@ def _keep_history(structure, contact_structure, work, contact, pairs, displaceme
 
 
 @njit(cache=True)
-def _movement(contact_structure, displacement, part):
-    """Return the movement of a part in m, as `largest_movement`."""
-    worst = 0.0
-    for r in range(6):
-        worst = max(worst, abs(displacement[part, r]) * (1.0 if r < 3 else contact_structure.reach[part]))
-    return worst
-
-
-@njit(cache=True)
-def place_new(structure, before, state, noise, displacement, springs, torn):
+def place_new(structure, before, state, noise, history):
     """Initialise the parts and contacts that a step adds: parts at their planned pose, contact points without force.
 
     Args:
-        structure: as in `settle_step`.
+        structure, history: `KernelArrays` and `HistoryArrays`.
         before, state: shape (parts,).
         noise: tangential spring forces of new contact points, shape (points, 2).
-        displacement, springs, torn: the history, changed in place.
     """
     for part in range(len(state)):
         if before[part] == 0 or state[part] == 0:
             for r in range(6):
-                displacement[part, r] = 0.0
+                history.displacement[part, r] = 0.0
+    springs = history.springs
     for q in range(len(structure.pair_parts)):
         a, b = structure.pair_parts[q, 0], structure.pair_parts[q, 1]
         if before[a] == 0 or before[b] == 0 or state[a] == 0 or state[b] == 0:
             for j in range(structure.pair_start[q], structure.pair_start[q + 1]):
                 springs[j, 0], springs[j, 1], springs[j, 2] = 0.0, noise[j, 0], noise[j, 1]
-                torn[j] = False
+                history.torn[j] = False
 
 
 @njit(cache=True)
-def lose_carriers(structure, before, state, springs, torn, set_share, lost):
+def lose_carriers(structure, before, state, history, lost):
     """Write the whitened wrenches by which parts that a step removes carry parts that stay held, shape (parts, 6).
 
-    Args:
-        structure, before, state, springs, torn, set_share: as in `settle_step`, with the history of the state before.
-        lost: out, shape (parts, 6).
+    The history is that of the state before; other arguments as in `place_new`.
     """
     removes, whole = False, np.empty(6)
     for part in range(len(state)):
@@ -147,51 +146,28 @@ def lose_carriers(structure, before, state, springs, torn, set_share, lost):
         return
     for part in range(len(state)):
         if before[part] == 2 and state[part] == 2 and structure.elimination.position[part] >= 0:
-            hold_wrench(structure, before, part, springs, torn, set_share, whole)
-            hold_wrench(structure, state, part, springs, torn, set_share, lost[part])
+            hold_wrench(structure, before, part, history, whole)
+            hold_wrench(structure, state, part, history, lost[part])
             for r in range(6):
                 lost[part, r] -= whole[r]
 
 
 @njit(cache=True)
 def settle_step(
-    structure,
-    contact_structure,
-    before,
-    state,
-    press_part,
-    press_wrench,
-    lost,
-    options,
-    increments,
-    work,
-    contact,
-    near,
-    moving,
-    origin,
-    displacement,
-    springs,
-    torn,
-    set_share,
-    track,
-    guess,
+    law, before, state, press_part, press_wrench, lost, options, increments, contact, history, track, guess
 ):
     """Move a structure with history to rest in a state.
 
     The parts near the change are solved first with the others fixed, since few of these move much.
 
     Args:
-        structure, contact_structure, options, work, contact: as in `solve_contact_state`.
+        law, options, contact: as in `solve_contact_state`.
         before, state: shape (parts,).
         press_part, press_wrench: held parts that robots press, and the whitened wrenches that they add, shapes (n,)
             and (n, 6).
         lost: whitened wrenches by which what the step removes carried held parts, shape (parts, 6).
         increments: in how many the missing wrenches are transferred; all of gravity where the history is empty.
-        displacement: displacement of the parts since they were placed, m and rad, shape (parts, 6); changed in place.
-        springs: scaled spring forces of all contact points, shape (points, 3); changed in place.
-        near, moving, origin: scratch, shape (parts,).
-        torn: contact points whose tensile strength was exceeded, shape (points,); changed in place.
-        set_share: share of its full strength that each contact point has reached, shape (points,), or (0,) if all.
+        history: `HistoryArrays`.
         track: out: displacement in each increment, m and rad, shape (increments, parts, 6); zero before.
         guess: of the displacement in each increment, from which it begins, m and rad, shape (increments, parts, 6), or
             (0, parts, 6): each begins from that of the one before.
@@ -200,33 +176,30 @@ def settle_step(
         `RESTS`, `MOVES_AWAY`, `OVERLOADS` or `OPEN`; residual; iterations; the part that moved most, or whose robot
         bears too much, and the largest movement in m.
     """
-    set_holds(structure, contact_structure, before, state, press_part, press_wrench, contact, moving, origin)
-    missing = np.zeros((len(work.free), 6))
-    pairs, count = load_history(
-        structure, contact_structure, moving, work, contact, springs, torn, set_share, missing, 0.0
-    )
+    structure, work = law.structure, contact.work
+    moving, origin, near = np.empty_like(state), np.empty_like(state), np.empty_like(state)
+    set_holds(law, before, state, press_part, press_wrench, contact, moving, origin)
+    missing, push = np.zeros((len(work.free), 6)), np.zeros((len(work.free), 6))
+    pairs, count = load_history(law, moving, contact, history, missing, 0.0)
     if count == 0:
         return RESTS, 0.0, 0, -1, 0.0
     contact.displacement[:] = 0.0
     spent, result, residual = 0, RESTS, 0.0
-    evaluate(structure, work, contact, pairs, contact.displacement, contact.trial, contact.residual)
+    evaluate(law, contact, pairs, contact.displacement, contact.trial, contact.residual)
     for j in range(len(work.free)):
-        if work.free[j]:
-            for r in range(6):
+        for r in range(6):
+            if work.free[j]:
                 missing[j, r] = contact.residual[j, r]
-    # Robots bear what they bore before; their springs take over what is lost.
-    push = np.zeros((len(work.free), 6))
-    for j in range(len(work.free)):
-        if contact.grip[j] > 0.0:
-            for r in range(6):
+            if contact.grip[j] > 0.0:  # robots bear what they bore before; their springs take over what is lost
                 push[j, r] = -lost[structure.elimination.order[j], r] / increments
     for k in range(len(press_part)):
         for r in range(6):
             push[structure.elimination.position[press_part[k]], r] += press_wrench[k, r] / increments
     count = increments
-    if lacks_contact(work, contact, pairs):
+    if lacks_contact(contact, pairs):
         result, count = MOVES_AWAY, 0
-    kept, free = freeze_outside_ball(structure, moving, origin, NEAR_RINGS, near)
+    mends = work.start[pairs] < 0  # not a literal, for which numba would recompile the search
+    kept, free = freeze_outside_ball(structure, moving, origin, REACH, near)
     ahead = np.zeros((len(work.free), 6))  # parts move, and contacts slide, in each increment much as in the last
     for k in range(1, count + 1):
         share = 1.0 - k / count
@@ -236,46 +209,28 @@ def settle_step(
             for r in range(6):
                 missing[j, r] -= push[j, r]
         if len(guess):
-            read_displacement(structure, contact_structure, work, guess[k - 1], ahead)
+            read_displacement(law, work, guess[k - 1], ahead)
         for j in range(len(ahead)):
             for r in range(6):
                 contact.displacement[j, r] = ahead[j, r]
         if kept > 0 and 2 * kept <= free:
-            pairs, _ = load_history(
-                structure, contact_structure, near, work, contact, springs, torn, set_share, missing, share
-            )
+            pairs, _ = load_history(law, near, contact, history, missing, share)
             if k > 1 or len(guess):
-                move_far_parts(structure, moving, near, work, contact, pairs, ahead)
+                move_far_parts(structure, moving, near, contact, pairs, ahead)
+            first = options.first_step if k == 1 else options.warm_first_step
             result, residual, taken = equilibrate(
-                structure,
-                contact_structure,
-                work,
-                contact,
-                pairs,
-                options.near_steps,
-                tolerance,
-                options.first_step if k == 1 else options.warm_first_step,
-                VERDICT_SCHEDULE,
+                law, contact, pairs, options.warm_steps // 2, tolerance, first, VERDICT_SCHEDULE
             )
             spent += taken
-        pairs, _ = load_history(
-            structure, contact_structure, moving, work, contact, springs, torn, set_share, missing, share
-        )
+        pairs, _ = load_history(law, moving, contact, history, missing, share)
         left = 2 if result == RESTS else 1  # from where the near parts came to rest, then from before
         while left > 0:
+            steps, first = options.warm_steps, options.warm_first_step
             if left == 1:
                 contact.displacement[:] = 0.0
+                steps, first = options.steps, options.first_step
             result, residual, taken = solve_statics(
-                structure,
-                contact_structure,
-                work,
-                contact,
-                pairs,
-                options.warm_steps if left == 2 else options.steps,
-                tolerance,
-                options.warm_first_step if left == 2 else options.first_step,
-                work.start[pairs] < 0,
-                VERDICT_SCHEDULE,
+                law, contact, pairs, steps, tolerance, first, mends, VERDICT_SCHEDULE
             )
             spent += taken
             left = 0 if result == RESTS else left - 1
@@ -283,21 +238,21 @@ def settle_step(
             for r in range(6):
                 ahead[j, r] = contact.displacement[j, r]
                 missing[j, r] += contact.grip[j] * ahead[j, r]  # zero but for held parts
-            if contact.across[j] > 0.0:
+            if 0.0 < contact.across[j] < np.inf:
                 add_across(contact, j, ahead, 1.0, missing)
-        _keep_history(structure, contact_structure, work, contact, pairs, displacement, springs, torn, track[k - 1])
+        _keep_history(law, contact, pairs, history, track[k - 1])
         if result != RESTS:
             break
     part, movement = -1, 0.0
     for i in range(len(state)):
-        if state[i] != 0:
-            moved = _movement(contact_structure, displacement, i)
+        for r in range(6 if state[i] != 0 else 0):
+            moved = abs(history.displacement[i, r]) * (1.0 if r < 3 else law.reach[i])
             if moved > movement:
                 part, movement = i, moved
-    if result == RESTS and moves_far(contact_structure, work, contact, pairs, movement):
+    if result == RESTS and moves_far(law, contact, pairs, movement):
         result = MOVES_AWAY
     if result == RESTS:
-        strained = overloaded(structure, contact_structure, state, springs, torn, set_share)
+        strained = overloaded(law, state, history)
         if strained >= 0:
             result, part = OVERLOADS, strained
     return result, residual, spent, part, movement
@@ -305,50 +260,26 @@ def settle_step(
 
 @njit(nogil=True, cache=True)
 def replay_range(
-    structure,
-    contact_structure,
-    states,
-    fresh,
-    press_start,
-    press_part,
-    press_wrench,
-    options,
-    increments,
-    noise,
-    displacement,
-    springs,
-    torn,
-    set_share,
-    track,
-    guess,
-    result,
-    residual,
-    iterations,
-    part,
-    movement,
-):
+    law, states, fresh, press_start, press_part, press_wrench, options, increments, noise, displacement, springs, torn,
+    set_share, track, guess, result, residual, part, movement,
+):  # fmt: skip
     """Replay consecutive states until one does not come to rest; return how many did.
 
     Args:
+        law, options, increments: as in `settle_step`.
         states: shape (steps + 1, parts); the history belongs to the first, unless `fresh`.
         fresh: whether the first state has no history.
         press_start, press_part, press_wrench: the robots that press in the step to state `i` are the entries
             `press_start[i]:press_start[i + 1]`; see `settle_step`.
-        options, increments, noise: as in `settle_step` and `place_new`.
-        displacement, springs, torn: the history before and after each state, shapes (steps + 1, parts, 6),
-            (steps + 1, points, 3) and (steps + 1, points); the first entry is given, the others are written.
-        set_share: as in `settle_step`, shape (steps + 1, points) or (steps + 1, 0).
+        noise: as in `place_new`.
+        displacement, springs, torn, set_share: `HistoryArrays` before and after each state, with `steps + 1` entries
+            each; the first entry is given, the others are written, but for `set_share`.
         track, guess: as in `settle_step`, one entry a state; one of the guess for all where there is none.
-        result, residual, iterations, part, movement: out, one entry per state.
+        result, residual, part, movement: out, one entry per state.
     """
-    work, contact = make_scratch(structure), make_contact_scratch(structure)
-    lost = np.zeros((states.shape[1], 6))
-    near, moving, origin = (
-        np.empty(states.shape[1], np.uint8),
-        np.empty(states.shape[1], np.uint8),
-        np.empty(states.shape[1], np.uint8),
-    )
+    contact, lost = make_contact_scratch(law), np.zeros((states.shape[1], 6))
     for i in range(len(states)):
+        history = HistoryArrays(displacement[i], springs[i], torn[i], set_share[i])
         settles = fresh
         if i > 0:
             # Entry by entry: assigning rows to rows would compile numba's error messages, for seconds.
@@ -359,36 +290,20 @@ def replay_range(
                 for k in range(3):
                     springs[i, j, k] = springs[i - 1, j, k]
                 torn[i, j] = torn[i - 1, j]
-            lose_carriers(structure, states[i - 1], states[i], springs[i], torn[i], set_share[i], lost)
-            place_new(structure, states[i - 1], states[i], noise, displacement[i], springs[i], torn[i])
+            lose_carriers(law.structure, states[i - 1], states[i], history, lost)
+            place_new(law.structure, states[i - 1], states[i], noise, history)
             settles = False
             for p in range(states.shape[1]):
                 # Holding a part changes nothing; releasing or removing one does.
                 settles = settles or (states[i, p] != states[i - 1, p] and states[i, p] != 2)
-        result[i], residual[i], iterations[i] = RESTS, 0.0, 0
+        result[i], residual[i] = RESTS, 0.0
         if settles:
-            result[i], residual[i], iterations[i], part[i], movement[i] = settle_step(
-                structure,
-                contact_structure,
-                states[max(i - 1, 0)],
-                states[i],
-                press_part[press_start[i] : press_start[i + 1]],
-                press_wrench[press_start[i] : press_start[i + 1]],
-                lost,
-                options,
-                increments,
-                work,
-                contact,
-                near,
-                moving,
-                origin,
-                displacement[i],
-                springs[i],
-                torn[i],
-                set_share[i],
-                track[i],
-                guess[i] if guess.shape[1] else guess[0],
-            )
+            first, last = press_start[i], press_start[i + 1]
+            ways = guess[i] if guess.shape[1] else guess[0]
+            result[i], residual[i], _, part[i], movement[i] = settle_step(
+                law, states[max(i - 1, 0)], states[i], press_part[first:last], press_wrench[first:last], lost, options,
+                increments, contact, history, track[i], ways,
+            )  # fmt: skip
             if result[i] != RESTS:
                 return i
         elif i > 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.stability.contact.hybrid_kernel import LOCKED
+from falsework.stability.contact.hold_kernel import LOCKED
 from falsework.stability.contact.law import gauge, gauge_gradient
 from falsework.stability.cpu.cones import NEGLIGIBLE
 from falsework.stability.cpu.layout import FAST
@@ -28,14 +28,15 @@ def _apply(matrix, turned, q, images):
 
 
 @njit(fastmath=FAST, cache=True)
-def assemble_tangent(structure, contact_structure, work, contact, pairs, shift):
+def assemble_tangent(law, contact, pairs, shift):
     """Write the tangent stiffness at the spring forces `contact.trial`, plus `shift` times the identity.
 
     A contact that just touches counts as closed and sticking, so the first step from rest is that of a bonded one.
     """
+    structure, work = law.structure, contact.work
     start, cone, friction, first = work.start, structure.cone, work.friction, structure.pair_start
     kn, kt, trial, pull, stick = contact.normal, contact.tangential, contact.trial, contact.pull, contact.stick
-    turned_a, turned_b, rows = contact_structure.turned_a, contact_structure.turned_b, contact_structure.rows
+    turned_a, turned_b, rows = law.turned_a, law.turned_b, law.rows
     supernode, tangent = structure.elimination.supernode, contact.tangent
     pair, slot_a, slot_b, panels = work.pair, work.slot_a, work.slot_b, work.panels
     upper, lower, diagonal, block, width = panels.upper, panels.lower, panels.diagonal, panels.block, panels.width

@@ -21,7 +21,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings
 from falsework.stability.contact.hold_loads import Loads
-from falsework.stability.contact.newton import FIRST_STEP, OPEN
+from falsework.stability.contact.newton import OPEN
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.holds import inexact_presses
 from falsework.stability.problem import Problem
@@ -33,51 +33,38 @@ DRAWS = 20
 
 
 class AnyReplayer(Protocol):
-    """Interface of a replayer of routes for a search."""
+    """Interface of a `Replayer`, or of one that checks a deadline between steps."""
 
     @property
     def problem(self) -> Problem:
         """Contact problem of the structure."""
-        ...
 
     @property
     def settings(self) -> StabilitySettings:
         """Settings of the verdicts."""
-        ...
 
     @property
     def varies(self) -> bool:
         """Whether every step must come to rest under changed settings too."""
-        ...
 
     def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
         """Replay consecutive states in assembly order."""
-        ...
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
         """Take one step, as a replay of both states."""
-        ...
-
-
-class VariableReplayer(AnyReplayer, Protocol):
-    """Interface of a `Replayer`, or of one that checks a deadline between steps."""
 
     @property
     def assembly(self) -> Assembly:
         """The structure."""
-        ...
 
     def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> Self:
         """Return a replayer of the same structure under other settings."""
-        ...
 
     def first_tipping(self, states: States, histories: Sequence[History]) -> int | None:
         """Return the first state that a small motion leaves, though it is at rest; None if there is none."""
-        ...
 
     def loads(self, states: States, histories: Sequence[History]) -> Loads:
         """Return what robots bear in states in assembly order."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -113,8 +100,8 @@ _SMALL_RATIO = Change("stiffness ratio 0.4", ratio=0.4)
 _LARGE_RATIO = Change("stiffness ratio 1", ratio=1.0)
 _AT_ONCE = Change("release in 1 increment", replay=(("increments", 1),))
 _SLOWLY = Change("release in 16 increments", replay=(("increments", 16),))
-_THICK = Change("thicker medium", replay=(("first_step", FIRST_STEP / 30),))
-_THIN = Change("thinner medium", replay=(("first_step", FIRST_STEP * 30),))
+_THICK = Change("thicker medium", replay=(("first_step", ReplaySettings.first_step / 30),))
+_THIN = Change("thinner medium", replay=(("first_step", ReplaySettings.first_step * 30),))
 _SOFT = Change("holds 3 times softer", hold_factor=1 / 3)
 _STIFF = Change("holds 3 times stiffer", hold_factor=3.0)
 _PRESSES = tuple(
@@ -149,7 +136,7 @@ def _inexact(changes: Sequence[Change], presses: Presses) -> Presses:
     return presses
 
 
-def _replayed(replayer: VariableReplayer, change: Change, states: States, presses: Presses) -> Replay:
+def _replayed(replayer: AnyReplayer, change: Change, states: States, presses: Presses) -> Replay:
     """Return the replay of a plan under one change."""
     settings, varied, pressed = changed([change], replayer.settings, presses)
     return replayer.vary(settings, varied).replay(states, presses=pressed)
@@ -213,7 +200,7 @@ def _cut(found: Replay, other: Replay, row: int) -> Replay:
 
 
 def replay_varied(
-    replayer: VariableReplayer, states: States, presses: Presses | None = None, *, draws: int = DRAWS
+    replayer: AnyReplayer, states: States, presses: Presses | None = None, *, draws: int = DRAWS
 ) -> list[Variation]:
     """Replay a plan under other settings: a plan that collapses under one of them is marginal.
 
@@ -240,7 +227,7 @@ class AllVariations:
     after another, most plans cost one replay.
     """
 
-    def __init__(self, replayer: VariableReplayer) -> None:
+    def __init__(self, replayer: AnyReplayer) -> None:
         """Prepare the test of plans with the settings of a replayer."""
         self._replayer, self._first = replayer, list[Change]()
 

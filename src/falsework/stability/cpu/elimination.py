@@ -13,15 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.stability.cpu.ordering import elimination_order
 from falsework.stability.cpu.products import LANES
 from falsework.stability.problem import Problem
 from falsework.utils.kernels import njit
 
-_ALWAYS = 3
-"""Parts up to which a supernode and the one that follows it become one, whatever zeros that stores."""
 _ZEROS = 0.05
-"""Share of zeros in the panels of two supernodes up to which they become one beyond that."""
+"""Share of zeros in the panels of two supernodes up to which they become one."""
 
 
 class Elimination(NamedTuple):
@@ -82,77 +79,69 @@ class Panels(NamedTuple):
 
 
 def eliminate(problem: Problem) -> Elimination:
-    """Order the parts and find the fill, supernode by supernode (George and Liu, 1981; Liu, Ng and Peyton, 1993)."""
-    neighbours: dict[int, set[int]] = {int(part): set() for part in np.flatnonzero(~problem.boundary)}
-    for a, b in problem.pair_parts.tolist():
-        if a in neighbours and b in neighbours:
-            neighbours[a].add(b)
-            neighbours[b].add(a)
-    order, parent = _postorder(neighbours, elimination_order(neighbours))
-    place = {part: j for j, part in enumerate(order)}
-    rows: list[set[int]] = [
-        {place[other] for other in neighbours[part] if place[other] > j} for part, j in place.items()
-    ]
-    for j, above in enumerate(parent):  # children come before
-        if above >= 0:
-            rows[above] |= rows[j] - {above}
-    start, below = _supernodes(rows, parent)
+    """Order the parts by minimum degree (Liu, 1985), as SuperLU does, and join its columns into supernodes."""
+    from scipy.sparse import csc_array
+    from scipy.sparse.linalg import splu
+
+    parts = np.flatnonzero(~problem.boundary)
     position = np.full(problem.parts, -1, dtype=np.int32)
-    position[order] = np.arange(len(order))
+    position[parts] = np.arange(len(parts))
+    ends = position[problem.pair_parts]
+    ends = ends[(ends >= 0).all(axis=1)].T
+    order, start, below = np.zeros(0, np.int64), [0], list[NDArray[np.int64]]()
+    if len(parts):
+        # Of a matrix whose diagonal dominates and whose other entries are negative, no entry of a factor vanishes.
+        entries = np.r_[np.full(len(parts), 1.0 + ends.shape[1]), np.full(ends.size, -1.0)]
+        places = np.hstack([np.tile(np.arange(len(parts)), (2, 1)), ends, ends[::-1]])
+        matrix = csc_array((entries, (places[0], places[1])))
+        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        lower = factor.L
+        lower.sort_indices()
+        found = np.split(lower.indices, lower.indptr[1:-1])
+        new = _postorder([int(row[1]) if len(row) > 1 else -1 for row in found])
+        number = np.argsort(new)
+        order, rows = np.argsort(factor.perm_c)[new], [np.sort(number[found[j]][1:]) for j in new]
+        start = _supernodes([len(row) for row in rows], [int(row[0]) if len(row) else -1 for row in rows])
+        below = [rows[last - 1] for last in start[1:]]
+    position[parts[order]] = np.arange(len(parts))
     sizes = np.diff(start)
     return Elimination(
-        order=np.array(order, dtype=np.int32),
+        order=parts[order].astype(np.int32),
         position=position,
         start=np.array(start, dtype=np.int32),
         supernode=np.repeat(np.arange(len(sizes)), sizes).astype(np.int32),
-        row_start=np.cumsum([0] + [len(each) for each in below]).astype(np.int32),
-        row=np.array([i for each in below for i in sorted(each)], dtype=np.int32),
+        row_start=np.cumsum([0, *map(len, below)]).astype(np.int32),
+        row=np.concatenate([*below, np.zeros(0)]).astype(np.int32),
     )
 
 
-def _postorder(neighbours: dict[int, set[int]], order: list[int]) -> tuple[list[int], list[int]]:
-    """Return the order with each subtree of the elimination tree in a row, and parents by position, -1 for roots."""
-    place = {part: j for j, part in enumerate(order)}
-    parent, ancestor = [-1] * len(order), [-1] * len(order)
-    for j, part in enumerate(order):
-        for other in neighbours[part]:
-            i = place[other]
-            while i < j:  # up to the root so far, with the path made short (Liu, 1986)
-                above, ancestor[i] = ancestor[i], j
-                if above < 0:
-                    parent[i] = j
-                    break
-                i = above
-    children: list[list[int]] = [[] for _ in order]
-    roots = []
+def _postorder(parent: list[int]) -> list[int]:
+    """Return positions with each subtree of the elimination tree in a row, children first; -1 is parent of roots."""
+    children: list[list[int]] = [[] for _ in range(len(parent) + 1)]
     for j, above in enumerate(parent):
-        (children[above] if above >= 0 else roots).append(j)
-    new: list[int] = []
-    ahead = roots
+        children[above].append(j)
+    order, ahead = [], children[-1]
     while ahead:  # parents first, from the last root; then turned round
-        j = ahead.pop()
-        new.append(j)
-        ahead += children[j]
-    new.reverse()
-    number = {j: k for k, j in enumerate(new)}
-    return [order[j] for j in new], [number[parent[j]] if parent[j] >= 0 else -1 for j in new]
+        order.append(ahead.pop())
+        ahead += children[order[-1]]
+    return order[::-1]
 
 
-def _supernodes(rows: list[set[int]], parent: list[int]) -> tuple[list[int], list[set[int]]]:
-    """Return where supernodes start, with the end, and the rows below each."""
-    found: list[tuple[int, int, int]] = []  # first and last position, and zeros in the panels
-    for j in range(len(rows)):
+def _supernodes(below: list[int], parent: list[int]) -> list[int]:
+    """Return where supernodes start, with the end, by the rows below each position and its parent, -1 for roots."""
+    found: list[tuple[int, int]] = []  # first position, and zeros in the panels
+    for j, rows in enumerate(below):
         first, zeros = j, 0
         while found and first <= parent[first - 1] <= j:
-            before, last, more = found[-1]
+            before, more = found[-1]
             size = j + 1 - before
-            more += zeros + (first - before) * (j + 1 - first + len(rows[j]) - len(rows[last]))
-            if size > _ALWAYS and more > _ZEROS * size * (size + len(rows[j])):
+            more += zeros + (first - before) * (j + 1 - first + rows - below[first - 1])
+            if more > _ZEROS * size * (size + rows):
                 break
             found.pop()
             first, zeros = before, more
-        found.append((first, j, zeros))
-    return [*(first for first, _, _ in found), len(rows)], [rows[last] for _, last, _ in found]
+        found.append((first, zeros))
+    return [*(first for first, _ in found), len(below)]
 
 
 @njit(cache=True)

@@ -23,6 +23,7 @@ import numpy as np
 from falsework.stability.cpu.cones import NEGLIGIBLE, OCTAGON
 from falsework.stability.cpu.layout import (
     FAST,
+    add_force,
     add_pair_wrench,
     add_wrenches,
     dot,
@@ -38,6 +39,18 @@ _RAY_X = np.array([math.cos(k * math.pi / 4) for k in range(8)])
 _RAY_Y = np.array([math.sin(k * math.pi / 4) for k in range(8)])
 _BACK_OFF = 0.99
 """Share of the way to the boundary of the cones in a step, as is common for such methods."""
+
+
+@njit(inline="always", fastmath=FAST)
+def _scaling(x, s, j):
+    """Return the scaling of Nesterov and Todd: a unit vector and a factor; and the determinant of the slack."""
+    det_x = x[j, 0] * x[j, 0] - x[j, 1] * x[j, 1] - x[j, 2] * x[j, 2]
+    det_s = s[j, 0] * s[j, 0] - s[j, 1] * s[j, 1] - s[j, 2] * s[j, 2]
+    fx, fs = 1.0 / math.sqrt(det_x), 1.0 / math.sqrt(det_s)
+    both = fx * fs * (x[j, 0] * s[j, 0] + x[j, 1] * s[j, 1] + x[j, 2] * s[j, 2])
+    f = 1.0 / math.sqrt(2.0 * (1.0 + both))
+    v0, v1, v2 = f * (fx * x[j, 0] + fs * s[j, 0]), f * (fx * x[j, 1] - fs * s[j, 1]), f * (fx * x[j, 2] - fs * s[j, 2])
+    return v0, v1, v2, math.sqrt(det_x / det_s), det_s
 
 
 @njit(inline="always", fastmath=FAST)
@@ -67,13 +80,7 @@ def _system(octagon, mu, x, s, j, target, second, w, b):
         w[0], w[1], w[2], w[3], w[4], w[5] = w00, w01, w02, w11, w12, w22
         b[0], b[1], b[2] = b0, b1, b2
         return
-    det_x = x[j, 0] * x[j, 0] - x[j, 1] * x[j, 1] - x[j, 2] * x[j, 2]
-    det_s = s[j, 0] * s[j, 0] - s[j, 1] * s[j, 1] - s[j, 2] * s[j, 2]
-    fx, fs = 1.0 / math.sqrt(det_x), 1.0 / math.sqrt(det_s)
-    both = fx * fs * (x[j, 0] * s[j, 0] + x[j, 1] * s[j, 1] + x[j, 2] * s[j, 2])
-    f = 1.0 / math.sqrt(2.0 * (1.0 + both))
-    v0, v1, v2 = f * (fx * x[j, 0] + fs * s[j, 0]), f * (fx * x[j, 1] - fs * s[j, 1]), f * (fx * x[j, 2] - fs * s[j, 2])
-    scale = math.sqrt(det_x / det_s)
+    v0, v1, v2, scale, det_s = _scaling(x, s, j)
     # Back from self-dual coordinates: the normal was multiplied by mu.
     w[0] = scale * (2.0 * v0 * v0 - 1.0) / (mu * mu)
     w[1] = scale * 2.0 * v0 * v1 / mu
@@ -102,13 +109,7 @@ def _step(octagon, mu, x, s, j, target, second, y0, y1, y2, dx, ds):
                 reach = min(reach, -x[j, k] / dx[j, k])
         return reach
     y0 /= mu
-    det_x = x[j, 0] * x[j, 0] - x[j, 1] * x[j, 1] - x[j, 2] * x[j, 2]
-    det_s = s[j, 0] * s[j, 0] - s[j, 1] * s[j, 1] - s[j, 2] * s[j, 2]
-    fx, fs = 1.0 / math.sqrt(det_x), 1.0 / math.sqrt(det_s)
-    both = fx * fs * (x[j, 0] * s[j, 0] + x[j, 1] * s[j, 1] + x[j, 2] * s[j, 2])
-    f = 1.0 / math.sqrt(2.0 * (1.0 + both))
-    v0, v1, v2 = f * (fx * x[j, 0] + fs * s[j, 0]), f * (fx * x[j, 1] - fs * s[j, 1]), f * (fx * x[j, 2] - fs * s[j, 2])
-    scale = math.sqrt(det_x / det_s)
+    v0, v1, v2, scale, det_s = _scaling(x, s, j)
     along = 2.0 * (v0 * y0 + v1 * y1 + v2 * y2)
     t = target / det_s
     dx[j, 0] = t * s[j, 0] - scale * (along * v0 - y0)
@@ -203,12 +204,7 @@ def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
             c0 = b[0] - w00 * v[j, 0] - w01 * v[j, 1] - w02 * v[j, 2]
             c1 = b[1] - w01 * v[j, 0] - w11 * v[j, 1] - w12 * v[j, 2]
             c2 = b[2] - w02 * v[j, 0] - w12 * v[j, 1] - w22 * v[j, 2]
-            a0 += basis[j, 0, 0] * c0 + basis[j, 0, 1] * c1 + basis[j, 0, 2] * c2
-            a1 += basis[j, 1, 0] * c0 + basis[j, 1, 1] * c1 + basis[j, 1, 2] * c2
-            a2 += basis[j, 2, 0] * c0 + basis[j, 2, 1] * c1 + basis[j, 2, 2] * c2
-            a3 += basis[j, 3, 0] * c0 + basis[j, 3, 1] * c1 + basis[j, 3, 2] * c2
-            a4 += basis[j, 4, 0] * c0 + basis[j, 4, 1] * c1 + basis[j, 4, 2] * c2
-            a5 += basis[j, 5, 0] * c0 + basis[j, 5, 1] * c1 + basis[j, 5, 2] * c2
+            a0, a1, a2, a3, a4, a5 = add_force(basis, j, c0, c1, c2, a0, a1, a2, a3, a4, a5)
             if matrix:
                 add_point_matrix(basis, j, w00, w01, w02, w11, w12, w22, local)
         add_pair_wrench(ta, tb, pair[p], slot_a[p], slot_b[p], a0, a1, a2, a3, a4, a5, rhs)

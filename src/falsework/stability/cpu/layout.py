@@ -160,32 +160,18 @@ def make_scratch(structure):
     n = len(structure.elimination.order)
     pairs = len(structure.pair_parts)
     points = len(structure.basis)
+    slot_a, slot_b, pair = np.zeros(pairs, np.int32), np.zeros(pairs, np.int32), np.zeros(pairs, np.int32)
+    scale, friction, pull, stick = np.zeros(points), np.zeros(points), np.zeros(points), np.zeros(points)
+    u, z, v = np.zeros((points, 3)), np.zeros((points, 3)), np.zeros((points, 3))
+    velocity, rhs, residual = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
+    start, basis, tears = np.zeros(pairs + 1, np.int32), np.empty((points, 6, 3)), np.zeros(points, np.bool_)
+    interior = np.empty((points, 8)), np.empty((points, 8)), np.empty((points, 8)), np.empty((points, 8))
+    free, pulled, load = np.zeros(n, np.bool_), np.zeros(1), np.zeros((n, 6))
     return Scratch(
-        np.zeros(n, dtype=np.bool_),
-        np.zeros(pairs, dtype=np.int32),
-        np.zeros(pairs, dtype=np.int32),
-        np.zeros(pairs, dtype=np.int32),
-        np.zeros(pairs + 1, dtype=np.int32),
-        np.empty((points, 6, 3)),
-        np.zeros(points),
-        np.zeros(points),
-        np.zeros(points),
-        np.zeros(points),
-        np.zeros(points, dtype=np.bool_),
-        np.zeros(1),
-        np.zeros((n, 6)),
-        np.zeros((points, 3)),
-        np.zeros((points, 3)),
-        np.zeros((points, 3)),
-        np.empty((points, 8)),
-        np.empty((points, 8)),
-        np.empty((points, 8)),
-        np.empty((points, 8)),
-        np.zeros((n, 6)),
-        np.zeros((n, 6)),
-        np.zeros((n, 6)),
+        free, slot_a, slot_b, pair, start, basis, scale, friction, pull, stick, tears, pulled, load, u, z, v,
+        interior[0], interior[1], interior[2], interior[3], velocity, rhs, residual,
         make_panels(structure.elimination, pairs),
-    )
+    )  # fmt: skip
 
 
 @njit(fastmath=FAST, cache=True)
@@ -249,6 +235,19 @@ def restrict(structure, state, work):
 
 
 @njit(inline="always", fastmath=FAST)
+def _add_velocity(transfer, q, part, velocity, s0, s1, s2, s3, s4, s5):
+    for r in range(6):
+        w = velocity[part, r]
+        s0 += transfer[q, r, 0] * w
+        s1 += transfer[q, r, 1] * w
+        s2 += transfer[q, r, 2] * w
+        s3 += transfer[q, r, 3] * w
+        s4 += transfer[q, r, 4] * w
+        s5 += transfer[q, r, 5] * w
+    return s0, s1, s2, s3, s4, s5
+
+
+@njit(inline="always", fastmath=FAST)
 def pair_velocity(transfer_a, transfer_b, q, a, b, velocity):
     """Return the relative velocity and rotation at the centre of pair `q`, six numbers.
 
@@ -256,49 +255,32 @@ def pair_velocity(transfer_a, transfer_b, q, a, b, velocity):
     """
     s0, s1, s2, s3, s4, s5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if a >= 0:
-        for r in range(6):
-            w = velocity[a, r]
-            s0 += transfer_a[q, r, 0] * w
-            s1 += transfer_a[q, r, 1] * w
-            s2 += transfer_a[q, r, 2] * w
-            s3 += transfer_a[q, r, 3] * w
-            s4 += transfer_a[q, r, 4] * w
-            s5 += transfer_a[q, r, 5] * w
+        s0, s1, s2, s3, s4, s5 = _add_velocity(transfer_a, q, a, velocity, s0, s1, s2, s3, s4, s5)
     if b >= 0:
-        for r in range(6):
-            w = velocity[b, r]
-            s0 += transfer_b[q, r, 0] * w
-            s1 += transfer_b[q, r, 1] * w
-            s2 += transfer_b[q, r, 2] * w
-            s3 += transfer_b[q, r, 3] * w
-            s4 += transfer_b[q, r, 4] * w
-            s5 += transfer_b[q, r, 5] * w
+        s0, s1, s2, s3, s4, s5 = _add_velocity(transfer_b, q, b, velocity, s0, s1, s2, s3, s4, s5)
     return s0, s1, s2, s3, s4, s5
+
+
+@njit(inline="always", fastmath=FAST)
+def _add_wrench(transfer, q, part, f0, f1, f2, f3, f4, f5, out):
+    for r in range(6):
+        out[part, r] += (
+            transfer[q, r, 0] * f0
+            + transfer[q, r, 1] * f1
+            + transfer[q, r, 2] * f2
+            + transfer[q, r, 3] * f3
+            + transfer[q, r, 4] * f4
+            + transfer[q, r, 5] * f5
+        )
 
 
 @njit(inline="always", fastmath=FAST)
 def add_pair_wrench(transfer_a, transfer_b, q, a, b, f0, f1, f2, f3, f4, f5, out):
     """Add the six numbers of a force and moment at the centre of pair `q` to its parts that can move."""
     if a >= 0:
-        for r in range(6):
-            out[a, r] += (
-                transfer_a[q, r, 0] * f0
-                + transfer_a[q, r, 1] * f1
-                + transfer_a[q, r, 2] * f2
-                + transfer_a[q, r, 3] * f3
-                + transfer_a[q, r, 4] * f4
-                + transfer_a[q, r, 5] * f5
-            )
+        _add_wrench(transfer_a, q, a, f0, f1, f2, f3, f4, f5, out)
     if b >= 0:
-        for r in range(6):
-            out[b, r] += (
-                transfer_b[q, r, 0] * f0
-                + transfer_b[q, r, 1] * f1
-                + transfer_b[q, r, 2] * f2
-                + transfer_b[q, r, 3] * f3
-                + transfer_b[q, r, 4] * f4
-                + transfer_b[q, r, 5] * f5
-            )
+        _add_wrench(transfer_b, q, b, f0, f1, f2, f3, f4, f5, out)
 
 
 @njit(inline="always", fastmath=FAST)
@@ -312,6 +294,19 @@ def point_velocity(basis, j, s0, s1, s2, s3, s4, s5):
         basis[j, 0, 2] * s0 + basis[j, 1, 2] * s1 + basis[j, 2, 2] * s2
         + basis[j, 3, 2] * s3 + basis[j, 4, 2] * s4 + basis[j, 5, 2] * s5,
     )  # fmt: skip
+
+
+@njit(inline="always", fastmath=FAST)
+def add_force(basis, j, f0, f1, f2, a0, a1, a2, a3, a4, a5):
+    """Return the six numbers of a force and moment at the centre of a pair with a force at point `j` added."""
+    return (
+        a0 + (basis[j, 0, 0] * f0 + basis[j, 0, 1] * f1 + basis[j, 0, 2] * f2),
+        a1 + (basis[j, 1, 0] * f0 + basis[j, 1, 1] * f1 + basis[j, 1, 2] * f2),
+        a2 + (basis[j, 2, 0] * f0 + basis[j, 2, 1] * f1 + basis[j, 2, 2] * f2),
+        a3 + (basis[j, 3, 0] * f0 + basis[j, 3, 1] * f1 + basis[j, 3, 2] * f2),
+        a4 + (basis[j, 4, 0] * f0 + basis[j, 4, 1] * f1 + basis[j, 4, 2] * f2),
+        a5 + (basis[j, 5, 0] * f0 + basis[j, 5, 1] * f1 + basis[j, 5, 2] * f2),
+    )
 
 
 @njit(fastmath=FAST, cache=True)
@@ -346,19 +341,26 @@ def store_forces(structure, work, pairs, forces):
                 forces[j + shift, r] = work.z[j, r] * work.force_scale[j]
 
 
+@njit(cache=True)
+def write_motion(structure, work, whitened, scale, out):
+    """Write `scale` times a whitened motion, shape (n, 6), as that of the parts that can move, shape (parts, 6)."""
+    order, turn = structure.elimination.order, structure.acceleration
+    for j in range(len(work.free)):
+        if work.free[j]:
+            for r in range(6):
+                total = 0.0
+                for c in range(6):
+                    total += turn[order[j], r, c] * whitened[j, c]
+                out[order[j], r] = total * scale
+
+
 @njit(inline="always", fastmath=FAST)
 def add_wrench(structure, work, p, forces, out):
     """Add `G forces` of the points of one pair to `out`."""
     basis = work.basis
     a0, a1, a2, a3, a4, a5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(work.start[p], work.start[p + 1]):
-        f0, f1, f2 = forces[j, 0], forces[j, 1], forces[j, 2]
-        a0 += basis[j, 0, 0] * f0 + basis[j, 0, 1] * f1 + basis[j, 0, 2] * f2
-        a1 += basis[j, 1, 0] * f0 + basis[j, 1, 1] * f1 + basis[j, 1, 2] * f2
-        a2 += basis[j, 2, 0] * f0 + basis[j, 2, 1] * f1 + basis[j, 2, 2] * f2
-        a3 += basis[j, 3, 0] * f0 + basis[j, 3, 1] * f1 + basis[j, 3, 2] * f2
-        a4 += basis[j, 4, 0] * f0 + basis[j, 4, 1] * f1 + basis[j, 4, 2] * f2
-        a5 += basis[j, 5, 0] * f0 + basis[j, 5, 1] * f1 + basis[j, 5, 2] * f2
+        a0, a1, a2, a3, a4, a5 = add_force(basis, j, forces[j, 0], forces[j, 1], forces[j, 2], a0, a1, a2, a3, a4, a5)
     ta, tb, a, b = structure.transfer_a, structure.transfer_b, work.slot_a[p], work.slot_b[p]
     add_pair_wrench(ta, tb, work.pair[p], a, b, a0, a1, a2, a3, a4, a5, out)
 

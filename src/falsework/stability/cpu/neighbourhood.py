@@ -16,6 +16,9 @@ from falsework.stability.cpu.layout import make_scratch, pair_velocity, point_ve
 from falsework.stability.cpu.termination import UNDECIDED, UNSTABLE
 from falsework.utils.kernels import njit
 
+REACH = 3
+"""Contacts from a change within which parts settle first, and a mechanism is sought last; by which the first region
+of a repair reaches beyond it, and by which that is extended first. Checked on recorded searches."""
 _MARKED = 0.5
 """Share of the largest change of force that a region would pass on over its border, from which another part counts as
 pressed (the marking of Doerfler, 1996); checked on recorded searches."""
@@ -161,34 +164,44 @@ def extend_region(structure, state, near, velocity, forces, reach):
     return kept
 
 
+@njit(cache=True)
+def find_mechanism(structure, state, parent, reach, options, work, velocity):
+    """Search for a mechanism near the difference of a state from its parent; parts over `reach` contacts away are held.
+
+    `velocity` as in `solve_state`.
+
+    Returns:
+        `UNSTABLE` or `UNDECIDED`, the residual that it is based on, and iterations.
+    """
+    near = np.empty(len(state), np.uint8)
+    kept, free = freeze_outside_ball(structure, state, parent, reach, near)
+    if kept == 0 or 2 * kept > free:
+        return UNDECIDED, np.nan, 0
+    forces = np.zeros((0, 3))
+    cold = len(forces) > 0  # not a literal, for which numba would recompile the solver
+    verdict, residual, iterations = solve_state(structure, near, options, work, forces, velocity, cold)
+    if verdict != UNSTABLE:  # forces that balance these parts alone prove nothing
+        verdict, residual = UNDECIDED, np.nan
+    return verdict, residual, iterations
+
+
 @njit(nogil=True, cache=True)
-def local_instability_range(structure, states, parents, reach, options, velocity, verdict, residual, iterations, steps):
+def local_instability_range(structure, states, parents, reach, options, velocity, verdict, residual, iterations):
     """Search for mechanisms near the difference of states, whose `verdict` is `UNDECIDED`, from their parents.
 
-    Parts more than `reach` contacts away are held. Arrays as in `solve_range`.
+    Arrays as in `solve_range`, `reach` as in `find_mechanism`.
 
     Returns:
         Number of states left undecided.
     """
-    nothing_f = np.zeros((0, 3))
-    nothing_v = np.zeros((0, 6))
-    near = np.empty(states.shape[1], np.uint8)
+    nothing = np.zeros((0, 6))
     work = make_scratch(structure)
-    cold = len(nothing_f) > 0  # not a literal, for which numba would recompile the solver
     left = 0
     for i in range(len(states)):
         if verdict[i] != UNDECIDED:
             continue
-        motion = velocity[i] if len(velocity) else nothing_v
-        kept, free = freeze_outside_ball(structure, states[i], parents[i], reach, near)
-        v, r, k, s = UNDECIDED, np.nan, 0, 0
-        if kept > 0 and 2 * kept <= free:
-            v, r, k, s = solve_state(structure, near, options, work, nothing_f, motion, cold)
-        if v != UNSTABLE:  # forces that balance these parts alone prove nothing
-            v, r = UNDECIDED, np.nan
-        verdict[i] = v
-        residual[i] = r
-        iterations[i] += k
-        steps[i] += s
-        left += v == UNDECIDED
+        motion = velocity[i] if len(velocity) else nothing
+        verdict[i], residual[i], taken = find_mechanism(structure, states[i], parents[i], reach, options, work, motion)
+        iterations[i] += taken
+        left += verdict[i] == UNDECIDED
     return left

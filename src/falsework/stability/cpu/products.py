@@ -12,8 +12,6 @@ from typing import Any
 
 from falsework.utils.kernels import Kernel, njit
 
-ROWS = 6
-"""Rows of a product."""
 LANES = 8
 """Columns that are computed at once; what is left of an even number of columns takes half as many, and a quarter."""
 
@@ -50,7 +48,7 @@ def _columns(sign: int, width: int, *, adds: bool) -> Kernel:
         else:
             s0 = zeros()
             s1, s2, s3, s4, s5 = s0, s0, s0, s0, s0
-        for _ in range(ROWS * sixes):
+        for _ in range(6 * sixes):
             row = load(right, place_right)
             s0 = fused(s0, spread(left, place), row)
             s1 = fused(s1, spread(left, place + 1), row)

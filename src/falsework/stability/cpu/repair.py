@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.stability.cpu.admm import factor_admm, run_admm
 from falsework.stability.cpu.centring import run_centring
 from falsework.stability.cpu.cones import project_joint
+from falsework.stability.cpu.kernel import factor_admm, run_admm
 from falsework.stability.cpu.layout import (
     FAST,
+    add_force,
     add_pair_wrench,
     add_wrench,
     load_forces,
@@ -91,12 +92,7 @@ def _accept_forces(structure, state, options, residual, forces):
                 forces[j, 0], forces[j, 1], forces[j, 2] = (f0 - pull[j]) * scale[j], f1 * scale[j], f2 * scale[j]
             pressed += f0 * scale[j]
             pulled += pull[j] * scale[j]
-            a0 += basis[j, 0, 0] * f0 + basis[j, 0, 1] * f1 + basis[j, 0, 2] * f2
-            a1 += basis[j, 1, 0] * f0 + basis[j, 1, 1] * f1 + basis[j, 1, 2] * f2
-            a2 += basis[j, 2, 0] * f0 + basis[j, 2, 1] * f1 + basis[j, 2, 2] * f2
-            a3 += basis[j, 3, 0] * f0 + basis[j, 3, 1] * f1 + basis[j, 3, 2] * f2
-            a4 += basis[j, 4, 0] * f0 + basis[j, 4, 1] * f1 + basis[j, 4, 2] * f2
-            a5 += basis[j, 5, 0] * f0 + basis[j, 5, 1] * f1 + basis[j, 5, 2] * f2
+            a0, a1, a2, a3, a4, a5 = add_force(basis, j, f0, f1, f2, a0, a1, a2, a3, a4, a5)
         a = position[part_a] if state[part_a] == 1 else -1
         b = position[part_b] if state[part_b] == 1 else -1
         add_pair_wrench(transfer_a, transfer_b, q, a, b, a0, a1, a2, a3, a4, a5, residual)
@@ -116,18 +112,17 @@ def _accept_forces(structure, state, options, residual, forces):
 
 @njit(cache=True)
 def _balance(structure, work, pairs, options, interior, level, forces):
-    """Balance forces on the parts in `work` from known ones, in N; return the verdict, ADMM iterations and steps."""
+    """Balance forces on the parts in `work` from known ones, in N; return the verdict and iterations."""
     if pairs == 0:  # nothing touches the parts, so no force can balance them
-        return UNDECIDED, 0, 0
+        return UNDECIDED, 0
     if interior:
         load_forces(structure, work, pairs, forces, work.z)
-        verdict, steps = run_centring(structure, work, pairs, options, level)
-        return verdict, 0, steps
+        return run_centring(structure, work, pairs, options, level)
     load_forces(structure, work, pairs, forces, work.u)
     if not factor_admm(structure, work, pairs, options.rho):
-        return UNDECIDED, 0, 0
+        return UNDECIDED, 0
     verdict, _, iterations = run_admm(structure, work, pairs, options)
-    return verdict, iterations, 0
+    return verdict, iterations
 
 
 @njit(cache=True)
@@ -145,12 +140,12 @@ def repair_state(structure, state, parent, reach, interior, options, work, near,
         forces: in: contact forces in N that balance the parent; out: of the state if it is stable. Shape (points, 3).
 
     Returns:
-        `STABLE` or `UNDECIDED`; residual; ADMM iterations; interior-point steps.
+        `STABLE` or `UNDECIDED`; residual; iterations.
     """
-    bound, spent, taken = (1.0 - MARGIN) * options.resolution, 0, 0
+    bound, spent = (1.0 - MARGIN) * options.resolution, 0
     residual = _accept_forces(structure, state, options, work.residual, forces)
     if residual < bound:
-        return STABLE, residual, spent, taken
+        return STABLE, residual, spent
     level, regions = structure.weight / len(state), 0
     velocity = work.rhs if interior else work.velocity
     kept, free = freeze_outside_ball(structure, state, parent, reach, near)
@@ -165,17 +160,16 @@ def repair_state(structure, state, parent, reach, interior, options, work, near,
         if local:
             pairs, grounded = _keep_border(structure, state, near, work, pairs, forces)
         if grounded:
-            verdict, iterations, steps = _balance(structure, work, pairs, options, interior, level, forces)
+            verdict, iterations = _balance(structure, work, pairs, options, interior, level, forces)
             spent += iterations
-            taken += steps
             if verdict == STABLE:
                 store_forces(structure, work, pairs, forces)
                 residual = _accept_forces(structure, state, options, work.residual, forces)
                 if residual < bound:
-                    return STABLE, residual, spent, taken
+                    return STABLE, residual, spent
                 # What is still out of balance lies outside the region.
         if not local:
-            return UNDECIDED, np.nan, spent, taken
+            return UNDECIDED, np.nan, spent
         if regions == 0:
             kept, free = freeze_outside_corridor(structure, state, parent, reach, near)
             regions = 1
@@ -188,9 +182,7 @@ def repair_state(structure, state, parent, reach, interior, options, work, near,
 
 
 @njit(nogil=True, cache=True)
-def repair_range(
-    structure, states, parents, known, reach, interior, options, forces, verdict, residual, iterations, steps
-):
+def repair_range(structure, states, parents, known, reach, interior, options, forces, verdict, residual, iterations):
     """Balance states whose `verdict` is `UNDECIDED` with the forces of their parents, where those are `known`.
 
     Arrays as in `solve_range`, other arguments as for `repair_state`.
@@ -206,8 +198,7 @@ def repair_range(
             continue
         if known[i]:
             beside = states[i], parents[i], reach, interior
-            verdict[i], residual[i], k, s = repair_state(structure, *beside, options, work, near, forces[i])
-            iterations[i] += k
-            steps[i] += s
+            verdict[i], residual[i], taken = repair_state(structure, *beside, options, work, near, forces[i])
+            iterations[i] += taken
         left += verdict[i] == UNDECIDED
     return left

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
-from falsework.stability.cpu.neighbourhood import local_instability_range
+from falsework.stability.cpu.neighbourhood import REACH, local_instability_range
 from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.termination import Options
 from falsework.stability.problem import Problem
@@ -22,11 +22,6 @@ from falsework.utils.cores import core_count
 
 _TASK = 16
 """States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
-FIRST_REACH = 2
-"""Contacts by which the first region of a repair reaches beyond a change, and by which it is extended first; checked on
-recorded searches."""
-SECOND_REACH = 3
-"""The same of the second search for a mechanism, after what touches the change; checked on recorded searches."""
 
 
 def kernel_options(settings: StabilitySettings) -> Options:
@@ -71,15 +66,20 @@ class Workers:
 
 
 class CpuSolver:
-    """Solver of batches of states of one structure with compiled code.
+    """Solver of a criterion, and what its proofs mean: forces in balance, which hold with further holds too.
 
-    Attempts follow each other in the order of their work; each stops at the first proof. With a state near by: a
-    mechanism near the difference (`neighbourhood.py`), then forces that change in a region that is extended, then
-    everywhere (`repair.py`). Then, and without one, ADMM on the whole with one sparse factorisation per state, and an
-    interior point method (`docs/decisions/cpu-solver.md`). What they leave undecided is up to the exact solver.
+    It decides batches of states of one structure with compiled code. Attempts follow each other in the order of their
+    work; each stops at the first proof. With a state near by: a mechanism near the difference (`neighbourhood.py`),
+    then forces that change in a region that is extended, then everywhere (`repair.py`). Then, and without one, ADMM on
+    the whole with one sparse factorisation per state, and an interior point method (`docs/decisions/cpu-solver.md`).
+    What they leave undecided is up to the exact solver.
     """
 
     starts_from_guesses = True
+    displaced = False
+    """Whether displacements are part of the proof."""
+    holds_keep_stable = True
+    """Whether a stable state stays stable when a part is held."""
 
     def __init__(self, problem: Problem, settings: StabilitySettings = EQUILIBRIUM) -> None:
         self.problem = problem
@@ -88,9 +88,45 @@ class CpuSolver:
         self._options = kernel_options(settings)
         strength = problem.strength
         rough = bool((strength.friction > SMOOTH).all())
-        self.reach = FIRST_REACH
+        self.reach = REACH
         self._interior = rough and not (strength.pull.any() or strength.stick.any())
         self._workers = Workers(settings.numerics.threads)
+
+    def no_guess(self, batch: int) -> NDArray[np.float64]:
+        """Return guesses for states of which nothing is known, shape (batch, points, 3) or (batch, parts, 6)."""
+        return np.zeros((batch, self.problem.points, 3))
+
+    def guess_of(self, verdicts: Verdicts) -> NDArray[np.float64] | None:
+        """Return what of the certificates of stable states starts solvers of states near by; None without any."""
+        return verdicts.forces
+
+    def refine_undecided(self, states: States, verdicts: Verdicts) -> None:
+        """Revise verdicts that have a proof, where more is asked of stable states than balance."""
+
+    def is_left_to_exact(self, verdicts: Verdicts) -> NDArray[np.bool_]:
+        """Return for which of some undecided states the exact solver may know more, shape (batch,)."""
+        return np.ones(len(verdicts), dtype=bool)
+
+    def read_exact(self, exact: Verdicts, before: Verdicts) -> None:
+        """Turn verdicts of the exact solver, of the equilibrium problem, into verdicts under the criterion."""
+
+    def falls(self, states: States, parents: States) -> NDArray[np.bool_]:
+        """Return which states have a mechanism near where they differ from a stable one, as the kernel proves.
+
+        Args:
+            states, parents: checked states, shape (batch, parts).
+        """
+        states, parents = (np.require(some, requirements=COMPILED_LAYOUT) for some in (states, parents))
+        verdicts, nothing = Verdicts.all_undecided(len(states)), np.zeros((0, self.problem.parts, 6))
+
+        def work(rows: slice) -> None:
+            found = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows]
+            for reach in (1, REACH):
+                kernel = self.structure, states[rows], parents[rows], reach, self._options
+                local_instability_range(*kernel, nothing, *found)
+
+        self._workers.run(work, len(states))
+        return verdicts.unstable
 
     def check(
         self,
@@ -118,14 +154,11 @@ class CpuSolver:
         states = np.require(states, requirements=COMPILED_LAYOUT)
         origins = states if parents is None else np.require(parents, requirements=COMPILED_LAYOUT)
         batch, problem = len(states), self.problem
-        verdicts = Verdicts.all_undecided(
-            batch, points=problem.points if certificates else None, parts=problem.parts if certificates else None
-        )
+        verdicts = problem.undecided(batch, certificates=certificates)
         forces = guess if guess is not None else verdicts.forces
         if forces is None:
             forces = np.zeros((0, problem.points, 3))
         velocity = verdicts.velocity if verdicts.velocity is not None else np.zeros((0, problem.parts, 6))
-        steps = np.zeros(batch, np.int32)
         fine = certificates and parents is None
         options = self._options
         options = options._replace(resolution=self.settings.resolution) if fine else options
@@ -134,7 +167,7 @@ class CpuSolver:
         falls = parents is not None and not (certificates and guess is not None)
 
         def work(rows: slice) -> None:
-            tail = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows], steps[rows]
+            tail = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows]
             chosen, motion, force = states[rows], velocity[rows], forces[rows]
             if falls and not local_instability_range(self.structure, chosen, origins[rows], 1, options, motion, *tail):
                 return
@@ -143,7 +176,7 @@ class CpuSolver:
                 if not repair_range(self.structure, chosen, *beside, options, force, *tail):
                     return
             if falls and not local_instability_range(
-                self.structure, chosen, origins[rows], SECOND_REACH, options, motion, *tail
+                self.structure, chosen, origins[rows], REACH, options, motion, *tail
             ):
                 return
             solve_range(self.structure, chosen, options, force, motion, False, *tail)
@@ -151,7 +184,6 @@ class CpuSolver:
         self._workers.run(work, batch)
         if verdicts.forces is not None and forces is not verdicts.forces:
             verdicts.forces[:] = forces
-        verdicts.iterations[:] += steps
         verdicts.proof[:] = proof_of(verdicts.verdict)
         verdicts.decided_by[:] = np.where(verdicts.verdict != 0, Solver.CPU, Solver.NONE)
         return verdicts

@@ -46,6 +46,16 @@ def residual_of_part(structure, part, residual, j):
 
 
 @njit(fastmath=FAST, cache=True)
+def largest_residual(structure, work, residual):
+    """Return the largest acceleration of a part that can move, as a share of gravity, from the whitened residual."""
+    worst = 0.0
+    for j in range(len(work.free)):
+        if work.free[j]:
+            worst = max(worst, residual_of_part(structure, structure.elimination.order[j], residual, j))
+    return worst
+
+
+@njit(fastmath=FAST, cache=True)
 def check_primal(structure, work, pairs, forces, options, residual):
     """Return the residual that forces of the cone leave; infinity if they exceed the force bound.
 
@@ -53,17 +63,12 @@ def check_primal(structure, work, pairs, forces, options, residual):
     """
     set_load(work, residual)
     add_wrenches(structure, work, pairs, forces, residual)
-    free, order, scale = work.free, structure.elimination.order, work.force_scale
-    worst = 0.0
-    for j in range(len(free)):
-        if free[j]:
-            worst = max(worst, residual_of_part(structure, order[j], residual, j))
     pressed = 0.0
     for j in range(work.start[pairs]):
-        pressed += forces[j, 0] * scale[j]
+        pressed += forces[j, 0] * work.force_scale[j]
     if pressed > options.force_bound * structure.weight + work.pulled[0]:
         return np.inf
-    return worst
+    return largest_residual(structure, work, residual)
 
 
 @njit(fastmath=FAST, cache=True)

@@ -15,29 +15,14 @@ from numpy.typing import DTypeLike, NDArray
 from falsework.errors import DependencyError, InputError, SolverError
 from falsework.utils.cache.folder import read_cache, write_cache
 
-SOURCES = (
-    "common.cuh",
-    "cones.cuh",
-    "state.cuh",
-    "contacts.cuh",
-    "matrix.cuh",
-    "judge.cuh",
-    "admm.cuh",
-    "interior_point.cuh",
-    "interior.cuh",
-    "lu.cuh",
-    "newton.cuh",
-    "contact.cuh",
-    "kernels.cuh",
-)
-KERNELS = (
-    "admm_shared",
-    "admm_scratch",
-    "interior_shared",
-    "interior_scratch",
-    "contact_shared",
-    "contact_scratch",
-)
+SOURCES = [
+    f"{name}.cuh"
+    for name in (
+        *("common", "cones", "state", "contacts", "matrix", "judge", "admm", "interior_point", "interior", "lu"),
+        *("newton", "contact", "kernels"),
+    )
+]
+KERNELS = [f"{method}_{memory}" for method in ("admm", "interior", "contact") for memory in ("shared", "scratch")]
 """Kernels of the source, in the order of its `PART`s: each is compiled when it is first needed."""
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.stability.contact.newton import FIRST_STEP
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 
@@ -22,33 +21,15 @@ _DOUBLE_OPTIONS = ("rho", "relaxation", "tolerance", "resolution", "force_bound"
 _INT_OPTIONS = ("iterations", "check_every", "interior_steps", "contact_steps")
 _SCALAR_FIELDS = ("weight", "friction", "length", "tangential", "unit", "limit")
 _ARRAY_FIELDS = (
-    "position",
-    "level_start",
-    "column",
-    "block_row",
-    "block_column",
-    "fill_start",
-    "fill_left",
-    "fill_right",
-    "group_part",
-    "group_first",
-    "group_count",
-    "incident_start",
-    "incident",
-    "block_start",
-    "block_group",
-    "point_single",
-    "point",
-    "arm_single",
-    "arm",
-    "local_single",
-    "mass",
-    "inertia",
-    "flexibility",
-    "gravity",
-    "gyration",
-    "stiffness",
-    "own_friction",
+    *("position", "level_start", "column", "block_row", "block_column", "fill_start", "fill_left", "fill_right"),
+    *("group_part", "group_first", "group_count", "incident_start", "incident", "block_start", "block_group"),
+    *("point_single", "point", "arm_single", "arm", "local_single", "mass", "inertia", "flexibility", "gravity"),
+    *("gyration", "stiffness", "own_friction"),
+)
+_BATCH_FIELDS = (
+    *("states", "guess", "verdict", "residual", "iterations", "forces", "velocity", "displacement", "handoff"),
+    *("list", "list_count", "ticket", "large", "large_count", "open", "open_count", "open_ticket", "rest"),
+    *("rest_count", "scratch"),
 )
 
 
@@ -75,31 +56,7 @@ class KernelBatch(ctypes.Structure):
     """Struct `Batch` of the kernel."""
 
     _fields_ = [
-        *(
-            (name, ctypes.c_void_p)
-            for name in (
-                "states",
-                "guess",
-                "verdict",
-                "residual",
-                "iterations",
-                "forces",
-                "velocity",
-                "displacement",
-                "handoff",
-                "list",
-                "list_count",
-                "ticket",
-                "large",
-                "large_count",
-                "open",
-                "open_count",
-                "open_ticket",
-                "rest",
-                "rest_count",
-                "scratch",
-            )
-        ),
+        *((name, ctypes.c_void_p) for name in _BATCH_FIELDS),
         ("scratch_stride", ctypes.c_longlong),
         ("points_scratch", ctypes.c_void_p),
         ("points_stride", ctypes.c_longlong),
@@ -197,19 +154,13 @@ class Layout:
 
 def kernel_options(settings: StabilitySettings) -> KernelOptions:
     """Return the argument of the kernel from the settings."""
-    numerics = settings.numerics
-    contact = settings.criterion == "contact"
+    numerics, contact = settings.numerics, settings.criterion == "contact"
+    shared = {name: getattr(numerics, name) for name in ("rho", "relaxation", "first_step", *_INT_OPTIONS)}
     return KernelOptions(
-        rho=numerics.rho,
-        relaxation=numerics.relaxation,
+        **(shared | ({} if contact else {"contact_steps": 0})),
         tolerance=settings.tolerance,
         resolution=settings.claim.well_below,
         force_bound=settings.force_bound,
-        first_step=FIRST_STEP,
-        iterations=numerics.iterations,
-        check_every=numerics.check_every,
-        interior_steps=numerics.interior_steps,
-        contact_steps=numerics.contact_steps if contact else 0,
     )
 
 
@@ -260,6 +211,31 @@ def build_layout(problem: Problem) -> Layout:
         "products": len(arrays["fill_left"]) + len(pattern["block_row"]),
     }
     return Layout(sizes, arrays, problem.weight, problem.friction, length, group_size, _ancestors(pattern))
+
+
+def add_contact(
+    layout: Layout, normal: NDArray[np.float64], scale: float, limit: float, gravity: float, ratio: float
+) -> Layout:
+    """Add stiffness and units of displacement to a layout.
+
+    The kernel measures lengths in `layout.length`, masses in the mean mass and accelerations in gravity. With
+    displacements in `scale * gravity` metres, `scale` as in `ContactArrays`, the stiffness of a point has the same
+    value as on the CPU.
+
+    Args:
+        layout: layout of the structure.
+        normal, scale, limit: its stiffness and units, see `contact_units`.
+        gravity: m/s2.
+        ratio: ratio of tangential to normal stiffness.
+    """
+    first, count = layout.arrays["group_first"], layout.arrays["group_count"]
+    stiffness = np.zeros((layout.group_size, layout.groups))
+    for i in range(layout.group_size):
+        rows = np.flatnonzero(count > i)
+        stiffness[i, rows] = normal[first[rows] + i]
+    return replace(
+        layout, arrays={**layout.arrays, "stiffness": stiffness}, tangential=ratio, unit=scale * gravity, limit=limit
+    )
 
 
 def _eliminate(problem: Problem) -> dict[str, NDArray]:

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.stability.contact.kernel import build_contact_structure
+from falsework.stability.contact.layout import contact_units
 from falsework.stability.cpu.cones import CONES, NEGLIGIBLE
-from falsework.stability.gpu.contact_layout import add_contact
 from falsework.stability.gpu.driver import CudaDriver
-from falsework.stability.gpu.layout import KernelBatch, build_layout, kernel_options
+from falsework.stability.gpu.layout import KernelBatch, add_contact, build_layout, kernel_options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdicts, proof_of
@@ -31,8 +30,6 @@ _ADMM_SHARES = (0.5, 1.0)
 multiprocessor for more of them."""
 _STATIC_SHARED = 4 * 1024
 """Largest static shared memory of the kernels, bytes."""
-_CHUNK_BYTES = 2 << 30
-"""Device memory for the forces and velocities of one chunk of states."""
 
 
 class MemoryWarning(UserWarning):
@@ -120,8 +117,8 @@ class GpuSolver:
         self.starts_from_guesses = not self._contact  # under which all states are loaded from rest
         if self._contact:
             ratio = settings.stiffness_ratio
-            structure = build_contact_structure(assembly, problem, settings.gravity, ratio)
-            self.layout = add_contact(self.layout, structure, settings.gravity, ratio)
+            units = contact_units(assembly, problem, settings.gravity)
+            self.layout = add_contact(self.layout, *units, settings.gravity, ratio)
         # Without friction both cones are the same ray, and only the octagon's multipliers stay positive.
         quadratic = 0 if smooth.any() else CONES[settings.friction_cone]
         own = int("own_friction" in self.layout.arrays)
@@ -152,13 +149,8 @@ class GpuSolver:
         Returns:
             Verdicts; `UNDECIDED` where no proof was found within the limits of the settings.
         """
-        batch, problem = len(states), self.problem
-        verdicts = Verdicts.all_undecided(
-            batch,
-            points=problem.points if certificates else None,
-            parts=problem.parts if certificates else None,
-            displaced=certificates and self._contact,
-        )
+        batch = len(states)
+        verdicts = self.problem.undecided(batch, certificates=certificates, displaced=self._contact)
         self._in_chunks(
             batch,
             certificates or guess is not None,
@@ -182,9 +174,7 @@ class GpuSolver:
         residual = self.driver.empty((batch,), np.float64)
         iterations = self.driver.zeros((batch,), np.int32)
         self._in_chunks(
-            batch,
-            False,
-            lambda rows: self._run(states[rows], None, verdict[rows], residual[rows], iterations[rows]),
+            batch, False, lambda rows: self._run(states[rows], None, verdict[rows], residual[rows], iterations[rows])
         )
         return verdict, residual
 
@@ -241,7 +231,7 @@ class GpuSolver:
     def _chunk_size(self, left: int, certificates: bool) -> int:
         parts = self.problem.parts * 48 * (1 + self._contact)
         each = self.problem.points * (12 + 24 * certificates) + parts * certificates
-        return max(1, min(left, self._chunk, _CHUNK_BYTES // max(each, 1)))
+        return max(1, min(left, self._chunk, self.settings.numerics.gpu_bytes // max(each, 1)))
 
     def _run(
         self,
@@ -271,16 +261,13 @@ class GpuSolver:
             return address(counters) + i * 4
 
         for stage in chain.stages:
+            given: dict[str, Any] = {
+                "states": states, "guess": guess, "verdict": verdict, "residual": residual, "iterations": iterations,
+                "forces": forces, "velocity": velocity, "displacement": displacement, "handoff": handoff,
+                "scratch": stage.scratch, "points_scratch": chain.by_group,
+            }  # fmt: skip
             batch = KernelBatch(
-                states=address(states),
-                guess=None if guess is None else address(guess),
-                verdict=address(verdict),
-                residual=address(residual),
-                iterations=address(iterations),
-                forces=None if forces is None else address(forces),
-                velocity=None if velocity is None else address(velocity),
-                displacement=None if displacement is None else address(displacement),
-                handoff=address(handoff),
+                **{name: None if array is None else address(array) for name, array in given.items()},
                 list=row(stage.takes) if stage.takes else None,
                 list_count=counter(2 * stage.takes) if stage.takes else None,
                 ticket=counter(2 * stage.takes + 1),
@@ -291,9 +278,7 @@ class GpuSolver:
                 open_ticket=counter(2 * chain.open + 1),
                 rest=row(stage.rest),
                 rest_count=counter(2 * stage.rest),
-                scratch=None if stage.scratch is None else address(stage.scratch),
                 scratch_stride=stage.pool,
-                points_scratch=address(chain.by_group),
                 points_stride=self.layout.group_bytes(),
                 pool_bytes=stage.pool,
                 near=int(stage.scratch is not None and stage.shared > 0),

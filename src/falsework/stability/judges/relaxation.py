@@ -15,10 +15,6 @@ Array = NDArray[np.float64]
 STANDS, OPEN, FALLS = 1, 0, -1
 """Results of the relaxation; open: still moving at the step limit."""
 
-_FALLEN = 0.04
-"""Displacement of a collapsed part, in sizes of a typical part: 2,000 times the settlement under its weight."""
-_REST = 1e-4
-"""Largest unbalanced force of a part at rest, in weights of the part; moments are divided by the typical size."""
 _EVERY = 100
 """Steps between two checks for rest or collapse."""
 _PERIODS = 10.0
@@ -70,7 +66,7 @@ class JudgedHolds(NamedTuple):
 
 
 @nb.njit(cache=True, nogil=True)
-def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps):
+def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps, fallen, rest):
     """Integrate until a state comes to rest or collapses; time step and unit of mass are one.
 
     Args:
@@ -79,7 +75,8 @@ def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps):
         gap: in and out: opening of each contact point, negative where compressed, shape (points,).
         friction: in and out: tangential forces on part `b`, shape (points, 2).
         grip: springs of the robots; a wrench that they do not balance at the start is ramped up like any other.
-        tangential, damping, ramp, steps: as in `DiscreteElementSettings`; soft robots lengthen ramp and steps.
+        tangential, damping, ramp, steps, fallen, rest: as in `DiscreteElementSettings`; soft robots lengthen ramp and
+            steps.
 
     Returns:
         Result, largest displacement since the start, and the part with it.
@@ -140,11 +137,11 @@ def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps):
             missing[:] = load[:bodies]
         if step % _EVERY == 0:
             largest, part = _largest(moved, radius, free)
-            if largest > _FALLEN:
+            if largest > fallen:
                 answer = FALLS
                 break
             # Twice in a row: an oscillation may pass through momentary balance.
-            resting = resting + 1 if (step == 0 or step > ramp) and _balanced(load, weight) else 0
+            resting = resting + 1 if (step == 0 or step > ramp) and _balanced(load, weight, rest) else 0
             if resting == 2 or (resting == 1 and step == 0):
                 answer = STANDS
                 break
@@ -323,10 +320,10 @@ def _largest(moved, radius, free):
 
 
 @nb.njit(cache=True, nogil=True)
-def _balanced(load, weight):
+def _balanced(load, weight, rest):
     """Return whether the unbalanced force of every part is small against its weight."""
     for body in range(len(weight)):
         for i in range(6):
-            if abs(load[body, i]) > _REST * weight[body]:
+            if abs(load[body, i]) > rest * weight[body]:
                 return False
     return True

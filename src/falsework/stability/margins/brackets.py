@@ -66,7 +66,6 @@ class Interval:
         cap: float,
         low: float = 0.0,
         floor: float = 0.0,
-        near: bool = False,
         known: tuple[float, Answer] | None = None,
         cut: Callable[[Answer], float] | None = None,
     ) -> None:
@@ -78,7 +77,6 @@ class Interval:
             cap: value beyond which there is no bound.
             low: value at which the family is known to be stable.
             floor: absolute width at which a bracket is narrow enough.
-            near: whether the guess is the bound of a nearby state, so that the first steps from it are short.
             known: a failing value and its answer, if known.
             cut: value down to which the velocity of a failing answer proves failure, if it proves it for others.
         """
@@ -88,8 +86,6 @@ class Interval:
         self._cap, self._floor, self._cut = cap, floor, cut
         self._ratios: Iterator[float] = repeat(GROWTH)
         self._cut_last = False
-        if near:
-            self.begin_near(guess)
 
     def begin_near(self, bound: float) -> None:
         """Begin at the bound of a nearby state, with short steps."""

@@ -17,11 +17,11 @@ from falsework.assembly.state import INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
 from falsework.stability.margins.brackets import ACCURACY, GROWTH, Bracket, Interval, largest
 from falsework.stability.margins.conditions import Answer, Condition, OutOfTime
-from falsework.stability.margins.families import Near, friction_bracket, weakest_load
 from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.pushes import Pushes
 from falsework.stability.margins.state_margins import Bound, StateMargins, triple
 from falsework.stability.margins.supports import held_loads, settlements
+from falsework.stability.margins.weakest import Near, friction_bracket, weakest_load
 from falsework.stability.strength import SMOOTH, strength_of
 from falsework.stability.verdict import Verdict, Verdicts
 
@@ -62,18 +62,9 @@ class MarginFinder:
     def margins(
         self, states: ArrayLike, kinds: Sequence[str] = QUICK, *, deadline: float | None = None
     ) -> list[StateMargins]:
-        """Return the margins of states, computed in parallel on all cores.
+        """Return the margins of states, computed in parallel on all cores; as `StabilityOracle.margins`.
 
-        Args:
-            states: one state `(parts,)` or a batch `(batch, parts)`.
-            kinds: margins to compute.
-            deadline: seconds after which searches return what they have proven, see `StateMargins.unfinished`. The
-                verdicts of the unmodified states, and one probe a core, may take longer.
-
-        Raises:
-            InputError: an unknown margin, settlement under `equilibrium`, which has no displacements, or a deadline of
-                zero or less.
-            StateError: states of the wrong length or with other values.
+        After the deadline, verdicts of the unmodified states, and one probe a core, may still be found.
         """
         for kind in kinds:
             if kind not in KINDS:
@@ -178,14 +169,15 @@ class MarginFinder:
         order = sorted(range(DIRECTIONS), key=lambda row: (row % 9 != 0) + (row % 3 != 0))
         loads = self.weights[None, :, None] * np.pad(self.directions, ((0, 0), (0, 3)))[:, None, :]
         guess = max(self._assembly.friction, 0.1)
-        circle: dict[str, Any] = {"around": True, "sample": DIRECTIONS // 3}
-        row, bracket = self._weakest(state, start, loads, order, lambda _: guess, LARGEST_SHARE, near=near, **circle)
+        row, bracket = self._weakest(
+            state, start, loads, order, lambda _: guess, LARGEST_SHARE, near=near, around=DIRECTIONS // 3
+        )
         direction = triple(self.directions[row])
         tilt = horizontal = None
         if "horizontal" in kinds:
             horizontal = self._bound(state, bracket, self._times(start.condition, loads[row]), direction=direction)
         if "tilt" in kinds and (self._assembly.loads is not None or self._assembly.joints is not None):
-            tilt = self._tilt(state, start, order, circle)
+            tilt = self._tilt(state, start, order)
         elif "tilt" in kinds:
             # Weight with a horizontal acceleration `a g` is the weight on ground tilted by atan(a), times a factor;
             # forces, displacements and velocities that prove one prove the other after scaling by that factor.
@@ -215,7 +207,7 @@ class MarginFinder:
             displacement=None if answer.displacement is None else factor * answer.displacement,
         )
 
-    def _tilt(self, state: States, start: Answer, order: Sequence[int], circle: dict[str, Any]) -> Bound:
+    def _tilt(self, state: States, start: Answer, order: Sequence[int]) -> Bound:
         """Return the largest tilt where other loads keep their direction."""
         guess, cap = (float(np.arctan(share)) for share in (max(self._assembly.friction, 0.1), LARGEST_SHARE))
         found = weakest_load(
@@ -226,7 +218,7 @@ class MarginFinder:
             order,
             guess=lambda _: guess,
             cap=cap,
-            **circle,
+            around=DIRECTIONS // 3,
         )
         assert found is not None  # there are directions
         row, bracket = found

@@ -21,7 +21,6 @@ def nearness_to_limit(assembly: Assembly, state: States, forces: Array) -> Array
     by normal forces. This is an indicator without proof; margins are proven.
 
     Args:
-        assembly: the structure.
         state: shape (parts,).
         forces: `(n, t1, t2)` in N, shape (points, 3).
     """

@@ -48,7 +48,6 @@ def placement_curve(
     between the parts, as mortar, shims or dressing would. Joints with tensile strength keep their strength per area.
 
     Args:
-        assembly: the structure.
         states: shape (batch, parts).
         tolerances: m, each above zero.
         stable: decides which states of a moved structure are stable, such as `StabilityOracle(moved, settings).stable`.
@@ -86,6 +85,8 @@ def placement_curve(
 
 def moved_assembly(assembly: Assembly, tolerance: float, random: np.random.Generator) -> Assembly | None:
     """Return the structure with its parts displaced at random; None where they make no valid assembly."""
+    from scipy.spatial.transform import Rotation
+
     meshes = []
     for mesh, center, fixed in zip(assembly.meshes, assembly.mass.center, assembly.boundary, strict=True):
         shift, turn = random.uniform(-1, 1, 3), random.uniform(-1, 1, 3)
@@ -94,7 +95,7 @@ def moved_assembly(assembly: Assembly, tolerance: float, random: np.random.Gener
             continue
         arms = mesh.vertices - center
         reach = float(np.linalg.norm(arms, axis=1).max())
-        vertices = center + arms @ _rotation(0.5 * tolerance / reach * turn / np.sqrt(3.0)).T
+        vertices = center + arms @ Rotation.from_rotvec(0.5 * tolerance / reach * turn / np.sqrt(3.0)).as_matrix().T
         meshes.append(TriangleMesh.from_arrays(mesh.name, vertices + 0.5 * tolerance * shift, mesh.faces))
     own = assembly.contact_settings
     wider = {name: max(getattr(own, name) or 0.0, 2.5 * tolerance) for name in ("gap", "overlap")}
@@ -114,13 +115,3 @@ def moved_assembly(assembly: Assembly, tolerance: float, random: np.random.Gener
         return None
     joints = assembly.joints and assembly.joints.recomputed(assembly.contacts, moved.contacts)
     return moved.replace(loads=assembly.loads, joints=joints)
-
-
-def _rotation(vector: Array) -> Array:
-    """Return the rotation by a vector, rad (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross

@@ -18,31 +18,27 @@ from falsework.stability.certificate import (
     resistance_to_velocity,
     verify_certificates,
 )
-from falsework.stability.contact.kernel import ContactOptions
-from falsework.stability.contact.newton import MOVES_AWAY, OPEN, RESTS, StepSchedule
+from falsework.stability.contact.kernel import rest_under
+from falsework.stability.contact.layout import ContactOptions, StepSchedule
+from falsework.stability.contact.newton import MOVES_AWAY, OPEN, RESTS
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import KernelArrays, strength_arrays
 from falsework.stability.cpu.solver import CpuSolver, kernel_options
 from falsework.stability.cpu.termination import STABLE, UNSTABLE, Options
+from falsework.stability.exact_solver import ExactSolver
 from falsework.stability.margins.conditions import Answer, Condition, OutOfTime, some_idle
-from falsework.stability.margins.kernel import rest_under
-from falsework.stability.reference.clarabel import ExactSolver
 from falsework.stability.strength import strength_of
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
-    from falsework.stability.problem import Problem
     from falsework.stability.settings import StabilitySettings
 
 Array = NDArray[np.float64]
 
-_QUICK_STEPS = 100
-"""Newton iterations from the displacement under a nearby load in the search for a bound, when no state is loaded from
-rest; those at the outer end of a bracket are continued by twice as many, until parts are seen to move away."""
-_SCHEDULE = StepSchedule(late_growth=4.0, growth_after_rise=2.0, memory=1.0)
+_SCHEDULE = StepSchedule(growth=4.0, patience=0, late_growth=4.0, growth_after_rise=2.0, memory=1.0)
 """Rules by which time steps grow: where iterations alternate between two residuals, these mostly end that."""
 _ABOVE = 2.0
 """Multiple of the tolerance that the proof of a velocity must exceed to cut off a load: so it also proves a tilt, which
@@ -54,31 +50,25 @@ _MANY, _RARELY = 4000, 20
 class Prober:
     """Solver of single states under conditions; it may be used from several threads."""
 
-    def __init__(
-        self,
-        assembly: Assembly,
-        problem: Problem,
-        settings: StabilitySettings,
-        solver: CpuSolver | ContactSolver | None = None,
-    ) -> None:
-        """Lay out the structure, or share the layout of a solver for it.
+    def __init__(self, assembly: Assembly, settings: StabilitySettings, solver: CpuSolver) -> None:
+        """Share the layout of a solver for a structure.
 
         Args:
-            assembly: the structure.
-            problem: its scaled equilibrium problem.
             settings: criterion, cone and tolerances.
-            solver: CPU solver with the same settings; required under `contact`.
+            solver: of the criterion, with the same settings.
         """
-        self.assembly, self.settings, self.problem = assembly, settings, problem
+        self.assembly, self.settings, self.problem = assembly, settings, solver.problem
         self.contact = settings.criterion == "contact"
-        solver = solver or CpuSolver(problem, settings)
         self._structure = solver.structure
         self._options = kernel_options(self.settings)
         self._contact = solver.contact_structure if isinstance(solver, ContactSolver) else None
         if isinstance(solver, ContactSolver):
             self.contact_options = solver.contact_options
-            self._quick_options = self.contact_options._replace(warm_steps=_QUICK_STEPS, steps=0, schedule=_SCHEDULE)
-            self.further_options = self._quick_options._replace(warm_steps=2 * _QUICK_STEPS)
+            # No state is loaded from rest in the search for a bound. Iterations at the outer end of a bracket are
+            # continued by twice as many, until parts are seen to move away.
+            quick = self.contact_options.steps // 4
+            self._quick_options = self.contact_options._replace(warm_steps=quick, steps=0, schedule=_SCHEDULE)
+            self.further_options = self._quick_options._replace(warm_steps=2 * quick)
         self._no_motion = np.zeros((0, 3))
         self._end = np.inf
 
@@ -196,10 +186,8 @@ class Prober:
         forces, velocity = np.zeros((1, self.problem.points, 3)), np.zeros((1, self.problem.parts, 6))
         if warm and near is not None and near.forces is not None:
             forces[0] = near.forces
-        verdict, residual = np.zeros(1, np.int8), np.zeros(1)
-        steps = np.zeros(1, np.int32), np.zeros(1, np.int32)
-        batch = np.array(state[None])
-        solve_range(structure, batch, options, forces, velocity, warm, verdict, residual, *steps)
+        verdict, batch = np.zeros(1, np.int8), np.array(state[None])
+        solve_range(structure, batch, options, forces, velocity, warm, verdict, np.zeros(1), np.zeros(1, np.int32))
         stands, fails = bool(verdict[0] == STABLE), bool(verdict[0] == UNSTABLE)
         return Answer(condition, stands, forces=forces[0] if stands else None, velocity=velocity[0] if fails else None)
 
@@ -234,16 +222,16 @@ class Prober:
         options: ContactOptions,
     ) -> list[Answer]:
         count = len(conditions)
-        structure = self._under(conditions[0].friction)
         displacement = np.zeros((count, self.problem.parts, 6))
         for row, answer in enumerate(near):
             if answer is not None and answer.displacement is not None:
                 displacement[row] = answer.displacement
         warm = near[0] is not None
-        result, residual, spent = np.zeros(count, np.int8), np.zeros(count), np.zeros(count, np.int32)
+        result = np.zeros(count, np.int8)
+        law, structure = self._contact, self._under(conditions[0].friction)
+        assert law is not None
         tried = rest_under(
-            structure,
-            self._contact,
+            law if structure is law.structure else law._replace(structure=structure),
             np.array(state),
             self.problem.gravity_wrench + np.array([condition.extra for condition in conditions]),
             self._no_motion if moved is None else self._offsets(moved),
@@ -252,8 +240,6 @@ class Prober:
             warm,
             np.array(after, np.int64),
             result,
-            residual,
-            spent,
         )
         if some_idle(self.assembly, conditions[0].friction):
             for row in np.flatnonzero(result == RESTS).tolist():
@@ -328,9 +314,7 @@ class Prober:
             answer: the answer to prove.
             near: verdict under a nearby condition, whose forces are a first guess.
         """
-        verdicts = Verdicts.all_undecided(
-            1, points=self.problem.points, parts=self.problem.parts, displaced=self.contact
-        )
+        verdicts = self.problem.undecided(1, displaced=self.contact)
         assert verdicts.forces is not None
         assert verdicts.velocity is not None
         changed, claim = answer.condition.applied_to(self.assembly), self.settings.claim

@@ -28,7 +28,6 @@ def held_loads(prober: Prober, state: States, start: Answer) -> tuple[HeldLoad, 
     that balance the state.
 
     Args:
-        prober: solver of the structure.
         state: shape (parts,).
         start: the stable answer for the unmodified state.
     """
@@ -44,7 +43,6 @@ def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int
     displacement limit or not. So a settlement of nearly a thousandth of the structure counts as unbounded.
 
     Args:
-        prober: solver of the structure, under `contact`.
         state: shape (parts,).
         start: the stable answer for the unmodified state.
 

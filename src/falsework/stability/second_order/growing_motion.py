@@ -44,7 +44,6 @@ class SecondOrder:
         """Prepare what does not depend on the state.
 
         Args:
-            assembly: the structure.
             claim: cone, gravity and stiffness ratio.
         """
         self.assembly, self.claim = assembly, claim

@@ -35,7 +35,6 @@ def growth_of_motion(
     accelerate every part along the motion, it grows exponentially.
 
     Args:
-        assembly: the structure.
         states: shape (batch, parts).
         displacement: of the parts at rest, shape (batch, parts, 6).
         motion: `(linear, angular)` about the centres of mass, of any size, shape (batch, parts, 6).

@@ -68,7 +68,6 @@ def springs_at(assembly: Assembly, states: States, springs: Array, claim: Stabil
     """Return the contact points of states whose spring forces are known, with or without history.
 
     Args:
-        assembly: the structure.
         states: shape (batch, parts).
         springs: spring forces `(n, t1, t2)` in N, negative normal ones where points are open, shape (batch, points, 3).
         claim: cone, gravity, tolerance, stiffness ratio and reserve.
@@ -98,7 +97,6 @@ def closing_points(assembly: Assembly, springs: Springs, motion: Array, relative
     """Return the open points that a motion closes before a part moves by more than the displacement limit.
 
     Args:
-        assembly: the structure.
         springs: at rest.
         motion: shape (batch, parts, 6).
         relative: the motion at every contact point in its frame, shape (batch, points, 3).

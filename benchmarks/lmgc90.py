@@ -93,9 +93,7 @@ def judge_by_lmgc90(assembly: Assembly, states: ArrayLike) -> list[Lmgc90Answer]
     if assembly.joints is not None:
         raise InputError("the LMGC90 model does not support joints; replay by the contact law instead")
     if find_spec("compas_lmgc90") is None or find_spec("compas") is None:
-        raise DependencyError(
-            "LMGC90 is not installed; run: pip install falsework[judge] && pip install --no-deps compas_lmgc90"
-        )
+        raise DependencyError("LMGC90 is not installed; run: pip install compas && pip install --no-deps compas_lmgc90")
     solids = [_solid(mesh) for mesh in assembly.meshes]
     return [_judge(assembly, state, solids) for state in batch]
 

@@ -1,1 +1,0 @@
-"""Reference solvers: conic programs solved by Clarabel."""
