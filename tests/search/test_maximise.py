@@ -39,7 +39,7 @@ def test_plans_made_for_it_need_less_friction() -> None:
 
 
 def test_a_bound_that_no_search_reaches_does_not_hold_it_up() -> None:
-    """Every plan of the arch has a state weaker than both ends, as far as is known; searches for a better one end."""
+    """Every plan of the arch has a state weaker than both ends; that is proved closely, and not by steps of a bound."""
     assembly = load_structure("arch:blocks=7")
     asked: list[int] = []
 
@@ -51,7 +51,7 @@ def test_a_bound_that_no_search_reaches_does_not_hold_it_up() -> None:
     assert plan.margins.bound is not None
     weakest = plan.margins.weakest("push")
     assert weakest is not None
-    assert weakest[1] < 0.95 * plan.margins.bound
+    assert 0.95 * plan.margins.bound < weakest[1] <= plan.margins.bound
     assert max(asked) < 1200
     assert np.all(StabilityOracle(assembly).verdicts(plan.states).stable)
 

@@ -73,7 +73,7 @@ def test_a_box_slides_where_either_of_two_faces_is_too_steep(
     assert verdict_of(structure.replace(friction=steepest + 1e-3), criterion) == Verdict.STABLE
 
 
-@pytest.mark.filterwarnings("ignore::falsework.assembly.model.ContactWarning")
+@pytest.mark.filterwarnings("ignore::falsework.assembly.touching.ContactWarning")
 @pytest.mark.parametrize("surface", ["circle", "sphere", "cone", "quadric"])
 @pytest.mark.parametrize("fitted", [False, True])
 def test_no_pair_is_stable_that_has_no_equilibrium_on_one_of_its_surfaces(

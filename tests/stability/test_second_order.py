@@ -27,7 +27,7 @@ from falsework.stability.motion import motion_of
 from falsework.stability.second_order.growth import NEUTRAL, growth_of_motion
 from falsework.stability.stiffness import SETTLEMENT
 
-pytestmark = pytest.mark.filterwarnings("ignore::falsework.assembly.model.ContactWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::falsework.assembly.touching.ContactWarning")
 
 DIAMOND = np.pi / 4
 PRISM_FACES = np.array(

@@ -76,7 +76,7 @@ def maximise_margin(
     if not first.found:
         return first
     seconds, effort = first.result.seconds, first.result.counters.asked
-    bound = missed = _least(oracle, kind, np.stack([task.start, task.target]))
+    ends = bound = missed = _least(oracle, kind, np.stack([task.start, task.target]))
     reached = getattr(demands, kind) or (1.0 if kind == "friction" else 0.0)
     if np.isinf(bound):
         reached = _least(oracle, kind, first.plans[0].states)
@@ -86,7 +86,7 @@ def maximise_margin(
         cut = stop is not None and stop()
         if cut:
             break
-        level = _next(reached, missed, bound)
+        level = _next(reached, missed, ends)
         trial = MarginOracle(assembly, stability, structs.replace(demands, **{kind: level}))
         planner = Planner(task, trial, settings, guide=SupportGuide(assembly))
         budget = _Budget(_TWICE * max(effort, _EFFORT), progress, stop)
@@ -171,12 +171,12 @@ class _Budget:
         return self.exceeded or (self.stop is not None and self.stop())
 
 
-def _next(reached: float, missed: float, bound: float) -> float:
-    """Return the next demand: the bound itself where it is near, else the middle on a logarithmic scale."""
+def _next(reached: float, missed: float, ends: float) -> float:
+    """Return the next demand: what both ends bear where it is near and not yet tried, else the middle of logarithms."""
     if np.isinf(missed):
         return _TWICE * reached
-    if missed == bound <= _TWICE * reached:
-        return bound / _ASIDE
+    if missed == ends <= _TWICE * reached:
+        return ends / _ASIDE
     return float(np.sqrt(max(reached, missed / 64) * missed))
 
 

@@ -23,6 +23,7 @@ from falsework import load_structure, train  # noqa: E402
 from falsework.assembly.store import save_assembly  # noqa: E402
 from falsework.errors import DependencyError, InputError, TrainingError  # noqa: E402
 from falsework.learn import REINFORCEMENT, ImitationPhase, PolicySettings, PpoPhase, TrainSettings, load_run  # noqa: E402
+from falsework.learn.config.ppo import FINE_TUNING  # noqa: E402
 from falsework.learn.config.train import METHODS, Phase  # noqa: E402
 from falsework.learn.data.dataset import load_dataset  # noqa: E402
 from falsework.learn.data.symmetry import symmetries  # noqa: E402
@@ -40,6 +41,7 @@ IMITATION = ImitationPhase(batch=16)
 PHASES: dict[str, tuple[Phase, ...]] = {
     "default": (replace(IMITATION, until=0.5), PpoPhase(rollouts=8, batch=16)),
     "reinforcement": (replace(REINFORCEMENT, rollouts=4),),
+    "fine-tuning": (replace(FINE_TUNING, rollouts=4),),
     "imitation": (IMITATION,),
     "complete": (PpoPhase(starts="complete", rollouts=4),),
     "imitation, then reinforcement": (replace(IMITATION, until=0.4), replace(REINFORCEMENT, rollouts=4)),
@@ -214,8 +216,8 @@ def test_no_loss_is_taken_at_test_states(name: str, goal_conditioned: bool, monk
     seen: list[Any] = []
     kept: dict[str, Any] = {}
 
-    def keep(*arguments: Any) -> Any:
-        kept["trainer"] = Trainer(*arguments)
+    def keep(*arguments: Any, **named: Any) -> Any:
+        kept["trainer"] = Trainer(*arguments, **named)
         return kept["trainer"]
 
     whole = Network.forward
@@ -360,7 +362,7 @@ def test_a_killed_training_does_not_keep_the_folder(arch: Any, tmp_path: Path) -
 def test_a_training_that_cannot_begin_leaves_no_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arch: Any
 ) -> None:
-    def fail(*_: Any) -> None:
+    def fail(*_: Any, **__: Any) -> None:
         raise InputError("no room")
 
     monkeypatch.setattr(module, "Trainer", fail)

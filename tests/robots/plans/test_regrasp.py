@@ -32,7 +32,6 @@ from falsework.search import Oracle
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.result import Route
 from falsework.search.problem.ways_out import Clearance
-from falsework.search.together.rule import InterlockedSets
 from falsework.stability import Verdicts
 from tests.robots.plans.orders import APART
 from tests.robots.plans.sunk_cubes import FAR, NEAR, begin, cubes, make_task, planned
@@ -320,7 +319,4 @@ def test_rejected_input(sunk: Assembly, roofed: Cell, begun: dict) -> None:
         )
     task = replace(Task.from_rules(sunk.boundary, 2, allow_regrasp=True), props=(NEAR,))
     with pytest.raises(InputError, match="robot plans have no props"):
-        plan_robots(sunk, roofed, task=task, settings=APART)
-    task = replace(Task.from_rules(sunk.boundary, 2), together=InterlockedSets(sunk, 2))
-    with pytest.raises(InputError, match="robot plans move one part at a time"):
         plan_robots(sunk, roofed, task=task, settings=APART)
