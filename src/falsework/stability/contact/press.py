@@ -20,11 +20,10 @@ from falsework.stability.holds import Press, inexact_wrenches
 
 Array = NDArray[np.float64]
 
-_SAFETY = 1.2
-"""Friction is divided by this number in the choice."""
-_GAINS = (1.0, 4.0, 0.25)
-"""Multiples of the chosen wrench that are tried: its direction is mostly right, but contacts that slide or open take
-more of it, or less, than those that stick."""
+_SAFETY = (1.5, 1.05)
+"""Friction is divided by these numbers in turn: a press with more reserve is tried first."""
+_GAINS = (1.0, 1.5)
+"""Multiples of the chosen wrench that are tried: contacts that slide take more than those that stick."""
 _WEAK = 1e-3
 """Weight of the robots' wrenches beside the energy of the forces outside the cones: the least that help are chosen."""
 _HELPS = 0.5
@@ -71,19 +70,20 @@ class PressPlanner:
         seen = [still if contact.grip[held].any() else np.zeros_like(still)]
         if seen[0].any():
             yield self._presses(held, _along_forces(still) if contact.hybrid else still)
-        cones = strength.friction / _SAFETY, strength.stick / scale / _SAFETY
-        if contact.hybrid:
-            soft = bool((contact.grip[held] == contact.press_grip[held]).all())
-            added, helps = _least_along(forces, moves, errors, *cones, compliance, limit, soft=soft)
-            start = np.zeros_like(still)
-        else:
-            added, helps = _least_outside(forces, still, errors, *cones, compliance, limit)
-            start = still
-        for gain in _GAINS if helps else ():
-            choice = _within(start + gain * (added - start), limit)
-            if not any(np.allclose(choice, other, rtol=_SAME) for other in seen):
-                seen.append(choice)
-                yield self._presses(held, choice)
+        for safety in _SAFETY:
+            cones = strength.friction / safety, strength.stick / scale / safety
+            if contact.hybrid:
+                soft = bool((contact.grip[held] == contact.press_grip[held]).all())
+                added, helps = _least_along(forces, moves, errors, *cones, compliance, limit, soft=soft)
+                start = np.zeros_like(still)
+            else:
+                added, helps = _least_outside(forces, still, errors, *cones, compliance, limit)
+                start = still
+            for gain in _GAINS if helps else ():
+                choice = _within(start + gain * (added - start), limit)
+                if not any(np.allclose(choice, other, rtol=_SAME) for other in seen):
+                    seen.append(choice)
+                    yield self._presses(held, choice)
 
     def _errors(self, held: NDArray[np.int64]) -> Array:
         """Return maps from whitened wrenches of held parts to those that robots may exert instead, and to themselves.
