@@ -146,6 +146,7 @@ LARGE = (
     _vault(126, "contact", 3),
     _vault(246, "contact", 2),
     _vault(246, "contact", 3),
+    _vault(510, "contact", 2),
     _vault(510, "contact", 3),
     _vault(510, "contact", 4),
     _vault(989, "contact", 4),
