@@ -23,18 +23,18 @@ class PlannerSettings:
     """Number of requested plans."""
     seed: int = 0
     """Same seed, same machine, same result."""
-    patience: float = 2.0
-    """Verdicts for each part of the structure that each strategy may ask for in its first turn without getting farther,
-    and twice as many in each further one."""
-    bound_after: float = 10.0
-    """Seconds of processor time without a plan after which `find_plans` pauses to try to prove that robots are too few,
-    for half as many seconds at most."""
     robust: bool = False
     """Deliver only plans whose replay succeeds under other settings too: stiffness ratios, release increments, damping
     and random initial friction states."""
     judge: bool = False
     """Deliver a plan that discrete elements build too, with its presses, under the true friction; where none is found,
     the one that they build farthest (`PlanReplay.judgement`)."""
+    patience: float = 2.0
+    """Verdicts for each part of the structure that each strategy may ask for in its first turn without getting farther,
+    and twice as many in each further one."""
+    bound_after: float = 10.0
+    """Seconds of processor time without a plan after which `find_plans` pauses to try to prove that robots are too few,
+    for half as many seconds at most."""
 
     def __post_init__(self) -> None:
         if self.width < 1:

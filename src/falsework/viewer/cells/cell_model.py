@@ -1,4 +1,4 @@
-"""What a cell looks like at any configurations of its arms: bodies with colours, near pairs, and reach."""
+"""Appearance of a cell at any configurations of its arms: bodies with colours, near pairs, and reach."""
 
 from __future__ import annotations
 
