@@ -94,11 +94,6 @@ class BackjumpingBeam(Search):
         return self.found or self.infeasible or self._over
 
     @property
-    def dead_ends(self) -> int:
-        """See `Search.dead_ends`."""
-        return self.search.conflicts.count
-
-    @property
     def asked(self) -> int:
         """See `Search.asked`."""
         return self.search.asked

@@ -91,11 +91,6 @@ class Search(ABC):
     def _place(self) -> tuple[int, int, int]:
         """Return the step at which the search is, the number of states kept there, and its width, 0 without limit."""
 
-    @property
-    def dead_ends(self) -> int:
-        """Dead ends so far, from which the search went back."""
-        return 0
-
     def states(self) -> States:
         """Return the stable states that it keeps, shape (count, parts), from which alternatives are chosen."""
         return self.route().states
