@@ -21,10 +21,11 @@ from falsework.assembly.model import Assembly
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.obj import obj_text
-from falsework.geometry.mesh.surface import listed, warn_of
+from falsework.geometry.mesh.surface import warn_of
 from falsework.utils.files.formats import Exporter
 from falsework.utils.json_text import parse_json
 from falsework.utils.models import read_model
+from falsework.utils.quantity import listed
 
 FILE = "assembly.json"
 _NOTES = frozenset(

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from falsework.errors import MeshError
 from falsework.geometry.mesh.bounds import check_growth
-from falsework.geometry.mesh.surface import PartSurface, joined, listed, warn_of
+from falsework.geometry.mesh.surface import PartSurface, joined, warn_of
 from falsework.utils.json_text import parse_json
+from falsework.utils.quantity import listed
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from falsework.errors import MeshError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangles_of
-from falsework.geometry.mesh.surface import PartSurface, joined, listed, regrouped, stated_unit, text_of, warn_of
+from falsework.geometry.mesh.surface import PartSurface, joined, regrouped, stated_unit, text_of, warn_of
+from falsework.utils.quantity import listed
 
 _APPEARANCE = {"vt", "vn", "s", "usemtl", "mtllib", "usemap", "maplib", "bevel", "c_interp", "d_interp"}
 """Statements that say nothing about the shape."""

@@ -10,7 +10,8 @@ import numpy as np
 
 from falsework.errors import MeshError
 from falsework.geometry.mesh.polygon import triangles_of
-from falsework.geometry.mesh.surface import PartSurface, listed, stated_unit, warn_of
+from falsework.geometry.mesh.surface import PartSurface, stated_unit, warn_of
+from falsework.utils.quantity import listed
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",

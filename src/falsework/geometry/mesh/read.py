@@ -17,7 +17,8 @@ from falsework.geometry.mesh.obj import read_obj
 from falsework.geometry.mesh.ply import read_ply
 from falsework.geometry.mesh.repair import check_mesh, thicken_supports
 from falsework.geometry.mesh.stl import read_stl
-from falsework.geometry.mesh.surface import PartSurface, distinct_names, joined, listed, separated, warn_of
+from falsework.geometry.mesh.surface import PartSurface, distinct_names, joined, separated, warn_of
+from falsework.utils.quantity import listed
 
 _READERS = {".obj": read_obj, ".stl": read_stl, ".ply": read_ply, ".glb": read_gltf, ".gltf": read_gltf}
 SUFFIXES = tuple(_READERS)
