@@ -29,8 +29,8 @@ from falsework.stability.strength import TEARS, Strength, strength_of
 
 Array = NDArray[np.float64]
 
-_CLOSE = 1e-6
-"""Rounding that is allowed in movements and wrenches of robots, as a share of their limits."""
+_CLOSE = TEARS - 1.0
+"""Rounding that is allowed in movements and wrenches of robots, as a share of their limits: as in tensile strength."""
 
 
 class StepCertificate(NamedTuple):

@@ -1,9 +1,10 @@
-"""CPU solver of the equilibrium problem: batches of states, one state per thread, no BLAS."""
+"""Criterion `equilibrium` on the CPU: batches of states, one state per thread, no BLAS."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,15 @@ from falsework.stability.cpu.termination import Options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.strength import SMOOTH
-from falsework.stability.verdict import Solver, Verdicts, proof_of
+from falsework.stability.verdict import Criterion, Solver, Verdicts, proof_of
 from falsework.utils.cores import core_count
+
+if TYPE_CHECKING:
+    from falsework.assembly.model import Assembly
+    from falsework.stability.contact.replay import Replayer
+    from falsework.stability.margins.prober import Prober
+
+Array = NDArray[np.float64]
 
 _TASK = 16
 """States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
@@ -65,16 +73,37 @@ class Workers:
             list(self._pool.map(work, rows))
 
 
-class CpuSolver:
-    """Solver of a criterion, and what its proofs mean: forces in balance, which hold with further holds too.
+class Query(NamedTuple):
+    """States for the attempts of a solver."""
 
-    It decides batches of states of one structure with compiled code. Attempts follow each other in the order of their
+    states: States
+    """Shape (batch, parts)."""
+    origins: States
+    """The state near to each, or the state itself."""
+    start: Array | None
+    """In and out: guesses, and what is found; None if neither is given or wanted."""
+    known: NDArray[np.bool_]
+    """Which guesses are known, shape (batch,)."""
+    seeks: bool
+    """Whether mechanisms are sought near the differences."""
+    resolution: float
+    """Residual at which states count as stable."""
+
+
+class CpuSolver:
+    """Criterion `equilibrium`: its solver, and what its proofs mean; base of the other criterion, `ContactSolver`.
+
+    What differs between the criteria is in these two classes alone: all else asks them. Here forces in balance are the
+    proof, which hold with further holds too.
+
+    Batches of states of one structure are decided with compiled code. Attempts follow each other in the order of their
     work; each stops at the first proof. With a state near by: a mechanism near the difference (`neighbourhood.py`),
     then forces that change in a region that is extended, then everywhere (`repair.py`). Then, and without one, ADMM on
     the whole with one sparse factorisation per state, and an interior point method (`docs/decisions/cpu-solver.md`).
     What they leave undecided is up to the exact solver.
     """
 
+    criterion: Criterion = "equilibrium"
     starts_from_guesses = True
     displaced = False
     """Whether displacements are part of the proof."""
@@ -92,11 +121,15 @@ class CpuSolver:
         self._interior = rough and not (strength.pull.any() or strength.stick.any())
         self._workers = Workers(settings.numerics.threads)
 
-    def no_guess(self, batch: int) -> NDArray[np.float64]:
+    def no_guess(self, batch: int) -> Array:
         """Return guesses for states of which nothing is known, shape (batch, points, 3) or (batch, parts, 6)."""
         return np.zeros((batch, self.problem.points, 3))
 
-    def guess_of(self, verdicts: Verdicts) -> NDArray[np.float64] | None:
+    def is_known(self, guess: Array) -> NDArray[np.bool_]:
+        """Return for which states guesses are known, shape (batch,)."""
+        return guess.any(axis=(1, 2))
+
+    def guess_of(self, verdicts: Verdicts) -> Array | None:
         """Return what of the certificates of stable states starts solvers of states near by; None without any."""
         return verdicts.forces
 
@@ -109,6 +142,16 @@ class CpuSolver:
 
     def read_exact(self, exact: Verdicts, before: Verdicts) -> None:
         """Turn verdicts of the exact solver, of the equilibrium problem, into verdicts under the criterion."""
+
+    def replayer(self, assembly: Assembly) -> Replayer | None:
+        """Return the replayer of states of the structure; None where they have no history."""
+        return None
+
+    def prober(self, assembly: Assembly) -> Prober:
+        """Return the solver of single states of the structure under other friction and loads."""
+        from falsework.stability.margins.prober import Prober
+
+        return Prober(assembly, self)
 
     def falls(self, states: States, parents: States) -> NDArray[np.bool_]:
         """Return which states have a mechanism near where they differ from a stable one, as the kernel proves.
@@ -134,56 +177,57 @@ class CpuSolver:
         *,
         certificates: bool = True,
         parents: States | None = None,
-        guess: NDArray[np.float64] | None = None,
+        guess: Array | None = None,
     ) -> Verdicts:
         """Check a batch of states.
 
         Args:
             states: checked states, shape (batch, parts).
-            certificates: return forces and velocity too; without parents, with residuals down to the resolution of
-                the settings.
+            certificates: return forces and velocity, and displacement where it is part of the proof; without parents,
+                with residuals down to the resolution of the settings.
             parents: for each state a stable one that differs in few parts, shape (batch, parts); a mechanism is
                 sought near the difference first, unless certificates are requested and there is a guess.
-            guess: contact forces in N to start from, shape (batch, points, 3), zero where not known; overwritten with
-                the forces that were found. With `parents`, those that balance them, which are repaired near the
-                difference first.
+            guess: what to start from, as `no_guess` where not known; overwritten with what was found. With `parents`,
+                what balances them, which is changed near the difference first.
 
         Returns:
             Verdicts; `UNDECIDED` where neither proof was found within the limits of the settings.
         """
         states = np.require(states, requirements=COMPILED_LAYOUT)
         origins = states if parents is None else np.require(parents, requirements=COMPILED_LAYOUT)
-        batch, problem = len(states), self.problem
-        verdicts = problem.undecided(batch, certificates=certificates)
-        forces = guess if guess is not None else verdicts.forces
-        if forces is None:
-            forces = np.zeros((0, problem.points, 3))
-        velocity = verdicts.velocity if verdicts.velocity is not None else np.zeros((0, problem.parts, 6))
-        fine = certificates and parents is None
-        options = self._options
-        options = options._replace(resolution=self.settings.resolution) if fine else options
-        known = np.zeros(batch, bool) if guess is None or parents is None else np.asarray(guess.any(axis=(1, 2)))
+        verdicts = self.problem.undecided(len(states), certificates=certificates, displaced=self.displaced)
+        kept, known = self.guess_of(verdicts), np.zeros(len(states), dtype=bool)
+        if guess is not None and parents is not None:
+            known = self.is_known(guess)
         # Proofs along a plan are requested for stable states.
-        falls = parents is not None and not (certificates and guess is not None)
+        seeks = parents is not None and not (certificates and guess is not None)
+        resolution = self.settings.resolution if certificates and parents is None else self._options.resolution
+        start = kept if guess is None else guess
+        found = self._attempt(Query(states, origins, start, known, seeks, resolution), verdicts)
+        if kept is not None and found is not kept:
+            kept[:] = found
+        verdicts.proof[:] = proof_of(verdicts.verdict, self.criterion)
+        verdicts.decided_by[:] = np.where(verdicts.undecided, Solver.NONE, Solver.CPU)
+        return verdicts
+
+    def _attempt(self, query: Query, verdicts: Verdicts) -> Array:
+        """Make the attempts, each on the states that those before leave undecided; return `query.start` or its like."""
+        forces = self.no_guess(0) if query.start is None else query.start
+        velocity = np.zeros((0, self.problem.parts, 6)) if verdicts.velocity is None else verdicts.velocity
+        options, seeks = self._options._replace(resolution=query.resolution), query.seeks
 
         def work(rows: slice) -> None:
             tail = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows]
-            chosen, motion, force = states[rows], velocity[rows], forces[rows]
-            if falls and not local_instability_range(self.structure, chosen, origins[rows], 1, options, motion, *tail):
+            near, known = (self.structure, query.states[rows], query.origins[rows]), query.known[rows]
+            motion, force = velocity[rows], forces[rows]
+            if seeks and not local_instability_range(*near, 1, options, motion, *tail):
                 return
-            if known[rows].any():
-                beside = origins[rows], known[rows], self.reach, self._interior
-                if not repair_range(self.structure, chosen, *beside, options, force, *tail):
-                    return
-            if falls and not local_instability_range(
-                self.structure, chosen, origins[rows], REACH, options, motion, *tail
-            ):
+            beside = self.reach, self._interior, options, force
+            if known.any() and not repair_range(*near, known, *beside, *tail):
                 return
-            solve_range(self.structure, chosen, options, force, motion, False, *tail)
+            if seeks and not local_instability_range(*near, REACH, options, motion, *tail):
+                return
+            solve_range(self.structure, query.states[rows], options, force, motion, False, *tail)
 
-        self._workers.run(work, batch)
-        if verdicts.forces is not None and forces is not verdicts.forces:
-            verdicts.forces[:] = forces
-        verdicts.proof[:] = proof_of(verdicts.verdict)
-        verdicts.decided_by[:] = np.where(verdicts.verdict != 0, Solver.CPU, Solver.NONE)
-        return verdicts
+        self._workers.run(work, len(query.states))
+        return forces

@@ -14,9 +14,9 @@ ACCURACY = 0.01
 """Share of a bound to which it is known: the largest width of a bracket; the distance at which a proof is sought where
 the outer end of a bracket could not be proven; and twice the share by which a family must be weaker than the weakest so
 far to be searched. Documented; all margins are claimed and checked to it."""
-FLOOR = 1e-4
-"""Width at which a bracket near zero is narrow enough, in units of the family: shares of gravity, factors, weights of a
-part and the largest settlement."""
+FLOOR = ACCURACY**2
+"""Width at which a bracket near zero is narrow enough, in units of the family (shares of gravity, factors, weights of a
+part and the largest settlement): that of a bound of `ACCURACY` units."""
 GROWTH = 4.0
 """Ratio of successive probes while only one end of a bracket is known; chosen by numbers of probes."""
 

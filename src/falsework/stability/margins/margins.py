@@ -69,7 +69,7 @@ class MarginFinder:
         for kind in kinds:
             if kind not in KINDS:
                 raise InputError(f"unknown margin {kind!r}; choose among {', '.join(KINDS)}")
-        if "settlement" in kinds and not self.prober.contact:
+        if "settlement" in kinds and not self.prober.displaced:
             raise InputError("the criterion equilibrium has no displacements; compute settlement under contact")
         if deadline is not None and not deadline > 0:
             raise InputError(f"a deadline of {deadline:g} s leaves no time; give more than 0")

@@ -298,14 +298,14 @@ def weakest_load(
         floor=lambda row: FLOOR * guess(row),
         around=around,
         hurry=prober.limited,
-        cut=None if loads is None or prober.contact else lambda row, failed: prober.cut(state, failed, loads[row]),
+        cut=None if loads is None else lambda row, failed: prober.cut(state, failed, loads[row]),
         near=value if order and names[order[0]] == weak else None,
     )
     found = race.search(confirm)
     if found is None:
         return None
     row, bracket = found
-    if prober.contact and bracket.finished and bracket.fails is not None:
+    if not prober.convex and bracket.finished and bracket.fails is not None:
 
         def ask(value: float, nearby: Answer | None) -> Answer:
             return prober.ask(state, under(row, value), nearby, coarse=True)
