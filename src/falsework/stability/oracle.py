@@ -15,9 +15,9 @@ from falsework.assembly.state import States, as_states
 from falsework.errors import InputError, StateError
 from falsework.stability.cache import VerdictCache, unique_rows
 from falsework.stability.certificate import chunks, verify_certificates
-from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.counters import Counters
 from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.criteria import CRITERIA
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.margins.margins import QUICK, MarginFinder
 from falsework.stability.margins.state_margins import StateMargins
@@ -47,7 +47,7 @@ class StabilityOracle:
             assembly, cone=settings.friction_cone, gravity=settings.gravity, reserve=settings.reserve
         )
         self.counters = Counters()
-        self._criterion = _criterion(assembly, self.problem, settings)
+        self._criterion = CRITERIA[settings.criterion](assembly, self.problem, settings)
         asked = settings.solver in ("auto", "cpu") and not self.problem.strength.idle.any()
         self._cpu = self._criterion if self._criterion.displaced or asked else None
         """Solver on the CPU; None where the exact solver is asked for, or the only one that knows all contacts."""
@@ -71,7 +71,7 @@ class StabilityOracle:
     @cached_property
     def replayer(self) -> Replayer | None:
         """Replayer of state sequences of the structure; None under `equilibrium`, which has no history."""
-        return self._criterion.replayer(self.assembly)
+        return self._criterion.replayer()
 
     def verdicts(
         self, states: ArrayLike, *, near: ArrayLike | None = None, require_certificate: bool = False
@@ -130,7 +130,7 @@ class StabilityOracle:
         """Solver of single states under modified friction and additional loads, which count from the true friction."""
         if self.settings.reserve != 1.0:
             return StabilityOracle(self.assembly, replace(self.settings, reserve=1.0)).prober
-        return self._criterion.prober(self.assembly)
+        return self._criterion.prober()
 
     @cached_property
     def _margins(self) -> MarginFinder:
@@ -330,15 +330,6 @@ def _roots(states: States, near: States, rows: NDArray[np.intp]) -> NDArray[np.i
     asked = {states[row].tobytes(): row for row in rows}
     first = [row for row in rows if asked.get(near[row].tobytes(), row) == row]
     return np.array(first, dtype=np.intp) if first else rows
-
-
-def _criterion(assembly: Assembly, problem: Problem, settings: StabilitySettings) -> CpuSolver:
-    """Return the criterion of the settings: its solver on the CPU, and what its proofs mean."""
-    if settings.criterion == "contact":
-        return ContactSolver(assembly, problem, settings)
-    if assembly.joints is not None and assembly.joints.setting:
-        raise InputError("joints that set need the criterion contact; equilibrium has no steps")
-    return CpuSolver(problem, settings)
 
 
 def gpu_solver(assembly: Assembly, settings: StabilitySettings, problem: Problem) -> GpuSolver | None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,15 +16,11 @@ from falsework.stability.second_order.growing_motion import SecondOrder
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdict, Verdicts, proof_of
 
-if TYPE_CHECKING:
-    from falsework.stability.contact.replay import Replayer
-    from falsework.stability.margins.contact_prober import ContactProber
-
 Array = NDArray[np.float64]
 
 
 class ContactSolver(CpuSolver):
-    """Criterion `contact`: displacements are the proof, and another hold may take one away.
+    """Solver of `contact`: displacements are the proof, and another hold may take one away.
 
     The parts near the difference of a state from its parent are first searched for a mechanism, with a proof
     (`neighbourhood.py`). Then a rest position is sought (`newton.py`), from that of the parent where it is known;
@@ -54,6 +48,7 @@ class ContactSolver(CpuSolver):
             numerics.first_step,
             numerics.warm_first_step,
         )
+        self.assembly = assembly
         self._pulls = bool(problem.strength.pull.any())
         self._second_order = SecondOrder(assembly, settings.claim)
 
@@ -83,19 +78,6 @@ class ContactSolver(CpuSolver):
         exact.verdict[exact.stable & ~slides] = Verdict.UNDECIDED
         exact.verdict[slides] = Verdict.SLIDES
         exact.proof[:] = proof_of(exact.verdict, self.criterion)
-
-    def replayer(self, assembly: Assembly) -> Replayer:
-        """Return the replayer; with a reserve one that replays under changed settings too."""
-        from falsework.stability.contact.varied_replay import EnsembleReplayer, Replayer
-
-        kind = EnsembleReplayer if self.settings.reserve > 1.0 else Replayer
-        return kind(assembly, self.settings, solver=self)
-
-    def prober(self, assembly: Assembly) -> ContactProber:
-        """Return the solver under other friction and loads."""
-        from falsework.stability.margins.contact_prober import ContactProber
-
-        return ContactProber(assembly, self)
 
     def _attempt(self, query: Query, verdicts: Verdicts) -> Array:
         """Make the attempts; guesses are displacements of the parents, from which iterations start.

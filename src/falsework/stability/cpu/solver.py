@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,6 @@ from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.strength import SMOOTH
 from falsework.stability.verdict import Criterion, Solver, Verdicts, proof_of
 from falsework.utils.cores import core_count
-
-if TYPE_CHECKING:
-    from falsework.assembly.model import Assembly
-    from falsework.stability.contact.replay import Replayer
-    from falsework.stability.margins.prober import Prober
 
 Array = NDArray[np.float64]
 
@@ -91,10 +86,10 @@ class Query(NamedTuple):
 
 
 class CpuSolver:
-    """Criterion `equilibrium`: its solver, and what its proofs mean; base of the other criterion, `ContactSolver`.
+    """Solver of `equilibrium`, and what its proofs mean: forces in balance, which hold with further holds too.
 
-    What differs between the criteria is in these two classes alone: all else asks them. Here forces in balance are the
-    proof, which hold with further holds too.
+    Base of the solver of the other criterion, `ContactSolver`. What differs between the criteria is in these two
+    classes, and in what `criteria.py` makes of them.
 
     Batches of states of one structure are decided with compiled code. Attempts follow each other in the order of their
     work; each stops at the first proof. With a state near by: a mechanism near the difference (`neighbourhood.py`),
@@ -142,16 +137,6 @@ class CpuSolver:
 
     def read_exact(self, exact: Verdicts, before: Verdicts) -> None:
         """Turn verdicts of the exact solver, of the equilibrium problem, into verdicts under the criterion."""
-
-    def replayer(self, assembly: Assembly) -> Replayer | None:
-        """Return the replayer of states of the structure; None where they have no history."""
-        return None
-
-    def prober(self, assembly: Assembly) -> Prober:
-        """Return the solver of single states of the structure under other friction and loads."""
-        from falsework.stability.margins.prober import Prober
-
-        return Prober(assembly, self)
 
     def falls(self, states: States, parents: States) -> NDArray[np.bool_]:
         """Return which states have a mechanism near where they differ from a stable one, as the kernel proves.

@@ -56,16 +56,14 @@ class ContactProber(Prober):
         self.check_time()
         known = near is not None and near.displacement is not None
         options = self._quick_options if coarse and known else self.contact_options
-        (answer,) = self._ask_contact(state, [condition], [near if known else None], [-1], moved, options)
+        (answer,) = self._ask_contact(state, [condition], [near if known else None], moved, options)
         # What the rules of verdicts leave undecided, the other ones often decide.
         return answer if answer.coarse else self.refine(state, answer)
 
-    def ask_each(self, state: States, conditions: Sequence[Condition], near: Sequence[Answer | int]) -> list[Answer]:
+    def ask_each(self, state: States, conditions: Sequence[Condition], near: Sequence[Answer]) -> list[Answer]:
         """Check a state under conditions, as `Prober.ask_each`, from nearby answers alone."""
         self.check_time()
-        known = [answer if isinstance(answer, Answer) else None for answer in near]
-        after = [answer if isinstance(answer, int) else -1 for answer in near]
-        return self._ask_contact(state, conditions, known, after, None, self._quick_options)
+        return self._ask_contact(state, conditions, near, None, self._quick_options)
 
     def forces(self, state: States, answer: Answer) -> Array:
         """Return the contact forces of a stable answer, N, shape (points, 3)."""
@@ -78,7 +76,6 @@ class ContactProber(Prober):
         state: States,
         conditions: Sequence[Condition],
         near: Sequence[Answer | None],
-        after: Sequence[int],
         moved: Array | None,
         options: ContactOptions,
     ) -> list[Answer]:
@@ -98,7 +95,7 @@ class ContactProber(Prober):
             options,
             displacement,
             warm,
-            np.array(after, np.int64),
+            np.full(count, -1),
             result,
         )
         if some_idle(self.assembly, conditions[0].friction):
@@ -126,7 +123,7 @@ class ContactProber(Prober):
             return answer
         self.check_time()
         guess, options = replace(answer, displacement=answer.reached), self.further_options
-        (found,) = self._ask_contact(state, [answer.condition], [guess], [-1], None, options)
+        (found,) = self._ask_contact(state, [answer.condition], [guess], None, options)
         return replace(found, coarse=answer.coarse)
 
     def _offsets(self, moved: Array) -> Array:

@@ -169,9 +169,7 @@ class MarginFinder:
         order = sorted(range(DIRECTIONS), key=lambda row: (row % 9 != 0) + (row % 3 != 0))
         loads = self.weights[None, :, None] * np.pad(self.directions, ((0, 0), (0, 3)))[:, None, :]
         guess = max(self._assembly.friction, 0.1)
-        row, bracket = self._weakest(
-            state, start, loads, order, lambda _: guess, LARGEST_SHARE, near=near, around=DIRECTIONS // 3
-        )
+        row, bracket = self._weakest(state, start, loads, order, lambda _: guess, LARGEST_SHARE, near=near)
         direction = triple(self.directions[row])
         tilt = horizontal = None
         if "horizontal" in kinds:
@@ -218,7 +216,6 @@ class MarginFinder:
             order,
             guess=lambda _: guess,
             cap=cap,
-            around=DIRECTIONS // 3,
         )
         assert found is not None  # there are directions
         row, bracket = found

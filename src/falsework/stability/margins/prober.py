@@ -170,17 +170,17 @@ class Prober:
         stands, fails = bool(verdict[0] == STABLE), bool(verdict[0] == UNSTABLE)
         return Answer(condition, stands, forces=forces[0] if stands else None, velocity=velocity[0] if fails else None)
 
-    def ask_each(self, state: States, conditions: Sequence[Condition], near: Sequence[Answer | int]) -> list[Answer]:
+    def ask_each(self, state: States, conditions: Sequence[Condition], near: Sequence[Answer]) -> list[Answer]:
         """Check a state under conditions with the same friction, until it fails under one; not from rest.
 
         Args:
             state: shape (parts,).
             conditions: friction and loads.
-            near: for each the stable answer under a nearby condition, or the index of an earlier one of these.
+            near: for each the stable answer under a nearby condition.
         """
         answers: list[Answer] = []
         for condition, start in zip(conditions, near, strict=True):
-            answers.append(self.ask(state, condition, answers[start] if isinstance(start, int) else start))
+            answers.append(self.ask(state, condition, start))
             if not answers[-1].stands:
                 break
         return answers
