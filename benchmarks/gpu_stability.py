@@ -186,7 +186,7 @@ def time_graph(problem: Problem, states: np.ndarray, iterations: int) -> dict[st
 
 def time_structure(assembly: Assembly, states: np.ndarray, criterion: Criterion, options: Options) -> dict[str, Any]:
     """Return all figures of one structure under one criterion."""
-    settings = StabilitySettings(criterion)
+    settings = StabilitySettings(criterion=criterion)
     problem = build_problem(assembly, cone=settings.friction_cone)
     begin = time.perf_counter()
     solver = GpuSolver(assembly, problem, settings)

@@ -22,6 +22,7 @@ from falsework.stability.certificate import (
     residual_of_forces,
     residuals_in_order,
 )
+from falsework.stability.criterion import Cone
 from falsework.stability.problem import build_problem
 from falsework.stability.second_order.springs import into_cone, springs_of_displacement
 from falsework.stability.settings import EQUILIBRIUM
@@ -267,7 +268,7 @@ def test_many_forces_carry_a_cube(scenes: Any) -> None:
 
 
 @pytest.mark.parametrize("cone", CONES)
-def test_forces_outside_the_cone_are_rejected(scenes: Any, cone: str) -> None:
+def test_forces_outside_the_cone_are_rejected(scenes: Any, cone: Cone) -> None:
     """Two corners that push at each other along an edge balance themselves, within the limit of friction."""
     tower, forces = four_corners(scenes, friction=0.5)
     state = complete_state(tower.boundary)[None]
@@ -334,7 +335,7 @@ def test_certificates_must_be_there_and_fit(scenes: Any) -> None:
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1), cone=st.sampled_from(CONES), push=st.floats(-3, 3), blend=st.floats(0, 1))
-def test_no_state_passes_both_checks(seed: int, cone: str, push: float, blend: float) -> None:
+def test_no_state_passes_both_checks(seed: int, cone: Cone, push: float, blend: float) -> None:
     """Weak duality: whatever the forces and the velocity, forces bound from above what velocities bound from below."""
     assembly = library.build("arch:blocks=5,thickness=0.2")
     random = np.random.default_rng(seed)
@@ -360,7 +361,7 @@ def test_no_state_passes_both_checks(seed: int, cone: str, push: float, blend: f
 
 
 @pytest.mark.parametrize("cone", CONES)
-def test_rounding_that_is_forgiven_carries_nothing(scenes: Any, cone: str) -> None:
+def test_rounding_that_is_forgiven_carries_nothing(scenes: Any, cone: Cone) -> None:
     """A light plate on a rough slope beside a heavy block, forces outside their cone by next to nothing.
 
     If every force could leave its cone by a share of the weight of the structure, the plate would profit.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,6 @@ from falsework.assembly.state import States, as_states
 from falsework.errors import InputError, StateError
 from falsework.stability.cache import VerdictCache, unique_rows
 from falsework.stability.certificate import chunks, verify_certificates
-from falsework.stability.counters import Counters
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.criteria import CRITERIA
 from falsework.stability.gpu.solver import GpuSolver
@@ -31,6 +30,34 @@ if TYPE_CHECKING:
     from falsework.stability.contact.replay import Replayer
     from falsework.stability.exact_solver import ExactSolver
     from falsework.stability.margins.prober import Prober
+
+
+@dataclass
+class Counters:
+    """Numbers of queries to the oracle, by the solver that answered."""
+
+    asked: int = 0
+    """Number of requested states, repetitions included."""
+    cached: int = 0
+    """Number of states answered from the cache."""
+    by_monotonicity: int = 0
+    """Number of states answered by monotonicity: the proof of another state holds for them too."""
+    cpu: int = 0
+    """Number of states decided by the CPU solver."""
+    gpu: int = 0
+    """Number of states decided by the GPU solver."""
+    exact: int = 0
+    """Number of states decided by the exact solver."""
+    undecided: int = 0
+    """Number of states left undecided by all solvers."""
+    rejected: int = 0
+    """Number of proofs of the fast solver that the checker rejected; the exact solver then decided."""
+    warm: int = 0
+    """Number of states solved with a warm start from the forces or the displacement of a parent."""
+
+    def to_dict(self) -> dict[str, int]:
+        """Return plain numbers for reports."""
+        return asdict(self)
 
 
 class StabilityOracle:

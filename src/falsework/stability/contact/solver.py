@@ -58,7 +58,7 @@ class ContactSolver(CpuSolver):
 
     def is_known(self, guess: Array) -> NDArray[np.bool_]:
         """Return which displacements are known."""
-        return np.isfinite(guess).all(axis=(1, 2))
+        return np.asarray(np.isfinite(guess).all(axis=(1, 2)))
 
     def guess_of(self, verdicts: Verdicts) -> Array | None:
         """Return the displacements at rest."""

@@ -122,7 +122,7 @@ class CpuSolver:
 
     def is_known(self, guess: Array) -> NDArray[np.bool_]:
         """Return for which states guesses are known, shape (batch,)."""
-        return guess.any(axis=(1, 2))
+        return np.asarray(guess.any(axis=(1, 2)))
 
     def guess_of(self, verdicts: Verdicts) -> Array | None:
         """Return what of the certificates of stable states starts solvers of states near by; None without any."""
