@@ -15,7 +15,7 @@ from falsework.assembly.state import States, as_states
 from falsework.errors import InputError, StateError
 from falsework.stability.cache import VerdictCache, unique_rows
 from falsework.stability.certificate import chunks, verify_certificates
-from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.cpu.solver import TASK, CpuSolver
 from falsework.stability.criteria import CRITERIA
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.margins.margins import QUICK, MarginFinder
@@ -311,7 +311,7 @@ class StabilityOracle:
         # Look up the near states first: storing what is found may evict them.
         known = [None] * len(states) if near is None else [self.guesses.get(origin) for origin in near]
         each = np.arange(len(states))  # a GPU divides them itself
-        for rows in [each] if solver is self._gpu else chunks(each, self.problem.points, 16):
+        for rows in [each] if solver is self._gpu else chunks(each, self.problem.points, TASK):
             origins = guess = None
             if near is not None and solver.starts_from_guesses:
                 origins, guess = near[rows], self._criterion.no_guess(len(rows))

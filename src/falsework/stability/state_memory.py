@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +15,6 @@ _SMALL, _LARGE = 256 << 20, 3 << 30
 blocks: nearly all forces of a plan of ten thousand parts, which takes as much for its proofs."""
 REMEMBERED = 1 << 16
 """States whose answers are kept by key, until all are forgotten together: chosen for memory, 33 MB at 510 parts."""
-
-_UNHELD = 3
-"""Held parts of which a guess is looked up for the state before they were held: as many as robots mostly hold;
-checked on recorded searches."""
 
 
 class StateMemory:
@@ -101,15 +96,14 @@ class Guesses:
         self._boundary, self._holds_keep_stable = boundary, holds_keep_stable
 
     def get(self, state: States) -> Array | None:
-        """Return the guess stored for a state; where holds keep states stable, also for it with parts not yet held."""
-        found = self.memory.get(state.tobytes())
-        if found is not None or not self._holds_keep_stable:
-            return found
-        held, before = np.flatnonzero((state == HELD) & ~self._boundary)[:_UNHELD], state.copy()
-        for values in product((REMOVED, INSTALLED, HELD), repeat=len(held)):
-            before[held] = values
-            if (found := self.memory.get(before.tobytes())) is not None:
-                break
+        """Return the guess stored for a state; where holds keep states stable, also for it before a part was held."""
+        found, before = self.memory.get(state.tobytes()), state.copy()
+        for part in np.flatnonzero((state == HELD) & ~self._boundary) if self._holds_keep_stable else ():
+            for value in (INSTALLED, REMOVED):
+                before[part] = value
+                if found is None:
+                    found = self.memory.get(before.tobytes())
+            before[part] = HELD
         return found
 
     def pass_on(self, states: States, origins: States) -> None:

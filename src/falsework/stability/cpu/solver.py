@@ -23,7 +23,7 @@ from falsework.utils.cores import core_count
 
 Array = NDArray[np.float64]
 
-_TASK = 16
+TASK = 16
 """States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
 
 
@@ -59,7 +59,7 @@ class Workers:
 
     def run(self, work: Callable[[slice], None], batch: int) -> None:
         """Call `work` on ranges of rows that cover a batch."""
-        task = batch if self._pool is None else min(_TASK, -(-batch // self._threads))
+        task = batch if self._pool is None else min(TASK, -(-batch // self._threads))
         rows = [slice(first, first + task) for first in range(0, batch, max(task, 1))]
         if self._pool is None or len(rows) < 2:
             for run in rows:

@@ -202,31 +202,25 @@ class GpuSolver:
         self, states: States, rows: slice, certificates: bool, guess: NDArray | None, verdicts: Verdicts
     ) -> None:
         """Check some rows of a batch in host memory."""
-        part = states[rows]
-        problem, driver = self.problem, self.driver
-        verdict = driver.zeros((len(part),), np.int8)
-        residual = driver.empty((len(part),), np.float64)
-        iterations = driver.zeros((len(part),), np.int32)
-        start = None if guess is None else driver.put(guess[rows])
-        wanted = certificates or guess is not None
-        forces = driver.empty((len(part), problem.points, 3), np.float64) if wanted else None
-        velocity = driver.empty((len(part), problem.parts, 6), np.float64) if certificates else None
-        shown = verdicts.displacement is not None
-        displacement = driver.zeros((len(part), problem.parts, 6), np.float64) if shown else None
-        self._run(driver.put(part), start, verdict, residual, iterations, forces, velocity, displacement)
-        verdicts.verdict[rows] = driver.get(verdict)
-        verdicts.residual[rows] = driver.get(residual)
-        verdicts.iterations[rows] = driver.get(iterations)
-        found = None if forces is None else driver.get(forces)
-        if verdicts.forces is not None and found is not None:
-            verdicts.forces[rows] = found
-        if verdicts.velocity is not None and velocity is not None:
-            verdicts.velocity[rows] = driver.get(velocity)
-        if guess is not None and found is not None:
-            guess[rows] = found
-        if verdicts.displacement is not None and displacement is not None:
-            known = verdicts.stable[rows] | verdicts.slides[rows]
-            verdicts.displacement[rows] = np.where(known[:, None, None], driver.get(displacement), np.nan)
+        part, problem, driver = states[rows], self.problem, self.driver
+        count, wanted, motion = len(part), certificates or guess is not None, (len(part), problem.parts, 6)
+        found: dict[str, Any] = {
+            "verdict": driver.zeros((count,), np.int8),
+            "residual": driver.empty((count,), np.float64),
+            "iterations": driver.zeros((count,), np.int32),
+            "forces": driver.empty((count, problem.points, 3), np.float64) if wanted else None,
+            "velocity": driver.empty(motion, np.float64) if certificates else None,
+            "displacement": None if verdicts.displacement is None else driver.zeros(motion, np.float64),
+        }
+        self._run(driver.put(part), None if guess is None else driver.put(guess[rows]), **found)
+        for name, array in found.items():
+            kept = getattr(verdicts, name)
+            if kept is not None and array is not None:
+                kept[rows] = driver.get(array)
+        if guess is not None:
+            guess[rows] = driver.get(found["forces"])
+        if verdicts.displacement is not None:
+            verdicts.displacement[rows][~(verdicts.stable[rows] | verdicts.slides[rows])] = np.nan
 
     def _chunk_size(self, left: int, certificates: bool) -> int:
         parts = self.problem.parts * 48 * (1 + self._contact)
