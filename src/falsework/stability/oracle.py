@@ -69,7 +69,7 @@ class StabilityOracle:
 
     def __init__(self, assembly: AnyStructure, settings: StabilitySettings = StabilitySettings()) -> None:
         assembly = as_assembly(assembly)
-        self.assembly, self.settings = assembly, settings
+        self.assembly, self.settings, self._claim = assembly, settings, settings.claim
         self.problem = build_problem(
             assembly, cone=settings.friction_cone, gravity=settings.gravity, reserve=settings.reserve
         )
@@ -128,7 +128,7 @@ class StabilityOracle:
         # Kernels take idle points to bear pressure, so that only certificates count.
         answer = self._certify if require_certificate or self.problem.strength.idle.any() else self._recall
         verdicts = answer(batch, origins)
-        verdicts.on_tolerance[:] = self.settings.claim.on_tolerance(verdicts)
+        verdicts.on_tolerance[:] = self._claim.on_tolerance(verdicts)
         if not require_certificate:
             return verdicts.without_certificates()
         return replace(verdicts, assembly=self.assembly, states=batch)
@@ -335,7 +335,7 @@ class StabilityOracle:
 
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
         """Return whether the checker accepts each verdict; count the rejected ones."""
-        accepted = verify_certificates(self.assembly, states, verdicts, self.settings.claim)
+        accepted = verify_certificates(self.assembly, states, verdicts, self._claim)
         self.counters.rejected += int((~accepted & ~verdicts.undecided).sum())
         return accepted
 
