@@ -177,14 +177,14 @@ def solve_contact_state(law, state, options, steps, contact, displacement, force
 
 @njit(nogil=True, cache=True)
 def rest_range(
-    law, states, parents, balance, options, more, seeks, displacement, forces, velocity, warm, verdict, residual,
-    iterations,
+    law, states, parents, balance, options, more, seeks, bonded, displacement, forces, velocity, warm, verdict,
+    residual, iterations,
 ):  # fmt: skip
     """Decide states under `contact`, one by one: the first of these attempts that ends with a proof counts.
 
-    Where `seeks`, a mechanism near the difference from the parent; a rest position, from that of the parent where
-    `warm`; a mechanism farther from the difference; the solver of the equilibrium problem; and `more` iterations from
-    where those from the parent's position ended.
+    Where joints pull, the structure as bonded; where `seeks`, a mechanism near the difference from the parent; a rest
+    position, from that of the parent where `warm`; a mechanism farther from the difference; the solver of the
+    equilibrium problem; and `more` iterations from where those from the parent's position ended.
 
     Args:
         law, options: as in `solve_contact_state`.
@@ -192,6 +192,7 @@ def rest_range(
         balance: `Options` of the equilibrium problem.
         more: limit on the last iterations.
         seeks: whether mechanisms are sought near the difference.
+        bonded: whether joints pull.
         displacement: in: guesses where `warm`; out: where iterations ended, shape (batch, parts, 6).
         forces, velocity: out, batched, or empty.
         warm: shape (batch,).
@@ -199,11 +200,21 @@ def rest_range(
             exist, the residual is infinite.
     """
     nothing, none = np.zeros((0, 3)), np.zeros((0, 6))
-    contact, pressed = make_contact_scratch(law), np.empty((len(law.normal) if len(forces) else 0, 3))
-    again = len(law.normal) >= 0  # not a literal, for which numba would recompile the search
+    contact, parts, points = make_contact_scratch(law), states.shape[1], len(law.normal)
+    moved, pressed = np.empty((parts, 6)), np.empty((points if len(forces) else 0, 3))
+    again, no_steps = parts > 0, len(nothing)  # not literals, for which numba would recompile the search
     for i in range(len(states)):
         state, force = states[i], forces[i] if len(forces) else nothing
         motion = velocity[i] if len(velocity) else none
+        if bonded:  # the first iterations of any search, which start from rest
+            result, left, taken = solve_contact_state(law, state, options, no_steps, contact, moved, force, not again)
+            iterations[i] += taken
+            if result == RESTS:
+                verdict[i], residual[i] = STABLE, left
+                for p in range(parts):  # entry by entry: assigning rows to rows would compile numba's messages
+                    for r in range(6):
+                        displacement[i, p, r] = moved[p, r]
+                continue
         if seeks:
             verdict[i], residual[i], taken = find_mechanism(
                 law.structure, state, parents[i], 1, balance, contact.work, motion
@@ -248,7 +259,7 @@ def rest_range(
 
 
 @njit(nogil=True, cache=True)
-def rest_under(law, state, loads, moved, options, displacement, warm, result):
+def rest_under(law, state, loads, moved, options, displacement, warm, after, result):
     """Search for the rest position of a state under each load; the law is that of `solve_contact_state`.
 
     The search ends with the first load under which none is found.
@@ -261,6 +272,7 @@ def rest_under(law, state, loads, moved, options, displacement, warm, result):
             shape (points, 3) or (0, 3).
         displacement: in: guesses in m and rad where `warm`; out: displacements, shape (loads, parts, 6).
         warm: whether `displacement` holds guesses.
+        after: for each load, an earlier one whose displacement is the guess; -1 for its own.
         result: out: `RESTS`, `MOVES_AWAY` or `OPEN`, one entry per load.
 
     Returns:
@@ -296,7 +308,8 @@ def rest_under(law, state, loads, moved, options, displacement, warm, result):
                 contact.displacement[:] = 0.0
                 steps, first_step = options.steps, options.first_step
             else:
-                read_displacement(law, work, displacement[k], contact.displacement)
+                guess = displacement[k if after[k] < 0 else after[k]]
+                read_displacement(law, work, guess, contact.displacement)
                 steps, first_step = options.warm_steps, options.warm_first_step
             result[k], _, _ = solve_statics(law, contact, pairs, steps, tolerance, first_step, mends, options.schedule)
             if result[k] == RESTS or options.steps == 0:

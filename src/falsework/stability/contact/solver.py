@@ -49,6 +49,7 @@ class ContactSolver(CpuSolver):
             numerics.warm_first_step,
         )
         self.assembly = assembly
+        self._pulls = bool(problem.strength.pull.any())
         self._second_order = SecondOrder(assembly, settings.claim)
 
     def no_guess(self, batch: int) -> Array:
@@ -95,7 +96,7 @@ class ContactSolver(CpuSolver):
             found = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows]
             arrays = displacement[rows], forces[rows], velocity[rows], query.known[rows]
             chosen = self.contact_structure, query.states[rows], query.origins[rows]
-            rest_range(*chosen, balance, rest, more, query.seeks, *arrays, *found)
+            rest_range(*chosen, balance, rest, more, query.seeks, self._pulls, *arrays, *found)
 
         self._workers.run(work, len(query.states))
         lost = ~verdicts.stable

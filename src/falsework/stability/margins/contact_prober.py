@@ -95,6 +95,7 @@ class ContactProber(Prober):
             options,
             displacement,
             warm,
+            np.full(count, -1),
             result,
         )
         if some_idle(self.assembly, conditions[0].friction):
