@@ -97,14 +97,17 @@ class Guesses:
 
     def get(self, state: States) -> Array | None:
         """Return the guess stored for a state; where holds keep states stable, also for it before a part was held."""
-        found, before = self.memory.get(state.tobytes()), state.copy()
-        for part in np.flatnonzero((state == HELD) & ~self._boundary) if self._holds_keep_stable else ():
+        found = self.memory.get(state.tobytes())
+        if found is not None or not self._holds_keep_stable:
+            return found
+        before = state.copy()
+        for part in np.flatnonzero((state == HELD) & ~self._boundary):
             for value in (INSTALLED, REMOVED):
                 before[part] = value
-                if found is None:
-                    found = self.memory.get(before.tobytes())
+                if (found := self.memory.get(before.tobytes())) is not None:
+                    return found
             before[part] = HELD
-        return found
+        return None
 
     def pass_on(self, states: States, origins: States) -> None:
         """Let states that were cached as stable share the guess of their parents."""
