@@ -20,7 +20,7 @@ _WELL_BELOW = 0.1
 """Residual of a stable state, as a share of the tolerance, above which the verdict depends on the tolerance."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StabilityBounds:
     """Gravity, tolerance, bounds and holds that a verdict refers to."""
 
@@ -49,10 +49,10 @@ class StabilityBounds:
 class StabilityCriterion(StabilityBounds):
     """Criterion and cone of a verdict, with the bounds that it refers to."""
 
-    criterion: Criterion = "equilibrium"
-    """Definition of stability."""
     cone: Cone = "octagon"
     """Friction cone."""
+    criterion: Criterion = "equilibrium"
+    """Definition of stability."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the criterion as plain JSON values."""
