@@ -129,9 +129,9 @@ class StabilityOracle:
         answer = self._certify if require_certificate or self.problem.strength.idle.any() else self._recall
         verdicts = answer(batch, origins)
         verdicts.on_tolerance[:] = self._claim.on_tolerance(verdicts)
-        if not require_certificate:
-            return verdicts.without_certificates()
-        return replace(verdicts, assembly=self.assembly, states=batch)
+        if require_certificate:
+            return replace(verdicts, assembly=self.assembly, states=batch)
+        return verdicts if verdicts.forces is None else verdicts.without_certificates()
 
     def margins(
         self, states: ArrayLike, kinds: Sequence[str] | None = None, *, deadline: float | None = None
@@ -269,7 +269,9 @@ class StabilityOracle:
             rest: rows of the states that it leaves.
             accept: whether verdicts count.
         """
-        if len(rest) and solver is self._gpu and self._cpu is not None:
+        if not len(rest):
+            return
+        if solver is self._gpu and self._cpu is not None:
             again = self._cpu.check(states[rest], certificates=verdicts.forces is not None)
             verdicts.put(rest, again)
             rest = rest[~accept(states[rest], again)]

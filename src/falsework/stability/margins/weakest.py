@@ -127,6 +127,7 @@ class Weakest:
                     if not answers or answers[-1].stands:
                         continue
                     row = some[len(answers) - 1]
+                    self._searches[row].step_shortly()
             while not self._searches[row].narrow:
                 self._probe_all([row], self._searches[row].next_value())
             best = row
