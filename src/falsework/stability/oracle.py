@@ -259,6 +259,8 @@ class StabilityOracle:
         solver: CpuSolver | GpuSolver,
         rest: NDArray[np.intp],
         accept: Callable[[States, Verdicts], NDArray[np.bool_]],
+        near: States | None = None,
+        known: Sequence[NDArray[np.float64] | None] = (),
     ) -> None:
         """Ask what comes after a solver about the states that it leaves: the CPU after a GPU, then the exact solver.
 
@@ -268,6 +270,9 @@ class StabilityOracle:
             solver: who was asked.
             rest: rows of the states that it leaves.
             accept: whether verdicts count.
+            near: states near to these, and what is known of them: the exact solver decides on the parts that contacts
+                join to the difference alone.
+            known: one entry a state, where `near` is given.
         """
         if not len(rest):
             return
@@ -277,9 +282,10 @@ class StabilityOracle:
             rest = rest[~accept(states[rest], again)]
         rest = rest[self._criterion.is_left_to_exact(verdicts[rest])]
         if len(rest):
-            exact = self.exact.check(states[rest])
+            joined = None if near is None else self.problem.hold_apart(states[rest], near[rest])
+            exact = self.exact.check(states[rest] if joined is None else joined)
             self._criterion.read_exact(exact, verdicts[rest])
-            self._remember(states[rest], exact)
+            self._remember(states[rest], exact, joined, [] if joined is None else [known[row] for row in rest])
             verdicts.put(rest, exact)
 
     def _recall(self, states: States, near: States | None) -> Verdicts:
@@ -326,14 +332,32 @@ class StabilityOracle:
                 self.guesses.remember(states[rows][solved.stable], guess[solved.stable])
             verdicts.put(rows, solved)
         rest = np.flatnonzero(verdicts.undecided)
-        self._ask_further(states, verdicts, solver, rest, lambda _, found: ~found.undecided)
+        self._ask_further(states, verdicts, solver, rest, lambda _, found: ~found.undecided, near, known)
         return verdicts
 
-    def _remember(self, states: States, verdicts: Verdicts) -> None:
-        """Remember the certificates of stable states, from which others start."""
+    def _remember(
+        self,
+        states: States,
+        verdicts: Verdicts,
+        joined: States | None = None,
+        origins: Sequence[NDArray[np.float64] | None] = (),
+    ) -> None:
+        """Remember the certificates of stable states, from which others start.
+
+        Verdicts on `joined`, see `Problem.hold_apart`, are completed by those of the states near by, where known.
+        """
         guess = self._criterion.guess_of(verdicts)
-        if guess is not None:
-            self.guesses.remember(states[verdicts.stable], guess[verdicts.stable])
+        if guess is None:
+            return
+        whole = verdicts.stable.copy()
+        for row in np.flatnonzero(whole) if joined is not None else []:
+            if (joined[row] == states[row]).all():
+                continue
+            start, whole[row] = origins[row], origins[row] is not None
+            if start is not None and not self._criterion.displaced:
+                kept = self.problem.active(states[row : row + 1])[0] & ~self.problem.active(joined[row : row + 1])[0]
+                guess[row, kept] = start[kept]
+        self.guesses.remember(states[whole], guess[whole])
 
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
         """Return whether the checker accepts each verdict; count the rejected ones."""

@@ -14,7 +14,7 @@ from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
 from falsework.stability.cpu.neighbourhood import REACH, local_instability_range
 from falsework.stability.cpu.repair import repair_range
-from falsework.stability.cpu.termination import Options
+from falsework.stability.cpu.termination import UNDECIDED, Options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.strength import SMOOTH
@@ -93,8 +93,9 @@ class CpuSolver:
 
     Batches of states of one structure are decided with compiled code. Attempts follow each other in the order of their
     work; each stops at the first proof. With a state near by: a mechanism near the difference (`neighbourhood.py`),
-    then forces that change in a region that is extended, then everywhere (`repair.py`). Then, and without one, ADMM on
-    the whole with one sparse factorisation per state, and an interior point method (`docs/decisions/cpu-solver.md`).
+    then forces that change in a region that is extended to all that contacts join to it (`repair.py`). Then on these
+    parts, and without a state near by on all, ADMM with one sparse factorisation per state, and an interior point
+    method (`docs/decisions/cpu-solver.md`).
     What they leave undecided is up to the exact solver.
     """
 
@@ -212,7 +213,11 @@ class CpuSolver:
                 return
             if seeks and not local_instability_range(*near, REACH, options, motion, *tail):
                 return
-            solve_range(self.structure, query.states[rows], options, force, motion, False, *tail)
+            chosen, left = query.states[rows], known & (tail[0] == UNDECIDED)
+            if left.any():
+                chosen = chosen.copy()
+                chosen[left] = self.problem.hold_apart(chosen[left], query.origins[rows][left])
+            solve_range(self.structure, chosen, options, force, motion, False, *tail)
 
         self._workers.run(work, len(query.states))
         return forces
