@@ -96,17 +96,17 @@ class Guesses:
         self._boundary, self._holds_keep_stable = boundary, holds_keep_stable
 
     def get(self, state: States) -> Array | None:
-        """Return the guess stored for a state; where holds keep states stable, also for it before a part was held."""
+        """Return the guess of a state; where holds keep states stable, else that of it before one or all were held."""
         found = self.memory.get(state.tobytes())
         if found is not None or not self._holds_keep_stable:
             return found
-        before = state.copy()
-        for part in np.flatnonzero((state == HELD) & ~self._boundary):
-            for value in (INSTALLED, REMOVED):
-                before[part] = value
+        held, before = np.flatnonzero((state == HELD) & ~self._boundary), state.copy()
+        for parts in (held, *held[:, None]):
+            for value in (REMOVED, INSTALLED):
+                before[parts] = value
                 if (found := self.memory.get(before.tobytes())) is not None:
                     return found
-            before[part] = HELD
+            before[parts] = HELD
         return None
 
     def pass_on(self, states: States, origins: States) -> None:
