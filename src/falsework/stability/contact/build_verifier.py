@@ -200,6 +200,3 @@ class _Law:
         breaks = strength.tears & ~torn & (strength.pull > 0) & (trial[:, 0] < -TEARS * strength.pull)
         force = into_cone(trial[None], strength, self._cone)[0][0]
         return np.column_stack([trial[:, 0], force[:, 1:]]), not breaks.any()
-
-
-__all__ = ["BuildVerifier", "StepCertificate", "StepProof"]

@@ -276,6 +276,3 @@ class Replayer:
             size = replay.friction_noise * typical * rng.uniform(0, 1, self.problem.points)
             noise = np.stack([np.cos(angle), np.sin(angle)], axis=1) * (size / self.problem.force_scale)[:, None]
         return noise
-
-
-__all__ = ["Replayer"]
