@@ -350,13 +350,13 @@ class StabilityOracle:
         if guess is None:
             return
         whole = verdicts.stable.copy()
-        for row in np.flatnonzero(whole) if joined is not None else []:
-            if (joined[row] == states[row]).all():
-                continue
-            start, whole[row] = origins[row], origins[row] is not None
-            if start is not None and not self._criterion.displaced:
-                kept = self.problem.active(states[row : row + 1])[0] & ~self.problem.active(joined[row : row + 1])[0]
-                guess[row, kept] = start[kept]
+        if joined is not None:
+            for row in np.flatnonzero(whole & (joined != states).any(axis=1)).tolist():
+                start, whole[row] = origins[row], origins[row] is not None
+                if start is not None:
+                    one = slice(row, row + 1)
+                    kept = (self.problem.active(states[one]) & ~self.problem.active(joined[one]))[0]
+                    guess[row, kept] = start[kept]
         self.guesses.remember(states[whole], guess[whole])
 
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
