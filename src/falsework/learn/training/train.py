@@ -20,7 +20,7 @@ from falsework.errors import InputError
 from falsework.learn.algorithms.reward import Reward, environment_reward
 from falsework.learn.config.train import TrainSettings
 from falsework.learn.data.dataset import Dataset
-from falsework.learn.data.goal_dataset import SearchStates
+from falsework.learn.data.goal_dataset import GoalDataset
 from falsework.learn.networks.custom_policy import PolicyOrClass
 from falsework.learn.networks.factory import transfer
 from falsework.learn.networks.policy import Policy
@@ -53,7 +53,7 @@ def train(
     resume: bool = False,
     logs: Sequence[str] = ("tensorboard",),
     report: Report | None = None,
-    dataset: Dataset | SearchStates | None = None,
+    dataset: Dataset | GoalDataset | None = None,
 ) -> TrainResult:
     """Train a policy for one structure, and write a run that `load_run` reads.
 
@@ -78,7 +78,7 @@ def train(
         logs: `tensorboard` and `wandb`.
         report: called with progress messages; notebooks show them if not given.
         dataset: states to learn from and to test on, in place of those that searches would find; of a policy with goals
-            `SearchStates`.
+            a `GoalDataset`.
 
     Raises:
         DependencyError: a package is missing that the device or a log needs.
