@@ -42,7 +42,7 @@ from falsework import StabilityOracle, StabilitySettings, load_structure, train
 from falsework.errors import InputError
 from falsework.learn import Environment, Policy, PolicySettings, TrainSettings, roll_out, transfer
 from falsework.learn.config.policy import recommended
-from falsework.learn.config.train import METHODS, Criterion, from_dict, to_dict
+from falsework.learn.config.train import METHODS, Criterion, from_dict, phases_of, to_dict
 from falsework.learn.data.dataset import Dataset, build_dataset, search_states, training_task
 from falsework.learn.data.goal_dataset import GoalDataset, GoalDataSettings, SearchStates, build_goal_dataset
 from falsework.learn.data.goal_pairs import Pairs
@@ -99,7 +99,8 @@ def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, *
     given: dict[str, Any] = {"robots": robots, "seed": seed, "minutes": minutes, "steps": options.steps}
     given |= {"data": options.data, "widths": tuple(options.widths), "criterion": options.criterion}
     given["removable_only_if_clear"] = options.clear
-    given["phases"] = METHODS[changes.pop("method", options.method)]
+    goals = "policy" in changes and changes["policy"].goal_conditioned
+    given["phases"] = phases_of(options.method, goal_conditioned=goals, begun=bool(options.begin))
     if options.policy:
         given["policy"] = PolicySettings(options.policy)
     if options.imitation_steps is not None:

@@ -24,7 +24,7 @@ from falsework.assembly.store import save_assembly  # noqa: E402
 from falsework.errors import DependencyError, InputError, TrainingError  # noqa: E402
 from falsework.learn import REINFORCEMENT, ImitationPhase, PolicySettings, PpoPhase, TrainSettings, load_run  # noqa: E402
 from falsework.learn.config.ppo import FINE_TUNING  # noqa: E402
-from falsework.learn.config.train import METHODS, Phase  # noqa: E402
+from falsework.learn.config.train import METHODS, Phase, phases_of  # noqa: E402
 from falsework.learn.data.dataset import load_dataset  # noqa: E402
 from falsework.learn.data.symmetry import symmetries  # noqa: E402
 from falsework.learn.networks.autocast import Network  # noqa: E402
@@ -118,6 +118,13 @@ def test_every_preset_is_tested() -> None:
     assert set(METHODS) < set(PHASES)
     for name, phases in METHODS.items():
         assert [type(one) for one in phases] == [type(one) for one in PHASES[name]]
+
+
+def test_the_default_preset_knows_goals_and_weights_to_begin_with() -> None:
+    assert phases_of() == METHODS["default"]
+    assert phases_of(goal_conditioned=True) == (METHODS["default"][0], FINE_TUNING)
+    assert phases_of(goal_conditioned=True, begun=True) == phases_of(begun=True) == (FINE_TUNING,)
+    assert phases_of("reinforcement", begun=True) == METHODS["reinforcement"]
 
 
 @pytest.mark.parametrize("phases", list(PHASES.values()), ids=list(PHASES))

@@ -15,18 +15,29 @@ from falsework.learn.config.ppo import FINE_TUNING, REINFORCEMENT, PpoPhase
 from falsework.utils.quantity import check_seed
 
 Phase = ImitationPhase | PpoPhase
-Method = Literal["default", "reinforcement", "fine-tuning"]
+Method = Literal["default", "reinforcement"]
 Data = Literal["wide", "width64"]
 Criterion = Literal["contact", "equilibrium"]
 """As `falsework.stability.verdict.Criterion`, which would load more than the command line needs to show its help."""
 
-METHODS: dict[Method, tuple[Phase, ...]] = {
-    # More imitation overfits the states of the searches, which makes the fine-tuning slower and worse.
-    "default": (ImitationPhase(until=0.5, steps=1000), PpoPhase()),
-    "reinforcement": (REINFORCEMENT,),
-    "fine-tuning": (FINE_TUNING,),
-}
+# More imitation overfits the states of the searches, which makes what follows slower and worse.
+_IMITATION = ImitationPhase(until=0.5, steps=1000)
+METHODS: dict[Method, tuple[Phase, ...]] = {"default": (_IMITATION, PpoPhase()), "reinforcement": (REINFORCEMENT,)}
 """Presets of `TrainSettings.phases` by the name that `falsework train --method` takes."""
+
+
+def phases_of(method: Method = "default", *, goal_conditioned: bool = False, begun: bool = False) -> tuple[Phase, ...]:
+    """Return the phases of a preset.
+
+    Args:
+        method: name of the preset.
+        goal_conditioned: of a policy with goals: the default is then imitation followed by `FINE_TUNING`.
+        begun: with the weights of another run: the default is then `FINE_TUNING` alone.
+    """
+    if method != "default" or not (goal_conditioned or begun):
+        return METHODS[method]
+    return (FINE_TUNING,) if begun else (_IMITATION, FINE_TUNING)
+
 
 _EVALUATE_EVERY = 25.0
 """Seconds between two evaluations."""
@@ -74,8 +85,9 @@ class TrainSettings:
     evaluations: int = 0
     """Evaluations on the validation set, in equal shares of the budget; 0: one every 25 s, but at least ten. The best
     weights of these are the result."""
-    patience: float = 0.25
-    """Share of the budget after whose passing without a rise of validation the training ends; 0: never."""
+    patience: float = 0.5
+    """Share of the budget after whose passing in one phase without a rise of validation the training ends; 0: never.
+    The learning rate falls over the whole budget, and validation rises last where it is low."""
     evaluation_states: int = 512
     """Validation states of the curve, at most, and a quarter as many training states; a fixed sample."""
     checkpoint_every: float = 30.0

@@ -68,7 +68,7 @@ def train(
             cannot import it needs it again; so with the reward and the learner.
         begin: folder of a run whose weights come in place of random ones, and whose network in place of that of the
             settings: of this structure, of another one if its network knows parts by their geometry, or of a policy for
-            any structure. Choose phases without imitation, such as `METHODS["fine-tuning"]`.
+            any structure. Choose phases without imitation, such as `phases_of(begun=True)`.
         reward: of each action, for PPO. Weights are chosen by success on the validation set all the same.
         learner: makes the learner in place of PPO.
         callbacks: called after each iteration; one that returns True ends the training.

@@ -274,6 +274,7 @@ class Trainer:
         learner.export_policy(self.exported)
         self._phase += 1
         self._phase_begun, self._phase_steps = progress, self.steps
+        self._best.wait(progress)
         following = self._learner()
         following.load_policy(self.exported)
         return following
