@@ -83,10 +83,10 @@ class PpoPhase:
     """Mean entropy of the actions, in nat, below which that weight rises; the floor falls linearly to 0 over the phase,
     so that the policy explores first and decides at last. 0: none."""
     anywhere: float = 0.0
-    """Of a curriculum without goals: share of the rollouts that starts at any solvable state within its horizon, those
+    """Of a curriculum: share of the rollouts that starts at any solvable state within its horizon, those
     that rollouts passed included."""
     explored: float = 0.0
-    """Of a curriculum without goals: share of the rollouts that starts at solvable states far from those of the
+    """Of a curriculum: share of the rollouts that starts at solvable states far from those of the
     searches, which moves in the direction of assembly find during the training."""
     imitation: float = 0.1
     """Weight of imitating states known to be solvable, or paths to goals, which preserves what imitation learned."""

@@ -117,8 +117,8 @@ class TrainSettings:
             raise InputError("evaluations are not negative, and patience is a share; give 0 or more, and at most 1")
         check_seed(self.seed)
         last = self.phases[-1]
-        if self.policy.goal_conditioned and isinstance(last, PpoPhase) and last.starts == "complete":
-            raise InputError("PPO from the complete structure supports no goals; choose mixed starts or the curriculum")
+        if self.policy.goal_conditioned and isinstance(last, PpoPhase) and last.starts != "mixed":
+            raise InputError("PPO with a curriculum or from the complete structure has no goals; choose mixed starts")
         check_robots(self.robots)
 
     def resolved(self, parts: int, device: str) -> TrainSettings:
