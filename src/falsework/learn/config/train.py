@@ -72,7 +72,7 @@ class TrainSettings:
     widths: tuple[int, ...] = ()
     """Widths of the wider searches; none given: by the number of parts and the device."""
     pairs: int = 20_000
-    """Start-goal pairs of the curriculum of a goal-conditioned policy; other starts are drawn anew."""
+    """Start-goal pairs by which a goal-conditioned policy knows how far goals are; what it learns is drawn anew."""
     minutes: float = 0.0
     """Total time, data included; 0: by the number of parts and the device."""
     steps: int = 0
