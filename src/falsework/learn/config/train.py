@@ -118,7 +118,7 @@ class TrainSettings:
         check_seed(self.seed)
         last = self.phases[-1]
         if self.policy.goal_conditioned and isinstance(last, PpoPhase) and last.starts != "mixed":
-            raise InputError("PPO with a curriculum or from the complete structure has no goals; choose the default preset")
+            raise InputError("PPO with a curriculum or from the complete structure has no goals; choose the default")
         check_robots(self.robots)
 
     def resolved(self, parts: int, device: str) -> TrainSettings:
