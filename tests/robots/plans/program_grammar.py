@@ -11,11 +11,16 @@ import numpy as np
 Value = Any
 """Number, name, string, list of values, `("pose", values)` or a call: name, values and options."""
 
-_RAPID_WORDS = set(
-    "ALIAS AND BACKWARD CASE CONNECT CONST DEFAULT DIV DO ELSE ELSEIF ENDFOR ENDFUNC ENDIF ENDMODULE ENDPROC ENDRECORD "
-    "ENDTEST ENDTRAP ENDWHILE ERROR EXIT FALSE FOR FROM FUNC GOTO IF INOUT LOCAL MOD MODULE NOSTEPIN NOT NOVIEW OR PERS "
-    "PROC RAISE READONLY RECORD RETRY RETURN STEP SYSMODULE TASK TEST THEN TO TRAP TRUE TRYNEXT UNDO VAR VIEWONLY WHILE "
-    "WITH XOR".split()
+
+def _words(text: str) -> set[str]:
+    return set(re.findall(r"\w+", text))
+
+
+_RAPID_WORDS = _words(
+    "ALIAS AND BACKWARD CASE CONNECT CONST DEFAULT DIV DO ELSE ELSEIF ENDFOR ENDFUNC ENDIF ENDMODULE "
+    "ENDPROC ENDRECORD ENDTEST ENDTRAP ENDWHILE ERROR EXIT FALSE FOR FROM FUNC GOTO IF INOUT LOCAL MOD "
+    "MODULE NOSTEPIN NOT NOVIEW OR PERS PROC RAISE READONLY RECORD RETRY RETURN STEP SYSMODULE TASK TEST "
+    "THEN TO TRAP TRUE TRYNEXT UNDO VAR VIEWONLY WHILE WITH XOR"
 )
 _RAPID_KNOWN = {"v5": "speed", "v200": "speed", "v1000": "speed", "z0": "zone", "fine": "zone", "load0": "loaddata"}
 _RAPID_TYPES = {
@@ -34,10 +39,10 @@ _RAPID_TYPES = {
 _RAPID_RESULTS = {"GInput": "num", "CalcRobT": "robtarget", "RelTool": "robtarget"}
 _RAPID_OPTIONS = {"MoveAbsJ": {"T"}, "WaitTime": {"InPos"}, "RelTool": {"Rx", "Ry", "Rz"}}
 
-_UR_WORDS = set(
-    "and break continue def elif else end False for global halt if in inf local mod nan not or pass Pi return run sec "
-    "struct sync thread True while xor".split()
-) - {"sync"}
+_UR_WORDS = _words(
+    "and break continue def elif else end False for global halt if in inf local mod nan not or pass Pi "
+    "return run sec struct thread True while xor"
+)
 _UR_CALLS: dict[str, tuple[int, set[str]]] = {
     "modbus_add_signal": (6, set()),
     "modbus_set_signal_update_frequency": (2, set()),
@@ -171,7 +176,7 @@ class Rapid(Parser):
             if self.accept("\\"):
                 name = self.name()
                 options[name] = self.value() if self.accept(":=") else True
-                assert not self.next == "\\" or values or options
+                assert self.next != "\\" or values or options
                 if not values:
                     self.take(",")
                 continue
@@ -317,7 +322,7 @@ class UrScript(Parser):
         elif self.accept("["):
             assert len(self.listed("]", lambda: self.primary(names))) in (3, 6)
         elif self.accept("True", "False") or re.fullmatch(r"\d.*", self.next) or self.next.startswith('"'):
-            self.at += not self.tokens[self.at - 1] in ("True", "False")
+            self.at += self.tokens[self.at - 1] not in ("True", "False")
         elif self.next in names:
             self.at += 1
         else:

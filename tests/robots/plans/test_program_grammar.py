@@ -83,9 +83,7 @@ def test_a_rate_above_that_of_the_controller(robot_plan: RobotPlan, cell: Cell, 
         ("],[9E9,", "],[9E9,9E9,"),
     ],
 )
-def test_the_grammar_of_rapid_refuses(
-    robot_plan: RobotPlan, cell: Cell, tmp_path: Path, good: str, bad: str
-) -> None:
+def test_the_grammar_of_rapid_refuses(robot_plan: RobotPlan, cell: Cell, tmp_path: Path, good: str, bad: str) -> None:
     """What the controller would refuse; the check of programs is one that can fail."""
     plan, given = renamed(robot_plan, cell, "left", "right")
     text = export_plan(plan, tmp_path, "rapid", cell=given)[0].read_text()

@@ -9,18 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import InputError
-from falsework.robots.kernels.collision import (
-    CLEAR,
-    Bodies,
-    Chain,
-    CollisionScratch,
-    Obstacles,
-    Rules,
-    distance_between,
-    make_work,
-)
+from falsework.robots.kernels.collision import CLEAR, Query, Rules, check_many, distance_between, make_query
 from falsework.robots.kernels.kernel_arrays import Carried, make_bodies, make_chain, make_obstacles, self_pairs
-from falsework.robots.kernels.rrt_connect import INTERVALS, check_many, edges_free
+from falsework.robots.kernels.rrt_connect import edges_free
 from falsework.robots.kinematics.forward import link_poses
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
@@ -144,17 +135,14 @@ class CollisionQuery:
     scene: Scene
     robot: int
     contact: Contact
-    chain: Chain
-    bodies: Bodies
-    obstacles: Obstacles
-    rules: Rules
+    arrays: Query = field(repr=False)
+    """What compiled functions take."""
     links: NDArray[np.int64]
     """Link of each body, joints + 1 for the gripper, joints + 2 for the part; shape (bodies,)."""
     owners: NDArray[np.int64]
     """Part of each obstacle, negative where it is none; shape (obstacles,)."""
     body_names: tuple[str, ...]
     obstacle_names: tuple[str, ...]
-    work: CollisionScratch = field(repr=False)
 
     @property
     def model(self):
@@ -164,12 +152,12 @@ class CollisionQuery:
     @property
     def margin(self) -> float:
         """Distance to keep, metres."""
-        return float(self.rules.margin)
+        return float(self.arrays.rules.margin)
 
     def under(self, contact: Contact, margin: float) -> CollisionQuery:
         """Return queries in the same scene under another contact rule and margin."""
         rules = self.world._rules(self.model, self.links, self.owners, contact, margin)
-        return replace(self, contact=contact, rules=rules)
+        return replace(self, contact=contact, arrays=self.arrays._replace(rules=rules))
 
     def hits(self, configurations: ArrayLike) -> NDArray[np.int64]:
         """Return the first pair that is too near for each configuration, or -1. Shape (batch, joints) to (batch,)."""
@@ -179,7 +167,7 @@ class CollisionQuery:
                 f"configurations have shape {values.shape}; {self.model.name} has {self.model.joints} joints"
             )
         found = np.empty(len(values), np.int64)
-        check_many(values, *self.arrays, found)
+        check_many(values, self.arrays, found)
         return found
 
     def collides(self, configurations: ArrayLike) -> NDArray[np.bool_]:
@@ -191,15 +179,9 @@ class CollisionQuery:
         """Motion of the farthest point in half an interval of an edge below which it counts as blocked, metres."""
         return max(BLOCKED_MARGIN_SHARE * self.margin, BLOCKED_LENGTH)
 
-    @property
-    def arrays(self) -> tuple[Chain, Bodies, Obstacles, Rules, CollisionScratch]:
-        """What compiled functions take."""
-        return self.chain, self.bodies, self.obstacles, self.rules, self.work
-
     def free_edges(self, path: Array) -> int:
         """Return the number of leading edges of a path that are proven free, shape (points, joints)."""
-        opened = np.empty((2, INTERVALS), np.int64)
-        return edges_free(np.ascontiguousarray(path), self.resolution, *self.arrays, opened)
+        return int(edges_free(np.ascontiguousarray(path), self.resolution, self.arrays))
 
     def is_free(self, path: Array) -> bool:
         """Return whether a path is proven free, shape (points, joints)."""
@@ -212,7 +194,7 @@ class CollisionQuery:
             return self.body_names[hit // many], self.obstacle_names[hit % many]
         if hit < count * many + count:
             return self.body_names[hit - count * many], "floor"
-        a, b = self.rules.self_pairs[hit - count * many - count]
+        a, b = self.arrays.rules.self_pairs[hit - count * many - count]
         return self.body_names[a], self.body_names[b]
 
     def explain(self, configuration: ArrayLike) -> tuple[str, str] | None:
@@ -331,7 +313,6 @@ class CollisionWorld:
             pieces = tuple(move(pose, piece) for piece in self.parts.pieces[part])
             stands.append((f"part {self.parts.names[part]}", part, pieces))
         obstacles, owner = make_obstacles([pieces for _, _, pieces in stands])
-        chain = self._chains[robot]
         links, owners = np.array(kinds), np.array([part for _, part, _ in stands], np.int64)[owner]
         if margin is None:
             margin = self.cell.margins.free
@@ -341,10 +322,7 @@ class CollisionWorld:
             scene=scene,
             robot=robot,
             contact=contact,
-            chain=chain,
-            bodies=bodies,
-            obstacles=obstacles,
-            rules=rules,
+            arrays=make_query(self._chains[robot], bodies, obstacles, rules),
             links=links,
             owners=owners,
             body_names=tuple(
@@ -352,7 +330,6 @@ class CollisionWorld:
                 for name, kind in zip(names, kinds, strict=True)
             ),
             obstacle_names=tuple(stands[index][0] for index in owner),
-            work=make_work(chain, bodies, obstacles, rules),
         )
 
     def _rules(

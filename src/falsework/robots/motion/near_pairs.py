@@ -54,7 +54,7 @@ def near_pairs(query: CollisionQuery, configuration: ArrayLike) -> list[NearPair
 
     Of two bodies with several pieces the nearest two pieces count.
     """
-    rules, bodies, obstacles = query.rules, query.bodies, query.obstacles
+    _, bodies, obstacles, rules, _ = query.arrays
     placed = _placed(query, np.asarray(configuration, dtype=np.float64))
     fixed = [obstacles.vertices[a:b] for a, b in zip(obstacles.start[:-1], obstacles.start[1:], strict=True)]
     found: dict[tuple[str, str], NearPair] = {}
@@ -118,9 +118,9 @@ def separation(a: Array, b: Array) -> float:
 
 def _placed(query: CollisionQuery, values: Array) -> list[Array]:
     """Return the vertices of all bodies of the arm in the world."""
-    bodies = query.bodies
+    bodies = query.arrays.bodies
     frames = np.empty((1, len(values) + 1, 3, 4))
-    place_many(values[None], query.chain, frames)
+    place_many(values[None], query.arrays.chain, frames)
     return [
         bodies.vertices[bodies.start[k] : bodies.start[k + 1]] @ frames[0, frame, :, :3].T + frames[0, frame, :, 3]
         for k, frame in enumerate(bodies.frame.tolist())
