@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import InputError
-from falsework.robots.kernels.collision import CLEAR, Query, Rules, check_many, distance_between, make_query
+from falsework.robots.kernels.collision import CLEAR, Bodies, Query, Rules, check_many, distance_between, make_query
 from falsework.robots.kernels.kernel_arrays import Carried, make_bodies, make_chain, make_obstacles, self_pairs
 from falsework.robots.kernels.rrt_connect import edges_free
-from falsework.robots.kinematics.forward import link_poses
+from falsework.robots.kinematics.forward import flange_pose, placed_bodies
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
@@ -255,25 +255,21 @@ class CollisionWorld:
         return self._placed[key]
 
     def _moving_pieces(self, robot: int, values: Array, scene: Scene) -> list[tuple[str, int, Array]]:
+        bodies, names, links = self._bodies(robot, scene)
+        placed = placed_bodies(self._chains[robot], bodies, values)
+        return [piece for piece in zip(names, links, placed, strict=True) if piece[1]]  # the base does not move
+
+    def _bodies(self, robot: int, scene: Scene) -> tuple[Bodies, tuple[str, ...], list[int]]:
+        """Return the bodies of a robot with its load, their names, and the link of each as of `make_bodies`."""
         entry = self.cell.robots[robot]
-        poses = link_poses(entry.model, values, entry.base)
-        found = []
-        for link in range(1, entry.model.joints + 1):
-            name = f"{entry.name} {entry.model.link_names[link]}"
-            found += [(name, link, move(poses[link], piece)) for piece in entry.model.pieces[link]]
-        flange = poses[-1] @ entry.model.flange
-        name = f"{entry.name} gripper"
-        found += [(name, entry.model.joints + 1, move(flange, piece)) for piece in entry.gripper.pieces]
-        held = self.carried(robot, scene)
-        if held is not None:
-            name = f"part {self.parts.names[held[0]]}"
-            found += [(name, entry.model.joints + 2, move(flange, piece)) for piece in held[1]]
-        return found
+        bodies, names, links = make_bodies(entry, self.carried(robot, scene), self.parts.names)
+        own = entry.model.joints + 1
+        return bodies, tuple(f"{entry.name} {n}" if k <= own else n for n, k in zip(names, links, strict=True)), links
 
     def grip_distance(self, robot: int, configuration: ArrayLike, part: int) -> float:
         """Return the distance between a gripper and a part in place, metres; 0 where they touch."""
         entry = self.cell.robots[robot]
-        flange = link_poses(entry.model, configuration, entry.base)[-1] @ entry.model.flange
+        flange = flange_pose(entry.model, configuration, entry.base)
         placed = [move(flange, piece) for piece in entry.gripper.pieces]
         return min((float(distance_between(a, b)) for a in placed for b in self.parts.pieces[part]), default=np.inf)
 
@@ -296,7 +292,7 @@ class CollisionWorld:
                 f"no robot {robot}; the cell has {self.cell.robot_count}, 0 to {self.cell.robot_count - 1}"
             )
         entry = self.cell.robots[robot]
-        bodies, names, kinds = make_bodies(entry, self.carried(robot, scene), self.parts.names)
+        bodies, names, kinds = self._bodies(robot, scene)
         stands: list[tuple[str, int, Pieces]] = []
         load = scene.attached[robot]
         supports = () if load is None else self._supports(load.part)
@@ -325,10 +321,7 @@ class CollisionWorld:
             arrays=make_query(self._chains[robot], bodies, obstacles, rules),
             links=links,
             owners=owners,
-            body_names=tuple(
-                f"{entry.name} {name}" if kind <= entry.model.joints + 1 else name
-                for name, kind in zip(names, kinds, strict=True)
-            ),
+            body_names=names,
             obstacle_names=tuple(stands[index][0] for index in owner),
         )
 
