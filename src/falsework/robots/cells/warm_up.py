@@ -29,10 +29,10 @@ def compile_kernels() -> None:
     follow_line(view, model.home, (0.0, 0.0, 1.0), 0.01)
     trees = np.stack([model.home, model.home + 0.01])[:, None].repeat(3, axis=1)
     rrt_connect.grow(
-        *(trees, np.full((2, 3), -1, np.int64), np.array([1, 1, 0]), model.home, model.home, 1.0, 1, view.resolution),
+        *(trees, np.full((2, 3), -1, np.int64), np.array([1, 1, 0]), model.home, model.home, 1.0, 0, view.resolution),
         *(np.zeros(1, np.uint64), view.arrays, np.zeros(2, np.int64)),
     )
-    rrt_connect.shorten(trees[0].copy(), 3, 1, view.resolution, np.zeros(1, np.uint64), view.arrays)
+    rrt_connect.shorten(trees[0].copy(), 3, 0, view.resolution, np.zeros(1, np.uint64), view.arrays)
     timed = time_path(model, np.stack([model.home, model.home + 0.01]))
     kept = np.empty(len(timed.times), np.int64)
     speed_profile.thin(timed.times, timed.positions, timed.velocities, model.acceleration * 1.0, 0.0, kept)
