@@ -91,7 +91,7 @@ def test_cutting_needs_a_library(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "manifold3d", None)
     assert len(convex_pieces(load_structure("arch").meshes[1])) == 1
     with pytest.raises(
-        DependencyError, match="parts that are not convex need manifold3d: pip install 'falsework.robots.'"
+        DependencyError, match=r"parts that are not convex need manifold3d: pip install 'falsework\[robots\]'"
     ):
         convex_pieces(ring())
 

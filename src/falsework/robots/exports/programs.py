@@ -212,7 +212,7 @@ def ur_scripts(
                     lines.append(f"  {now}")
                     carried = now
                 count = max(int(np.ceil(command.seconds / pause)), 1)
-                for values in command.sample(pause * np.arange(1, count + 1)):
+                for values in command.sample(np.linspace(pause, count * pause, count)):
                     lines.append(f"  servoj({_ur_joints(values)}, t={pause:.3f}, lookahead_time=0.1, gain=300)")
                 lines.append("  stopj(10)")
                 lines.append(f"  movej({_ur_joints(command.positions[-1])}, a=0.5, v=0.5)")
