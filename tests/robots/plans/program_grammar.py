@@ -269,6 +269,7 @@ class UrScript(Parser):
 
     def __init__(self, text: str) -> None:
         assert text.isascii()
+        assert not re.search(r"\d[eE][-+\d]", re.sub(r"#.*", "", text))  # numbers have no exponents
         super().__init__(text, "#", "\n")
         self.own: dict[str, int] = {}
         self.take("def")

@@ -103,6 +103,7 @@ def test_the_grammar_of_rapid_refuses(robot_plan: RobotPlan, cell: Cell, tmp_pat
         (", t=0.020", ", t=0.0195"),
         ("stopj(10)", "stopj()"),
         ("movej([", "movej([0, "),
+        ("a=0.5, v=0.5", "a=5e-1, v=0.5"),
         ("gripper(True)", "gripper(true)"),
         ("while not (", "while not "),
     ],
