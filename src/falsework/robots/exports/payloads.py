@@ -63,7 +63,7 @@ def ur_payload(load: ToolLoad) -> str:
     """Return the URScript command that sets a load: kg, m, kg m2."""
     center = ", ".join(f"{round(value, 6) + 0.0:.6f}" for value in load.center)
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = load.inertia.tolist()
-    inertia = ", ".join(f"{value:.6g}" for value in (xx, yy, zz, xy, xz, yz))
+    inertia = ", ".join(map(_plain, (xx, yy, zz, xy, xz, yz)))
     return f"set_target_payload({load.mass:.4f}, [{center}], [{inertia}])"
 
 
