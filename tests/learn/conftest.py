@@ -18,15 +18,6 @@ def one_thread() -> None:
     torch.set_num_threads(1)
 
 
-@pytest.fixture
-def few_tries(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let random actions try each pair of a data set twice instead of sixteen times, most of the time that it takes.
-
-    How hard the pairs are is what the tries decide, and `data/test_target_data.py` checks it with all of them.
-    """
-    monkeypatch.setattr("falsework.learn.data.goal_dataset._RANDOM_TRIES", 2)
-
-
 @pytest.fixture(scope="session")
 def bottle() -> Assembly:
     """A structure with few parts and many ways."""

@@ -36,10 +36,6 @@ _TOGETHER, _FEW = 64, 4
 """Further searches that run side by side, on a GPU and on a processor; the time is looked at between them."""
 _KEPT = 8
 """States kept of each on a GPU, in widths, and those that lead to them: there are more than a graph can connect."""
-_RANDOM_TRIES = 16
-"""Rollouts of random legal actions none of which may solve a pair that is tested. A pair that they solve with
-probability p stays with probability (1 - p)^16: were all p equally frequent, those of the pairs that stay would have a
-mean of 1 / 18."""
 _ROUNDS = 8
 """Times that a pair is drawn for each target, at most, to find enough of them."""
 _VALIDATION = 5
@@ -60,6 +56,10 @@ class GoalDataSettings:
     """Widths of further searches to learn from."""
     test_pairs: int = 2_000
     """Unseen pairs at most."""
+    random_tries: int = 16
+    """Rollouts of random legal actions none of which may solve a pair that is tested. A pair that they solve with
+    probability p stays with probability (1 - p)^16: were all p equally frequent, those of the pairs that stay would
+    have a mean of 1 / 18."""
     seed: int = 0
     """Of the first search; each further one, the test search included, adds one."""
 
@@ -67,8 +67,9 @@ class GoalDataSettings:
         for width in (self.train_width, self.test_width, *self.widths):
             if width < 1:
                 raise InputError(f"a search of width {width} finds nothing; give at least 1")
-        if self.test_pairs < 1:
-            raise InputError("test_pairs is a count; give at least 1")
+        for name in ("test_pairs", "random_tries"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is a count; give at least 1")
         check_seed(self.seed)
 
 
@@ -222,7 +223,7 @@ def build_goal_dataset(
     rng = np.random.default_rng(settings.seed)
     train = PairSource(graph).draw(rng, settings.test_pairs)
     wanted = settings.test_pairs + -(-settings.test_pairs // _VALIDATION)
-    unseen = _unseen(wider, graph.states, wanted, TensorRules(task, where), without_fallback(asked), rng)
+    unseen = _unseen(wider, graph.states, wanted, TensorRules(task, where), without_fallback(asked), rng, settings)
     count = min(settings.test_pairs, len(unseen) - len(unseen) // _VALIDATION)
     test = unseen[:count]
     validation = unseen[count:]
@@ -238,7 +239,13 @@ def build_goal_dataset(
 
 
 def _unseen(
-    wider: StateGraph, seen: States, count: int, rules: TensorRules, oracle: TensorOracle, rng: np.random.Generator
+    wider: StateGraph,
+    seen: States,
+    count: int,
+    rules: TensorRules,
+    oracle: TensorOracle,
+    rng: np.random.Generator,
+    settings: GoalDataSettings,
 ) -> Pairs:
     """Return at most `count` pairs of a graph that are not among `seen` and not solved by random actions."""
     try:
@@ -249,7 +256,7 @@ def _unseen(
     known = VerdictTable(rules)
     for number in range(_ROUNDS):
         drawn = source.draw(rng, 2 * count)
-        kept.append(drawn[unsolved_at_random(drawn, rules, oracle, known, _RANDOM_TRIES, number)])
+        kept.append(drawn[unsolved_at_random(drawn, rules, oracle, known, settings.random_tries, number)])
         pairs = joined_pairs(kept)
         both = np.concatenate([pairs.states, pairs.targets], axis=1)
         kept = [pairs[np.sort(np.unique(both, axis=0, return_index=True)[1])]]

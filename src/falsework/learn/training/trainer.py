@@ -171,7 +171,7 @@ class Trainer:
         numbers: dict[str, float] = {}
         blocks = interrupted = 0
         here, prepared = time.perf_counter(), self.budget.seconds
-        lines = ProgressLines(journal, self.environment, self.budget)
+        lines = ProgressLines(journal, self.environment, self.budget, every=settings.progress_every)
         while not self._over():
             if self.budget.stop_requested():
                 interrupted = decided(float(not self._ended), self.shards, self.device)

@@ -156,7 +156,7 @@ def find_pairs(run: RunContext, searched: SearchStates | None = None) -> GoalDat
 
 
 def _target_searches(settings: TrainSettings) -> GoalDataSettings:
-    return GoalDataSettings(widths=_widths(settings))
+    return GoalDataSettings(widths=_widths(settings), random_tries=settings.random_tries)
 
 
 def _keep(run: RunContext, path: Path | None, save: Callable[[Path], None]) -> None:

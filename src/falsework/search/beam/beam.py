@@ -48,7 +48,7 @@ class BeamSearch(LevelSearch):
         self.levels = self._levels
         self.judge = CountingOracle(oracle)
         self.judge.replayed = replayer is not None  # see `PathVerifier`
-        self._paths = BeamPaths(self.levels, self.judge, replayer)
+        self._paths = BeamPaths(self.levels, self.judge, replayer, settings.history_bytes)
         self._failures = None if task.neighbours is None else FailedMoves(task.neighbours)
         self._hash = StateHash.for_parts(task.part_count)
         self._candidates = 0

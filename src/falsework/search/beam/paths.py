@@ -20,26 +20,27 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _NOTHING: Array = np.zeros((0, 0, 6))
-_HISTORY_BYTES = 256 << 20
-"""Memory for histories; the earliest are computed anew where they are needed again, which costs time alone."""
-
-
-def histories_in_memory(history: History) -> int:
-    """Return how many contact histories of the size of one a search keeps."""
-    return _HISTORY_BYTES // max(history.nbytes, 1)
 
 
 class BeamPaths:
     """Ways to the states of a beam."""
 
-    def __init__(self, levels: list[Level | PackedLevel], judge: CountingOracle, replayer: AnyReplayer | None) -> None:
+    def __init__(
+        self,
+        levels: list[Level | PackedLevel],
+        judge: CountingOracle,
+        replayer: AnyReplayer | None,
+        history_bytes: int,
+    ) -> None:
         """Begin with nothing.
 
         Args:
             levels: of the beam; the list that the beam itself changes.
             judge: asked for the deferred verdicts.
             replayer: of the structure; None where contact histories do not matter.
+            history_bytes: memory for histories.
         """
+        self._history_bytes = history_bytes
         self._levels, self._judge, self._replayer = levels, judge, replayer
         self.refused = False
         """Whether a candidate for the next level failed the test of its way."""
@@ -165,13 +166,13 @@ class BeamPaths:
         self._fit(level + 1)
         self._known[level][row] = history
         if history is not None:
-            self._most = histories_in_memory(history)
+            self._most = self._history_bytes // max(history.nbytes, 1)
             step = StepCertificate(self._kept(history.track), history.torn.copy(), history.presses)
             self._known_steps[level][row] = history.moved, history.part, step
 
     def _kept(self, track: Array | None) -> Array:
         """Return the displacement of a step to keep: most steps only hold a part, and share one of zeros."""
-        if track is None or len(self._levels) * track.nbytes > 2 * _HISTORY_BYTES:
+        if track is None or len(self._levels) * track.nbytes > 2 * self._history_bytes:
             return _NOTHING
         if track.any():
             return track.copy()
