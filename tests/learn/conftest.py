@@ -1,4 +1,4 @@
-"""What all tests of this room share."""
+"""Fixtures of the tests of policies and training."""
 
 from __future__ import annotations
 

@@ -109,9 +109,9 @@ def test_no_search_begins_once_there_are_enough(bottle: Assembly) -> None:
     settings = GoalDataSettings(train_width=4, random_tries=2, test_width=12, widths=(8, 10, 12), test_pairs=20)
     oracle = tensor_oracle(StabilityOracle(bottle), device)
     answers = iter([False, True])
-    found = SearchStates.find(task, settings, oracle, device=device, enough=lambda: next(answers))
+    found = SearchStates.find(task, settings, oracle, device=device, should_stop=lambda: next(answers))
     fewer = SearchStates.find(task, replace(settings, widths=(8,)), oracle, device=device)
-    none = SearchStates.find(task, settings, oracle, device=device, enough=lambda: True)
+    none = SearchStates.find(task, settings, oracle, device=device, should_stop=lambda: True)
     assert np.array_equal(found.more, fewer.more)
     assert np.array_equal(found.test, fewer.test)
     assert len(none.more) == 0

@@ -73,10 +73,10 @@ def test_no_task_begins_or_ends_with_a_forbidden_state(dome: Assembly, graph: St
     held_out = np.unique(np.concatenate([first[:, np.argsort(image)] for image in images[1:]]), axis=0)
     kept = {tuple(state) for state in held_out.tolist()} - {tuple(state) for state in graph.states.tolist()}
     assert kept
-    taboo = np.array(sorted(kept), dtype=np.uint8)
+    held_out = np.array(sorted(kept), dtype=np.uint8)
     source = RandomWalkGoals(graph, device=CPU)
     free = drawn(SymmetryAugmentation(source, images, device=CPU), 2000)
-    careful = drawn(SymmetryAugmentation(source, images, device=CPU, held_out=taboo), 2000)
+    careful = drawn(SymmetryAugmentation(source, images, device=CPU, held_out=held_out), 2000)
     met = [{tuple(state) for state in np.concatenate([one, two]).tolist()} for one, two, _ in (free, careful)]
     assert met[0] & kept
     assert not met[1] & kept

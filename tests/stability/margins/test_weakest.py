@@ -46,7 +46,7 @@ class Families:
         self.hidden.pop(row, None)
         return value, Answer(CONDITION, value < self.bounds[row])
 
-    def find(self, *, around: bool = False, hurry: bool = False) -> tuple[int, Bracket] | None:
+    def find(self, *, around: bool = False, time_limited: bool = False) -> tuple[int, Bracket] | None:
         """Return the weakest family and its bracket; with `around`, families lie on a circle."""
         count = len(self.bounds)
         return Weakest(
@@ -57,7 +57,7 @@ class Families:
             cap=CAP,
             floor=lambda _: 1e-4,
             around=count // 3 if around else 0,
-            hurry=hurry,
+            time_limited=time_limited,
         ).search(self.confirm)
 
     def search(self, *, around: bool = False) -> tuple[int, float, float] | None:
@@ -126,7 +126,7 @@ def test_when_the_time_is_over_all_bear_the_inner_end_and_one_fails_at_the_outer
     bounds = [4.0, 2.5, 7.0, 3.0, 50.0, 20.0]
     widths = []
     for most in range(60):
-        found = Families(bounds, most=most).find(around=around, hurry=True)
+        found = Families(bounds, most=most).find(around=around, time_limited=True)
         assert found is not None
         _, bracket = found
         assert bracket.inside < 2.5

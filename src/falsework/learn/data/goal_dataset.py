@@ -32,7 +32,7 @@ FORMAT = "falsework.searched/1"
 
 _ARRAYS = frozenset({"train", "test", "more"})
 
-_TOGETHER, _FEW = 64, 4
+_BATCH_GPU, _BATCH_CPU = 64, 4
 """Further searches that run side by side, on a GPU and on a processor; the time is looked at between them."""
 _KEPT = 8
 """States kept of each on a GPU, in widths, and those that lead to them: there are more than a graph can connect."""
@@ -40,7 +40,7 @@ _ROUNDS = 8
 """Times that a pair is drawn for each target, at most, to find enough of them."""
 _VALIDATION = 5
 """One unseen pair in so many is for validation, at least; so many times fewer of them than test pairs are enough."""
-_THROUGH = 0.25
+_COMPLETED_SHARE = 0.25
 """Share of searches that must complete, or the next ones begin at the other end."""
 
 
@@ -119,7 +119,7 @@ class SearchStates:
         device: torch.device,
         shards: ProcessGroup = ProcessGroup(),
         report: Report | None = None,
-        enough: Callable[[], bool] | None = None,
+        should_stop: Callable[[], bool] | None = None,
     ) -> SearchStates:
         """Search.
 
@@ -130,7 +130,7 @@ class SearchStates:
             device: where to search.
             shards: processes that search together.
             report: called with progress messages.
-            enough: asked before each lot of further searches, in all processes alike, whether they and those after
+            should_stop: asked before each lot of further searches, in all processes alike, whether they and those after
                 them can be left out.
         """
         # A search from the complete structure passes many states that a GPU leaves open, each a wait for the processor.
@@ -140,9 +140,9 @@ class SearchStates:
                 report(f"search {number + 1} of {2 + len(settings.widths)}, width {width}")
             seed, way = settings.seed + number, Direction.DISASSEMBLY
             first.append(search_states(task, judge, width, seed, device=device, shards=shards, direction=way)[0])
-        together = _TOGETHER if device.type == "cuda" else _FEW
+        together = _BATCH_GPU if device.type == "cuda" else _BATCH_CPU
         more, done, way = [first[0][:0]], 0, Direction.DISASSEMBLY
-        while done < len(settings.widths) and not (enough is not None and enough()):
+        while done < len(settings.widths) and not (should_stop is not None and should_stop()):
             width = settings.widths[done]
             count = sum(1 for _ in takewhile(width.__eq__, settings.widths[done : done + together * shards.size]))
             if report is not None:
@@ -155,7 +155,7 @@ class SearchStates:
             more.append(states)
             done += count
             # States beyond the point where most searches die out are found from the other end.
-            died = way is Direction.DISASSEMBLY and through < _THROUGH * count
+            died = way is Direction.DISASSEMBLY and through < _COMPLETED_SHARE * count
             way = Direction.ASSEMBLY if died else Direction.DISASSEMBLY
         return cls(first[0], first[1], np.concatenate(more))
 

@@ -136,7 +136,7 @@ class Trainer:
             self._run,
             kept=resume,
             dataset=dataset,
-            enough=lambda: self.budget.progress(self.steps) >= _SEARCHED_BY,
+            should_stop=lambda: self.budget.progress(self.steps) >= _SEARCHED_BY,
         )
         self.data_seconds = self.data.seconds
         self.solved.hold_out(self.data.held_out)

@@ -54,7 +54,7 @@ def collect_training_data(
     *,
     kept: bool = False,
     dataset: Dataset | SearchStates | None = None,
-    enough: Callable[[], bool] | None = None,
+    should_stop: Callable[[], bool] | None = None,
 ) -> TrainingData:
     """Search for states, or read those that an earlier session found.
 
@@ -62,7 +62,7 @@ def collect_training_data(
         run: training run; states are kept in its folder.
         kept: read them if they are there.
         dataset: states to use instead; those of goals are `SearchStates`.
-        enough: called between searches for goals; true if no time is left for more, alike in all processes.
+        should_stop: called between searches for goals; true if no time is left for more, alike in all processes.
 
     Raises:
         InputError: data of another criterion than the run.
@@ -79,7 +79,13 @@ def collect_training_data(
         else:
             searches = _target_searches(settings)
             searched = SearchStates.find(
-                run.task, searches, run.oracle, device=device, shards=run.shards, report=run.report, enough=enough
+                run.task,
+                searches,
+                run.oracle,
+                device=device,
+                shards=run.shards,
+                report=run.report,
+                should_stop=should_stop,
             )
             _keep(run, path, lambda where: searched.save(where, run.task))
             if searches.widths and not len(searched.more):

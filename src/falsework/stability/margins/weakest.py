@@ -45,7 +45,7 @@ class Weakest:
         low: float = 0.0,
         floor: Callable[[int], float],
         around: int = 0,
-        hurry: bool = False,
+        time_limited: bool = False,
         cut: Callable[[int, Answer], float] | None = None,
         near: float | None = None,
     ) -> None:
@@ -61,7 +61,7 @@ class Weakest:
             floor: absolute width at which the bracket of a family is narrow enough.
             around: where families are numbered around a circle, of how many the weakest is narrowed before the others
                 are tested; a probe then starts from the rest of a family nearby.
-            hurry: whether the time is limited, so that what all families bear is found first, if roughly.
+            time_limited: whether the time is limited, so that what all families bear is found first, if roughly.
             cut: as for `Interval`, of each family.
             near: bound of the first family in a nearby state.
         """
@@ -83,8 +83,8 @@ class Weakest:
         self._distance = _distances(len(self._families)) if around else None
         self._beyond = True
         """Whether families are tested beyond the least bound: until one fails, since failures are costly."""
-        self._batch = 1 if hurry else max(len(self._families), 1)  # the time is looked at between two calls
-        self._sample, self._hurry = self._families[: around or None], hurry
+        self._batch = 1 if time_limited else max(len(self._families), 1)  # the time is looked at between two calls
+        self._sample, self._time_limited = self._families[: around or None], time_limited
 
     def search(self, confirm: Callable[[int, float, Answer], tuple[float, Answer]]) -> tuple[int, Bracket] | None:
         """Return the weakest family and its bracket, without an outer end where none has a bound; None without any.
@@ -105,7 +105,7 @@ class Weakest:
     def _search(self, confirm: Callable[[int, float, Answer], tuple[float, Answer]]) -> tuple[int, Bracket] | None:
         confirmed: dict[int, float] = {}
         last = None
-        if self._hurry:
+        if self._time_limited:
             self._raise_all(self._first)
         while True:
             bounded = {row: search.high for row, search in self._searches.items() if search.high is not None}
@@ -297,7 +297,7 @@ def weakest_load(
         low=low,
         floor=lambda row: FLOOR * guess(row),
         around=around,
-        hurry=prober.limited,
+        time_limited=prober.limited,
         cut=None if loads is None or prober.contact else lambda row, failed: prober.cut(state, failed, loads[row]),
         near=value if order and names[order[0]] == weak else None,
     )
