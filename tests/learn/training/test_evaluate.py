@@ -136,7 +136,7 @@ def test_a_policy_is_asked_about_another_structure(run: Path, capsys: pytest.Cap
 
 def test_a_policy_of_one_state_is_masked_to_targets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, wide = tmp_path / "run", load_structure(WIDE)
-    settings = TrainSettings(phases=(ImitationPhase(),), steps=60, widths=(16,), policy=PARTS)
+    settings = TrainSettings(phases=(ImitationPhase(),), steps=60, widths=(16,), policy=PARTS, random_tries=2)
     train(wide, settings, folder=folder, device="cpu", logs=(), source={"built_in": WIDE})
     assert main(["evaluate", str(folder), "--json", "--targets", "--states", "50", "--device", "cpu"]) == 0
     record = json.loads(capsys.readouterr().out)
