@@ -50,7 +50,7 @@ class Answer:
     reserve: float = 1.0
     """Number by which friction is divided in the check, besides the check under the true friction."""
     seconds: float | None = None
-    """That the method says it took, which nobody can check."""
+    """Time that the method says it took, which cannot be checked."""
     reason: str = ""
     """Why there are no steps."""
     structure: str = ""

@@ -96,7 +96,7 @@ HELD_OUT: dict[str, tuple[int, ...]] = {
 _REAL = {name for name in (*TUNED, *HELD_OUT) if ":" not in name}
 """Those that come from files."""
 _KEY = ("source", "structure", "robots", "criterion", "perturbation", "budget", "limit", "without")
-"""What tells a run from all others."""
+"""Fields that tell a run from all others."""
 _WEIGHT = 1e-12
 """Largest relative change of a weight."""
 _GRACE = 120.0

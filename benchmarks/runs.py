@@ -22,7 +22,7 @@ from typing import Any
 Run = dict[str, Any]
 """Case of a benchmark with its figures."""
 Key = tuple[Any, ...]
-"""What tells a run from all others."""
+"""Fields that tell a run from all others."""
 
 SOURCE = Path(__file__).resolve().parents[1]
 """Source tree of this file."""

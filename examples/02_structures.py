@@ -10,7 +10,7 @@ from falsework.assembly import complete_state, library
 
 
 def verdict(spec: str) -> str:
-    """Whether a structure stands when it is complete and nobody holds a part."""
+    """Whether a structure stands when it is complete and no robot holds a part."""
     assembly = load_structure(spec)
     return (
         "stands" if StabilityOracle(assembly).verdicts(complete_state(assembly.boundary)[None]).stable[0] else "falls"

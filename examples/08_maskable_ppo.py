@@ -1,4 +1,4 @@
-"""Train somebody else's learner, sb3-contrib's MaskablePPO, to take a small arch apart.
+"""Train the learner of another library, MaskablePPO of sb3-contrib, to take a small arch apart.
 
 Run: pip install sb3-contrib, then: python examples/08_maskable_ppo.py
 """

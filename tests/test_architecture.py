@@ -66,7 +66,7 @@ MOST_LINES = 400
 """In one module."""
 
 MOST_NAMES = 150
-"""That the stubs make public, those of all packages together."""
+"""Public names in the stubs of all packages together."""
 
 # Distribution names whose import name differs.
 IMPORT_NAMES = {"python-fcl": "fcl"}

@@ -43,7 +43,7 @@ PUBLIC = (
     "crossvault-184", "dem-crossvault-38", "dome-90", "genevault-110", "nurbs-wall-52", "topolite-chips-256",
     "topolite-tube-85", "ursula-6", "wall-38", "armadillo-399", "pavilion-vault-387",
 )  # fmt: skip
-"""Structures that nobody here made."""
+"""Structures from elsewhere."""
 _STATES, _SAMPLES, _WIDTH = 48, 16, 64
 """States tried from, at most; rollouts drawn from each; and width of the search that they come from."""
 _ROWS = 4000

@@ -1,4 +1,4 @@
-"""What networks cost: weights and operations a state, counted, not estimated."""
+"""Cost of networks: weights and operations a state, counted, not estimated."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ Draw = np.random.Generator
 _LEAST, _MOST = 3, 150
 """Parts that are not boundary."""
 _ROBOTS = (0.15, 0.45, 0.2, 0.2)
-"""How often structures are built by one, two, three and four robots."""
+"""Frequencies of structures built by one, two, three and four robots."""
 _FRICTION = (0.4, 0.9)
 
 

@@ -198,7 +198,7 @@ def transfer_experiment(
         batch: states a step; 0 for the default of the device.
         seed: of weights and batches.
         data: searches that make the data; those of the paper by default.
-        turns: copies of the source, all but one turned about the vertical, so that no direction is learned by heart.
+        turns: copies of the source, all but one turned about the vertical, so that no direction is memorised.
 
     Yields:
         Rows with `trained_on`, `tested_on`, `fine_tuned` (seconds or steps), `from` (`weights` or `nothing`),

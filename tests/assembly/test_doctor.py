@@ -58,7 +58,7 @@ def test_a_sound_structure(column: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_faces_that_touch_without_being_parallel(column: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The top of the lowest cube leans by 2 degrees; that of the next one by less than is doubted."""
+    """The top of the lowest cube leans by 2 degrees; that of the next one by less than is reported."""
     for level, rise in ((0, 2.0), (1, 0.9)):
         path = column / f"{level}.obj"
         lower = level + 1 - np.tan(np.radians(rise))
@@ -70,10 +70,10 @@ def test_faces_that_touch_without_being_parallel(column: Path, capsys: pytest.Ca
     with warnings.catch_warnings():
         warnings.simplefilter("error", ContactWarning)
         found = doctor(column)
-    (doubt,) = found.remarks
-    assert "of parts 0 and 1 (2 degrees): contacts bear what both" in doubt
+    (finding,) = found.remarks
+    assert "of parts 0 and 1 (2 degrees): contacts bear what both" in finding
     assert main(["doctor", str(column)]) == 0
-    assert doubt in capsys.readouterr().out
+    assert finding in capsys.readouterr().out
     with pytest.warns(ContactWarning, match="inclined to each other by 2 degrees at least, more than friction of 0.01"):
         load_structure(column, friction=0.01)
 
@@ -85,14 +85,14 @@ def test_all_faults_at_once(column: Path, tmp_path: Path, capsys: pytest.Capture
     write_box(column, "6", (7, 0, 0), (8, 1, 1))
     assert main(["doctor", str(column), "--json", "--picture", str(tmp_path / "column.png")]) == 1
     record = json.loads(capsys.readouterr().out)
-    doubts = {report["name"]: " ".join(report["doubts"]) for report in record["parts"]}
-    assert "is not closed" in doubts["3"]
-    assert "is a duplicate of part 2" in doubts["4"]
-    assert "passes through part 2" in doubts["4"]
-    assert "is tiny" in doubts["5"]
-    assert "touches no other part; part" in doubts["6"]
-    assert not doubts["0"]
-    assert not doubts["1"]
+    findings = {report["name"]: " ".join(report["findings"]) for report in record["parts"]}
+    assert "is not closed" in findings["3"]
+    assert "is a duplicate of part 2" in findings["4"]
+    assert "passes through part 2" in findings["4"]
+    assert "is tiny" in findings["5"]
+    assert "touches no other part; part" in findings["6"]
+    assert not findings["0"]
+    assert not findings["1"]
     assert not record["loads"]
     assert not record["loads_with_it"]
     assert record["parts"][3]["volume_m3"] is None
@@ -103,8 +103,8 @@ def test_mended_parts_are_named(column: Path) -> None:
     write_box(column, "2", (0, 0, 2), (1, 1, 3), faces=10)  # the last side is missing
     found = doctor(column)
     assert found.loads
-    assert found.parts[2].mended == "closed flat holes"
-    assert not found.parts[1].mended
+    assert found.parts[2].repairs == "closed flat holes"
+    assert not found.parts[1].repairs
 
 
 def test_what_is_divided_between_two_parts_is_no_fault(column: Path) -> None:
@@ -120,9 +120,9 @@ def test_depth_of_every_overlap_and_not_of_joints(column: Path) -> None:
     write_box(column, "3", (0.2, 0.2, 2.5), (0.8, 0.8, 3.5))
     found = doctor(column)
     assert not found.loads
-    assert [len(report.doubts) for report in found.parts] == [0, 0, 1, 1]
-    (doubt,) = found.parts[2].doubts
-    assert re.fullmatch(r"passes through part 3 by 4[89]\d mm", doubt)
+    assert [len(report.findings) for report in found.parts] == [0, 0, 1, 1]
+    (finding,) = found.parts[2].findings
+    assert re.fullmatch(r"passes through part 3 by 4[89]\d mm", finding)
     assert not found.additions
 
 
@@ -131,7 +131,7 @@ def test_lengths_that_are_given_may_be_the_fault(column: Path) -> None:
     add(column, {"contact": {"gap": 0.001, "overlap": 0.001}})
     found = doctor(column)
     assert not found.loads
-    assert found.parts[2].doubts == ("passes through part 1 by 4 mm",)
+    assert found.parts[2].findings == ("passes through part 1 by 4 mm",)
     assert any("it loads without the lengths gap and overlap" in remark for remark in found.remarks)
 
 
@@ -139,7 +139,7 @@ def test_a_support_that_is_a_surface_is_mended(column: Path) -> None:
     (column / "0.obj").write_text("v -1 -1 1\nv 2 -1 1\nv 2 2 1\nv -1 2 1\nf 1 2 3 4\n")
     found = doctor(column)
     assert found.loads
-    assert found.parts[0].mended == "given a thickness"
+    assert found.parts[0].repairs == "given a thickness"
     assert not found.doubtful
 
 
@@ -159,8 +159,8 @@ def test_boundary_and_unit_are_proposed(tmp_path: Path, capsys: pytest.CaptureFi
 def test_files_that_cannot_be_read_are_parts_in_doubt(column: Path) -> None:
     (column / "1.obj").write_text("v 0 0 zero\n")
     found = doctor(column)
-    assert found.parts[1].doubts
-    assert "touches no other part" in found.parts[2].doubts[0]
+    assert found.parts[1].findings
+    assert "touches no other part" in found.parts[2].findings[0]
 
 
 def test_what_is_not_there(tmp_path: Path) -> None:
@@ -248,7 +248,7 @@ def test_no_advice_fixes_everything(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.parametrize(
-    ("options", "doubt"),
+    ("options", "finding"),
     [
         ({"density": 2.4}, r"the density is 2\.4 kg/m3"),
         ({"density": [2400, 2400, 24000]}, "the density of part 2 is 24000 kg/m3"),
@@ -258,9 +258,9 @@ def test_no_advice_fixes_everything(tmp_path: Path, capsys: pytest.CaptureFixtur
         ({"density": 2400, "friction": 0.6}, ""),
     ],
 )
-def test_doubts_about_the_options(options: dict, doubt: str, column: Path) -> None:
+def test_doubts_about_the_options(options: dict, finding: str, column: Path) -> None:
     remarks = " ".join(doctor(column, **options).remarks)
-    assert re.search(doubt, remarks) if doubt else not remarks
+    assert re.search(finding, remarks) if finding else not remarks
 
 
 def test_doubts_about_entries_of_the_file(column: Path) -> None:
@@ -323,7 +323,7 @@ def test_other_faults_are_not_blamed_on_the_axis(
     found = doctor(tmp_path)
     assert not any("y up" in remark for remark in found.remarks)
     assert found.additions == {"boundary": [0]}
-    assert not wrong or any(wrong in doubt for part in found.doubtful for doubt in part.doubts)
+    assert not wrong or any(wrong in finding for part in found.doubtful for finding in part.findings)
 
 
 def test_detailed_parts_in_each_other_are_told_of_in_seconds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -338,7 +338,7 @@ def test_detailed_parts_in_each_other_are_told_of_in_seconds(tmp_path: Path, mon
         (tmp_path / f"{number}.obj").write_text("\n".join(lines) + "\n")
     monkeypatch.setattr("falsework.assembly.doctor.find_joints", None)
     found = doctor(tmp_path)
-    assert all("passes through" in part.doubts[0] for part in found.parts)
+    assert all("passes through" in part.findings[0] for part in found.parts)
 
 
 @pytest.mark.parametrize("ground", [None, True])

@@ -1,4 +1,4 @@
-"""What is wrong with a line of a submission is said in one sentence with its number, and spoils no other line."""
+"""Faults of a line of a submission: one sentence with its number, and no effect on other lines."""
 
 from __future__ import annotations
 

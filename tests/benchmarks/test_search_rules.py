@@ -90,7 +90,7 @@ USES: dict[str, Callable[[], Any]] = {
     "hopeful": fall_again,
     "supports": lambda: solver.CpuSolver(StabilityOracle(load_structure("arch:blocks=5"), EQUILIBRIUM).problem),
 }
-"""What rules take effect in; all others do in a beam that dies."""
+"""Searches in which rules take effect; all others do in a beam that dies."""
 
 
 @pytest.mark.parametrize("name", RULES)

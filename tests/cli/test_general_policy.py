@@ -59,7 +59,7 @@ def test_evaluation_takes_structure_and_robots(falsework: Callable, run: Path) -
 def test_what_is_missing_is_said(
     falsework: Callable, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(checkpoint, "_COMES_WITH_PACKAGE", tmp_path / "none")
+    monkeypatch.setattr(checkpoint, "PRETRAINED", tmp_path / "none")
     for command, words in (
         (("evaluate", run), "is a policy for any structure; name the structure"),
         (("plan", ARCH, "--guide", "general"), "this installation has no policy for any structure; make one"),
@@ -75,5 +75,5 @@ def test_what_is_missing_is_said(
 def test_the_policy_of_the_package_has_a_name(
     falsework: Callable, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(checkpoint, "_COMES_WITH_PACKAGE", run)
+    monkeypatch.setattr(checkpoint, "PRETRAINED", run)
     assert falsework("plan", ARCH, "--guide", "general", "--out", tmp_path / "plan.json").code == 0

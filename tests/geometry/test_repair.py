@@ -1,4 +1,4 @@
-"""What is mended, what is refused, and that a sound mesh is left alone."""
+"""Repairs and refusals of meshes; a sound mesh is left alone."""
 
 from __future__ import annotations
 

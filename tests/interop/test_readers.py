@@ -122,7 +122,7 @@ def test_genevault_as_rhino_has_it(public_structure_path: Callable[[str], Path])
     assert not found.doubtful
     fixed = [report for report in found.parts if report.boundary]
     assert len(fixed) == 29
-    assert {report.mended for report in fixed} == {"given a thickness"}
+    assert {report.repairs for report in fixed} == {"given a thickness"}
 
 
 def test_supports_that_are_surfaces_are_given_a_thickness(rhino: Any, tmp_path: Path) -> None:

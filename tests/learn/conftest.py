@@ -1,4 +1,4 @@
-"""What all tests of this room share."""
+"""Fixtures of the tests of policies and training."""
 
 from __future__ import annotations
 
@@ -16,15 +16,6 @@ from falsework.search import BeamSearch, BeamSettings
 def one_thread() -> None:
     """Networks this small are slower on two threads, and far slower where other work keeps one of them waiting."""
     torch.set_num_threads(1)
-
-
-@pytest.fixture
-def few_tries(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let random actions try each pair of a data set twice instead of sixteen times, most of the time that it takes.
-
-    How hard the pairs are is what the tries decide, and `data/test_target_data.py` checks it with all of them.
-    """
-    monkeypatch.setattr("falsework.learn.data.goal_dataset._RANDOM_TRIES", 2)
 
 
 @pytest.fixture(scope="session")

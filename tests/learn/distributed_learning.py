@@ -1,4 +1,4 @@
-"""What each process of `test_processes.py` runs: some updates and short trainings, whose weights go to files."""
+"""Program of each process of `test_processes.py`: some updates and short trainings, whose weights go to files."""
 
 from __future__ import annotations
 

@@ -95,7 +95,13 @@ def run(assembly: Assembly, settings: ServiceSettings) -> Iterator[Live]:
 def live() -> Iterator[Live]:
     """An arch of five blocks, one planner, and little patience with clients."""
     settings = ServiceSettings(
-        port=0, workers=1, header_seconds=SLOW, body_seconds=SLOW, body_bytes=20_000, idle_seconds=int(SLOW)
+        port=0,
+        workers=1,
+        header_seconds=SLOW,
+        body_seconds=SLOW,
+        body_bytes=20_000,
+        idle_seconds=int(SLOW),
+        connections=32,
     )
     yield from run(load_structure("arch:blocks=5"), settings)
 

@@ -1,4 +1,4 @@
-"""What a service answers is true: plans hold by the exact solver, verdicts agree with it, and a no is a no."""
+"""Truth of the answers of a service: plans hold by the exact solver, verdicts agree with it, and a no is a no."""
 
 from __future__ import annotations
 
@@ -235,8 +235,8 @@ def test_props_and_holds_on_site_are_the_next_steps(grounded: Any) -> None:
         ({"since": {"props": [3]}}, "since: part voussoir-3 is not placed yet, so no prop can stand under it"),
         ({"since": {"released": [1]}}, "since: part voussoir-1 is not "),
         ({"since": {"lifted": [1]}}, "since.lifted is not known; known are held, props, released"),
-        ({"since": {"props": [0]}, "step": None}, "since: this is told of a step of the plan; give the step too"),
-        ({"since": {"props": [0]}, "plan": None, "step": None}, "since: this is told of a step of a plan"),
+        ({"since": {"props": [0]}, "step": None}, "since: what was done after a step of the plan; give the step too"),
+        ({"since": {"props": [0]}, "plan": None, "step": None}, "since: what was done after a step of a plan"),
         ({"step": 99}, "step 99 does not exist; the plan has the steps 1 to "),
         ({"step": None}, "name the last one that is done"),
         ({"state": "empty"}, "state: a plan with its step says what the state is"),

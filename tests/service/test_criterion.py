@@ -1,4 +1,4 @@
-"""What a service calls stable: it says by which criterion, and calls what slides by its name."""
+"""Stability as a service reports it: it says by which criterion, and calls what slides by its name."""
 
 from __future__ import annotations
 

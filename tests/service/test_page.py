@@ -1,4 +1,4 @@
-"""What the page about the service tells people to send is answered."""
+"""Requests on the page about the service are answered."""
 
 from __future__ import annotations
 

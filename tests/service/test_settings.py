@@ -1,4 +1,4 @@
-"""Who may connect: this machine, or whoever shows the token."""
+"""Clients that may connect: this machine, or those with the token."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a click does and what the page knows, without a browser."""
+"""Effects of clicks and state of the page, without a browser."""
 
 from __future__ import annotations
 

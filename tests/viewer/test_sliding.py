@@ -1,4 +1,4 @@
-"""What slides is shown as such: forces in balance exist, but the contacts do not bring them about."""
+"""Display of sliding states: forces in balance exist, but the contacts do not bring them about."""
 
 from __future__ import annotations
 

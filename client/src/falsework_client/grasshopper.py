@@ -1,4 +1,4 @@
-"""What the Grasshopper components compute, without Grasshopper."""
+"""Computations of the Grasshopper components, without Grasshopper."""
 
 from __future__ import annotations
 

@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from falsework.assembly.doubts import (
-    inclination_doubts,
-    likely_units,
-    lowest,
-    material_doubts,
-    support_doubts,
-    upright_doubt,
-)
 from falsework.assembly.draft import Draft
 from falsework.assembly.fasteners import furnish
+from falsework.assembly.findings import (
+    inclination_findings,
+    likely_units,
+    lowest,
+    material_findings,
+    support_findings,
+    upright_finding,
+)
 from falsework.assembly.interfaces import InterfaceComparison, compare_interfaces, interface_contacts
 from falsework.assembly.load import LOAD_OPTIONS, check_meshes_path, described_options, read_draft
 from falsework.assembly.model import Assembly
@@ -61,10 +61,10 @@ class PartReport:
     volume: float | None
     """m3; None for a part that bounds no solid."""
     boundary: bool
-    mended: str
+    repairs: str
     """Repairs of its mesh; empty for none."""
-    doubts: tuple[str, ...]
-    """Doubts about it."""
+    findings: tuple[str, ...]
+    """Findings about it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +75,9 @@ class Diagnosis:
     error: str
     """Reason why it does not load, in one line; empty if it loads."""
     remarks: tuple[str, ...]
-    """Doubts about the whole structure, and repairs of it."""
+    """Findings about the whole structure, and repairs of it."""
     unit: str
-    """Likely unit of the coordinates; empty where the present one raises no doubt."""
+    """Likely unit of the coordinates; empty where the present one raises no finding."""
     parts: tuple[PartReport, ...]
     contacts: int
     """Contacts of the structure; of one that does not load, those of the pairs of parts that can be judged."""
@@ -98,8 +98,8 @@ class Diagnosis:
 
     @property
     def doubtful(self) -> tuple[PartReport, ...]:
-        """Parts with a doubt."""
-        return tuple(report for report in self.parts if report.doubts)
+        """Parts with a finding."""
+        return tuple(report for report in self.parts if report.findings)
 
     def line(self) -> str:
         """Return the entries for `assembly.json` as text, without braces."""
@@ -129,7 +129,7 @@ def doctor(
     Args:
         path: folder or file, as for `load_structure`.
         unit: unit of the coordinates; that of `assembly.json` or the file if not given.
-        stands: tells whether a complete structure stands, to doubt which way is up; not asked without it.
+        stands: tells whether a complete structure stands, to find out which way is up; not asked without it.
         options: others of `load_structure`, such as boundary, ground, density and friction.
 
     Raises:
@@ -146,13 +146,13 @@ def doctor(
         except InputError as error:
             return Diagnosis(str(path), str(error), (), "", (), 0, None, {}, False, None)
     options = {**described, **{name: value for name, value in options.items() if value is not None}}
-    solids, mended, errors, notes = _solids(draft, options.get("boundary"))
+    solids, repairs, errors, notes = _solids(draft, options.get("boundary"))
     size = np.array(
         [np.linalg.norm(np.ptp(block.vertices, axis=0)) * draft.scale if len(block.vertices) else 0.0
          for block in draft.blocks]
     )  # fmt: skip
-    doubts = [[*([error] if error else []), *more] for error, more in zip(errors, notes, strict=True)]
-    _compare_parts(solids, doubts)
+    findings = [[*([error] if error else []), *more] for error, more in zip(errors, notes, strict=True)]
+    _compare_parts(solids, findings)
     assembly, error, remarks = _load(draft, options)
     remarks = list(dict.fromkeys(str(warning.message) for warning in caught) | dict.fromkeys(remarks))
     fixed = np.zeros(len(draft.blocks), dtype=bool)
@@ -167,7 +167,7 @@ def doctor(
                 remarks.append(str(reason))
     else:
         settings = options.get("contact_settings") or ContactSettings()
-        contacts = _contacts(solids, settings, fixed, doubts)
+        contacts = _contacts(solids, settings, fixed, findings)
         fitted = replace(settings, gap=None, overlap=None)
         if settings != fitted and _load(draft, {**options, "contact_settings": fitted})[0] is not None:
             remarks.append("it loads without the lengths gap and overlap of its contacts: joints are then fitted")
@@ -177,13 +177,13 @@ def doctor(
     if stands is not None and None not in solids and len(solids) > 1:
         known = assembly if assembly is not None and not options.get("ground") else None
         upright = stands(known) if known is not None and not fixed.all() else _stands(draft, solids, options, stands)
-        lying = upright_doubt(upright, lambda: _stands(draft, solids, options, stands, _Y_UP))
-    remarks += material_doubts(draft, options, assembly)
-    remarks += inclination_doubts(draft.names if assembly is None else assembly.names, contacts)
+        lying = upright_finding(upright, lambda: _stands(draft, solids, options, stands, _Y_UP))
+    remarks += material_findings(draft, options, assembly)
+    remarks += inclination_findings(draft.names if assembly is None else assembly.names, contacts)
     if lying:
         remarks.append(lying)
     if fixed.any() and (fixed.all() or not options.get("ground")):
-        remarks += support_doubts(draft, solids, fixed)
+        remarks += support_findings(draft, solids, fixed)
     elif not options.get("ground"):
         remarks.append("no part is boundary")
         low = lowest(solids)
@@ -211,8 +211,8 @@ def doctor(
             float(size[number]),
             None if (solid := solids[number]) is None else solid.volume,
             bool(fixed[number]),
-            mended[number],
-            tuple(doubts[number]),
+            repairs[number],
+            tuple(findings[number]),
         )
         for number, block in enumerate(draft.blocks)
     )
@@ -253,7 +253,7 @@ def _read(path: Path, unit: str | None) -> tuple[Draft, dict[str, Any]]:
 
 
 def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], list[str], list[str], list[list[str]]]:
-    """Return the mesh of each part or None, its repairs, its error, and other doubts about it."""
+    """Return the mesh of each part or None, its repairs, its error, and other findings about it."""
     none = np.zeros((0, 3))
     surfaces: list[tuple[str, np.ndarray, np.ndarray]] = []
     errors = []
@@ -265,7 +265,7 @@ def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], lis
         surfaces.append(surface)
         errors.append(error)
     solids: list[TriangleMesh | None] = []
-    mended, notes = [], []
+    repairs, notes = [], []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         whole = thicken_supports(surfaces, draft.supports(boundary))
@@ -278,10 +278,10 @@ def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], lis
                 errors[part] = str(reason)
             read = [warning for warning in caught if issubclass(warning.category, ReadWarning)]
             done = [str(warning.message).split(": ", 1)[-1] for warning in caught if warning not in read]
-            mended.append("; ".join([*(["given a thickness"] if after is not before else []), *done]))
+            repairs.append("; ".join([*(["given a thickness"] if after is not before else []), *done]))
             notes.append([_of_part(str(warning.message), draft.names[part]) for warning in read])
     errors = [_of_part(error, name) for error, name in zip(errors, draft.names, strict=True)]
-    return solids, mended, errors, notes
+    return solids, repairs, errors, notes
 
 
 def _of_part(text: str, name: str) -> str:
@@ -289,7 +289,7 @@ def _of_part(text: str, name: str) -> str:
     return text.removeprefix(f"part {name} ").removeprefix(f"part {name}: ")
 
 
-def _compare_parts(solids: Sequence[TriangleMesh | None], doubts: list[list[str]]) -> None:
+def _compare_parts(solids: Sequence[TriangleMesh | None], findings: list[list[str]]) -> None:
     """Note parts that are tiny compared with the others, and duplicates."""
     there = [number for number, solid in enumerate(solids) if solid is not None]
     meshes = [solid for solid in solids if solid is not None]
@@ -298,12 +298,12 @@ def _compare_parts(solids: Sequence[TriangleMesh | None], doubts: list[list[str]
     volume = np.array([mesh.volume for mesh in meshes])
     for row in np.flatnonzero(volume < _TINY * np.median(volume)).tolist():
         tiny, typical = (format_quantity(float(value), "volume") for value in (volume[row], np.median(volume)))
-        doubts[there[row]].append(f"is tiny: {tiny}, where a typical part has {typical}")
+        findings[there[row]].append(f"is tiny: {tiny}, where a typical part has {typical}")
     corners = np.array([mesh.bounds.ravel() for mesh in meshes])
     reach = _SAME * float(np.median(np.linalg.norm(corners[:, 3:] - corners[:, :3], axis=1)))
     for i, j in sorted(KDTree(corners).query_pairs(reach)):
         if abs(volume[i] - volume[j]) <= 1e-6 * volume[i]:
-            doubts[there[j]].append(f"is a duplicate of part {meshes[i].name}")
+            findings[there[j]].append(f"is a duplicate of part {meshes[i].name}")
 
 
 def _stands(
@@ -341,7 +341,7 @@ def _load(draft: Draft, options: dict[str, Any]) -> tuple[Assembly | None, str, 
 
 
 def _contacts(
-    solids: Sequence[TriangleMesh | None], settings: ContactSettings, fixed: np.ndarray, doubts: list[list[str]]
+    solids: Sequence[TriangleMesh | None], settings: ContactSettings, fixed: np.ndarray, findings: list[list[str]]
 ) -> Contacts | None:
     """Note pairs that overlap and parts without a contact; return the contacts, None if no part is a solid.
 
@@ -357,7 +357,7 @@ def _contacts(
     for (i, j), deep in zip(overlaps.parts.tolist(), depths.tolist(), strict=True):
         if deep:
             for one, other in ((i, j), (j, i)):
-                doubts[there[one]].append(
+                findings[there[one]].append(
                     f"passes through part {meshes[other].name} by {format_quantity(float(deep), 'length')}"
                 )
     touching = np.zeros(len(meshes), dtype=bool)
@@ -370,7 +370,7 @@ def _contacts(
     for row in np.flatnonzero(~touching & ~fixed[there]).tolist():
         other, away = nearest(row, meshes)
         where = f"; part {meshes[other].name} is nearest, {format_quantity(away, 'length')} away" if other >= 0 else ""
-        doubts[there[row]].append(f"touches no other part{where}")
+        findings[there[row]].append(f"touches no other part{where}")
     return replace(contacts, parts=np.asarray(there, dtype=np.int32)[contacts.parts])
 
 

@@ -212,11 +212,11 @@ class Joints:
         friction = factor * self.friction
         return Joints._frozen(friction, self.cohesion, self.tension, self.ductile, self.setting, self.sets)
 
-    def once_set(self) -> Joints:
+    def fully_set(self) -> Joints:
         """Return the same joints, fully set from the start."""
         return Joints(self.friction, self.cohesion, self.tension, self.ductile)
 
-    def among(self, before: Contacts, after: Contacts, parts: int) -> Joints:
+    def with_more_parts(self, before: Contacts, after: Contacts, parts: int) -> Joints:
         """Return the joints of contacts found anew with more parts, which have none.
 
         Args:
@@ -231,19 +231,19 @@ class Joints:
         if not np.array_equal(after.points[kept], before.points):
             raise AssemblyError("the contacts of the parts change with the ground, so joints have no place; fix parts")
 
-        def longer(array: NDArray[Any], rest: float) -> NDArray[Any]:
+        def padded(array: NDArray[Any], rest: float) -> NDArray[Any]:
             more = np.full(len(kept) if len(array) else 0, rest, array.dtype)
             if len(array):
                 more[kept] = array
             return more
 
         return Joints._frozen(
-            longer(self.friction, np.nan),
-            longer(self.cohesion, np.nan),
-            longer(self.tension, 0.0),
-            longer(self.ductile, False),
+            padded(self.friction, np.nan),
+            padded(self.cohesion, np.nan),
+            padded(self.tension, 0.0),
+            padded(self.ductile, False),
             self.setting,
-            longer(self.sets, -1),
+            padded(self.sets, -1),
         )
 
     def recomputed(self, before: Contacts, after: Contacts) -> Joints:

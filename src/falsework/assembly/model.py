@@ -319,7 +319,7 @@ class Assembly(Displayed):
             wrench = np.concatenate([loads.wrench, np.zeros((1, 6))])
             loads = Loads.from_arrays(len(wrench), wrench=wrench, acceleration=loads.acceleration)
         if joints is not None:
-            joints = joints.among(self.contacts, grounded.contacts, self.part_count)
+            joints = joints.with_more_parts(self.contacts, grounded.contacts, self.part_count)
         return grounded.replace(loads=loads, joints=joints)
 
 

@@ -126,7 +126,7 @@ def with_props(assembly: Assembly, props: Sequence[Prop]) -> Assembly:
         mass=MassProperties(**joined),
         contacts=merged,
         loads=loads,
-        joints=None if assembly.joints is None else assembly.joints.among(contacts, merged, parts),
+        joints=None if assembly.joints is None else assembly.joints.with_more_parts(contacts, merged, parts),
         props=tuple(head.prop for head in heads),
     )
     for array in (propped.boundary, propped.density):

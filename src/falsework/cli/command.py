@@ -129,12 +129,12 @@ class StructureOptions(LoadOptions):
 
     def load(self) -> Assembly:
         """Build or read the structure, and warn of materials that none has and of parts that settled."""
-        from falsework.assembly.doubts import doubts_of_materials
+        from falsework.assembly.findings import findings_on_materials
         from falsework.assembly.load import load_structure
 
         assembly = load_structure(self.spec, **self.given())
-        for doubt in doubts_of_materials(assembly):
-            warnings.warn(doubt, stacklevel=2)
+        for finding in findings_on_materials(assembly):
+            warnings.warn(finding, stacklevel=2)
         if assembly.settlement is not None:
             warnings.warn(assembly.settlement.line(assembly.names), stacklevel=2)
         return assembly

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 _LISTED = 20
 """Parts that are listed; --json has all."""
-_MENDED = "#e69f00"
+_REPAIRED = "#e69f00"
 _DOUBTFUL = "#b2182b"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Doctor(Command, LoadOptions):
-    """Report the contents of the files of a structure, repairs, and doubts about each part.
+    """Report the contents of the files of a structure, repairs, and findings about each part.
 
     Works on structures that do not load, too: open, tiny, overlapping, duplicate and isolated parts are listed. Ends
     with the entries to add to assembly.json, and states whether the structure loads with them. With --cell it also
@@ -135,12 +135,14 @@ def _lines(found: Diagnosis) -> list[str]:
     if found.stored is not None:
         lines.append(f"stored interfaces: {found.stored}")
     lines += list(found.remarks)
-    mended = [report for report in found.parts if report.mended]
-    for title, listed in (("mended", mended), ("doubtful", found.doubtful)):
+    repaired = [report for report in found.parts if report.repairs]
+    for title, listed in (("repaired", repaired), ("doubtful", found.doubtful)):
         if listed:
             lines.append(f"{title}: {counted(len(listed), 'part')}")
         for report in listed[:_LISTED]:
-            lines.append(f"  part {report.name} {report.mended if title == 'mended' else '; '.join(report.doubts)}")
+            lines.append(
+                f"  part {report.name} {report.repairs if title == 'repaired' else '; '.join(report.findings)}"
+            )
         if len(listed) > _LISTED:
             lines.append(f"  and {len(listed) - _LISTED} more")
     lines.append("it loads" if found.loads else f"it does not load: {found.error}")
@@ -170,7 +172,7 @@ def _draw(found: Diagnosis, path: Path) -> None:
         if not fans:
             continue
         color = BOUNDARY if report.boundary else INSTALLED
-        color = _DOUBTFUL if report.doubts else _MENDED if report.mended else color
+        color = _DOUBTFUL if report.findings else _REPAIRED if report.repairs else color
         vertices, faces = block.vertices * found.draft.scale, np.array(fans)
         # An open part is seen from inside as well.
         both = np.concatenate([faces, faces[:, ::-1]]) if report.volume is None else faces

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.search.plans.plan import PartDeadline, Plan
     from falsework.search.problem.task import Direction, Task
-    from falsework.search.task_rules import TaskRules, WayRules
+    from falsework.search.task_rules import ExitRules, TaskRules
     from falsework.stability.contact.hold_loads import Loads
     from falsework.stability.criterion import Cone
     from falsework.stability.judges.judgement import Judgement
@@ -82,8 +82,8 @@ class RuleOptions(PartRuleOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class WayOptions:
-    """Ways on which parts leave."""
+class ExitOptions:
+    """How parts may leave."""
 
     rare: ClassVar[tuple[str, ...]] = ("moves", "turns")
 
@@ -92,20 +92,20 @@ class WayOptions:
     all carried by one. More than 1 implies --removable-only-if-clear."""
     moves: Annotated[int, arg(metavar="K")] = 1
     """Largest number of straight moves in which a part may leave, such as out and then up, where it has no straight
-    way. Other parts that robots hold may move aside meanwhile. More than 1 implies --removable-only-if-clear."""
+    exit. Other parts that robots hold may move aside meanwhile. More than 1 implies --removable-only-if-clear."""
     turns: bool = False
     """Let a part that leaves also turn, or screw, as one of its --moves. Implies --removable-only-if-clear."""
 
-    def ways(self) -> WayRules:
-        """Return the ways as rules."""
+    def exits(self) -> ExitRules:
+        """Return these options as rules."""
         return {"parts_at_once": self.parts_at_once, "moves": self.moves, "turns": self.turns}
 
 
 @dataclass(frozen=True, kw_only=True)
-class RegraspOptions(WayOptions, RuleOptions):
+class RegraspOptions(ExitOptions, RuleOptions):
     """Rules that a plan must obey, with repeated holds and props."""
 
-    rare: ClassVar[tuple[str, ...]] = (*RuleOptions.rare, *WayOptions.rare)
+    rare: ClassVar[tuple[str, ...]] = (*RuleOptions.rare, *ExitOptions.rare)
 
     allow_regrasp: bool = False
     """Let robots release a part without removing it when it no longer needs them, and hold parts again."""
@@ -122,7 +122,7 @@ class RegraspOptions(WayOptions, RuleOptions):
 
         # States are given without places for props, which are absent at both ends.
         plain = keep_props(assembly, ()) if assembly.props else assembly
-        return {**super().rules(plain), "allow_regrasp": self.wider, "props": self.props, **self.ways()}
+        return {**super().rules(plain), "allow_regrasp": self.wider, "props": self.props, **self.exits()}
 
     @property
     def wider(self) -> bool:

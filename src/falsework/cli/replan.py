@@ -15,9 +15,9 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, CriterionOfPlan, SolverOption, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import (
+    ExitOptions,
     HoldOptions,
     PartRuleOptions,
-    WayOptions,
     first_steps,
     lacks_reserve,
     need_text,
@@ -41,10 +41,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _WayOptions(WayOptions):
-    """Ways on which parts leave."""
+class _ExitOptions(ExitOptions):
+    """How parts may leave."""
 
-    rare: ClassVar[tuple[str, ...]] = (*WayOptions.rare, "parts_at_once")
+    rare: ClassVar[tuple[str, ...]] = (*ExitOptions.rare, "parts_at_once")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +103,7 @@ class MakeReplan(Command):
         None
     )
     """Number of robots: parts that can be held at a time."""
-    ways: _WayOptions
+    exits: _ExitOptions
     holds: HoldOptions
     criterion: CriterionOfPlan = None
     alternatives: int = 1
@@ -285,7 +285,7 @@ class MakeReplan(Command):
             deadline=self.deadline,
             removable_only_if_clear=clear,
             confidences=self.confidences,
-            **self.ways.ways(),
+            **self.exits.exits(),
         )
 
     def _tell(self, answer: ReplanResult, paths: list[Path], output: Output) -> None:

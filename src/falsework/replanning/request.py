@@ -19,7 +19,7 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.deadline import check_deadline
 from falsework.search.problem.task import STAGE, Direction, Task
-from falsework.search.task_rules import WayRules
+from falsework.search.task_rules import ExitRules
 from falsework.utils.quantity import check_seed
 
 MOST_PLANS = 1000
@@ -173,7 +173,7 @@ class Request:
         _check_first_step(task, order, assembly)
         return task
 
-    def _ways(self) -> WayRules:
+    def _ways(self) -> ExitRules:
         """Return how parts may leave: as the request says, and as the plan that is carried out does."""
         plan = self.plan
         if plan is None:

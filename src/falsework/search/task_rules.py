@@ -8,7 +8,7 @@ from typing import TypedDict
 from numpy.typing import ArrayLike
 
 
-class WayRules(TypedDict, total=False):
+class ExitRules(TypedDict, total=False):
     """Ways on which parts leave."""
 
     parts_at_once: int
@@ -22,7 +22,7 @@ class WayRules(TypedDict, total=False):
     `removable_only_if_clear`."""
 
 
-class TaskRules(WayRules, total=False):
+class TaskRules(ExitRules, total=False):
     """Rules of a task in addition to the number of robots, all of them optional."""
 
     start: ArrayLike | None

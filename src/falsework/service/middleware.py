@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
 
 from falsework.service.metrics import Metrics
-from falsework.service.settings import CONNECTIONS, HEADER_BYTES, ServiceSettings
+from falsework.service.settings import HEADER_BYTES, ServiceSettings
 from falsework.service.worker import refusal
 
 Scope = MutableMapping[str, Any]
@@ -108,7 +108,7 @@ class ServiceMiddleware:
             if kind.lower() != b"bearer" or not hmac.compare_digest(_digest(token.strip()), self._digest):
                 challenge = (b"www-authenticate", b"Bearer")
                 raise _Refused(401, "this service requires its token: send Authorization: Bearer TOKEN", (challenge,))
-        if self._served > CONNECTIONS and scope["path"] not in OPEN_PATHS:
+        if self._served > self._settings.connections and scope["path"] not in OPEN_PATHS:
             raise _Refused(503, "too many requests at a time; try again in a moment", ((b"retry-after", b"1"),))
 
     async def _read(self, scope: Scope, receive: Receive) -> bytes:

@@ -19,7 +19,7 @@ from falsework.errors import InputError
 from falsework.service.app import application
 from falsework.service.metrics import Metrics
 from falsework.service.pool import Pool
-from falsework.service.settings import CONNECTIONS, HEADER_BYTES, LONGEST_DEADLINE, STUCK_SECONDS, ServiceSettings
+from falsework.service.settings import HEADER_BYTES, LONGEST_DEADLINE, STUCK_SECONDS, ServiceSettings
 
 _STOP_SECONDS = 3
 """Seconds in which open requests may end when the service stops."""
@@ -130,7 +130,7 @@ def _protocol(settings: ServiceSettings) -> type[H11Protocol]:
             super().connection_made(transport)
             self._within(settings.header_seconds)
             waiting[self] = None
-            if len(waiting) > CONNECTIONS:
+            if len(waiting) > settings.connections:
                 next(iter(waiting)).make_room()
 
         def make_room(self) -> None:

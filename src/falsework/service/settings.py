@@ -16,8 +16,6 @@ STABILITY_BATCH = 64
 """Requests about stability that a worker takes at a time."""
 WINDOW = 0.003
 """Time that the first request of a batch waits for others, seconds."""
-CONNECTIONS = 512
-"""Largest number of idle connections, the oldest of which make room for new ones, and of requests at a time."""
 HEADER_BYTES = 16 * 1024
 """Largest header of a request, bytes."""
 LONGEST_DEADLINE = 60.0
@@ -57,6 +55,8 @@ class ServiceSettings:
     """Requests that a worker takes at a time to plan together."""
     queue: int = 256
     """Requests that may wait; more are refused."""
+    connections: int = 512
+    """Idle connections, the oldest of which make room for new ones, and requests at a time; more are refused."""
     body_bytes: int = 1 << 20
     """Largest request."""
     idle_seconds: int = 15
@@ -75,7 +75,7 @@ class ServiceSettings:
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
             raise InputError(f"port {self.port} does not exist; give 0 to 65535")
-        for name in ("workers", "batch", "queue", "body_bytes", "states"):
+        for name in ("workers", "batch", "queue", "connections", "body_bytes", "states"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} is {getattr(self, name)}; give at least 1")
         if self.token is None and not is_loopback(self.host):

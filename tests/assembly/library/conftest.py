@@ -1,4 +1,4 @@
-"""What the tests of built-in structures share."""
+"""Fixtures of the tests of built-in structures."""
 
 from __future__ import annotations
 

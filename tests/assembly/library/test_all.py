@@ -1,4 +1,4 @@
-"""What must hold for every built-in structure, whatever it is."""
+"""Laws of every built-in structure."""
 
 from __future__ import annotations
 

@@ -21,9 +21,8 @@ from falsework.search.device.parallel_beams import parallel_beam_search  # noqa:
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
 
 
-@pytest.mark.usefixtures("few_tries")
 def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
-    settings = GoalDataSettings(train_width=4, test_width=12, widths=(20,), test_pairs=100)
+    settings = GoalDataSettings(train_width=4, random_tries=2, test_width=12, widths=(20,), test_pairs=100)
     data = build_goal_dataset(bottle, training_task(bottle), settings, device="cpu")
     assert 0 < len(data.train) <= 100
     assert 0 < len(data.test) <= 100
@@ -43,11 +42,10 @@ def test_data_set_of_table_four_keeps_its_sets_apart(bottle: Assembly) -> None:
     assert np.array_equal(alone.test.states, data.test.states)
 
 
-@pytest.mark.usefixtures("few_tries")
 def test_searches_are_read_back(bottle: Assembly, tmp_path: Path) -> None:
     """The same data set comes of them; files that are something else are refused."""
     task = training_task(bottle)
-    settings = GoalDataSettings(train_width=4, test_width=12, widths=(8, 8), test_pairs=20)
+    settings = GoalDataSettings(train_width=4, random_tries=2, test_width=12, widths=(8, 8), test_pairs=20)
     oracle = tensor_oracle(StabilityOracle(bottle), torch.device("cpu"))
     seen: list[str] = []
     searched = SearchStates.find(task, settings, oracle, device=torch.device("cpu"), report=seen.append)
@@ -79,6 +77,8 @@ def test_bad_input_is_one_clear_line() -> None:
         GoalDataSettings(train_width=0)
     with pytest.raises(InputError, match="test_pairs is a count"):
         GoalDataSettings(test_pairs=0)
+    with pytest.raises(InputError, match="random_tries is a count; give at least 1"):
+        GoalDataSettings(random_tries=0)
     with pytest.raises(InputError, match="a seed is not negative"):
         GoalDataSettings(seed=-1)
 
@@ -98,21 +98,20 @@ def test_after_a_search_that_died_out_one_begins_at_the_empty_structure(
 
     monkeypatch.setattr("falsework.learn.data.dataset.parallel_beam_search", search)
     task, device = training_task(bottle), torch.device("cpu")
-    settings = GoalDataSettings(train_width=4, test_width=12, widths=(2,) * 12 + (3,), test_pairs=20)
+    settings = GoalDataSettings(train_width=4, random_tries=2, test_width=12, widths=(2,) * 12 + (3,), test_pairs=20)
     SearchStates.find(task, settings, tensor_oracle(StabilityOracle(bottle), device), device=device)
     assert directions == [(down, 4, 2), (up, 4, 2), (down, 4, 2), (down, 1, 3)]
 
 
-@pytest.mark.usefixtures("few_tries")
 def test_no_search_begins_once_there_are_enough(bottle: Assembly) -> None:
     """What is learned from and tested on is always searched; of three further searches two are left out here."""
     task, device = training_task(bottle), torch.device("cpu")
-    settings = GoalDataSettings(train_width=4, test_width=12, widths=(8, 10, 12), test_pairs=20)
+    settings = GoalDataSettings(train_width=4, random_tries=2, test_width=12, widths=(8, 10, 12), test_pairs=20)
     oracle = tensor_oracle(StabilityOracle(bottle), device)
     answers = iter([False, True])
-    found = SearchStates.find(task, settings, oracle, device=device, enough=lambda: next(answers))
+    found = SearchStates.find(task, settings, oracle, device=device, should_stop=lambda: next(answers))
     fewer = SearchStates.find(task, replace(settings, widths=(8,)), oracle, device=device)
-    none = SearchStates.find(task, settings, oracle, device=device, enough=lambda: True)
+    none = SearchStates.find(task, settings, oracle, device=device, should_stop=lambda: True)
     assert np.array_equal(found.more, fewer.more)
     assert np.array_equal(found.test, fewer.test)
     assert len(none.more) == 0

@@ -1,4 +1,4 @@
-"""What every policy promises, whatever its network."""
+"""Laws of every policy, whatever its network."""
 
 from __future__ import annotations
 

@@ -23,8 +23,6 @@ from falsework.learn.data.dataset import Dataset, DataSettings, build_dataset, t
 from falsework.learn.training.evaluate import greedy_success, measure_success, sample  # noqa: E402
 from falsework.search.problem.state_graph import load_state_graph  # noqa: E402
 
-pytestmark = pytest.mark.usefixtures("few_tries")
-
 WIDE = "arch:blocks=13"
 """Has more states than a search of width 64 finds from either end."""
 PARTS = PolicySettings("transformer", channels=16, layers=1, heads=2)
@@ -138,7 +136,7 @@ def test_a_policy_is_asked_about_another_structure(run: Path, capsys: pytest.Cap
 
 def test_a_policy_of_one_state_is_masked_to_targets(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder, wide = tmp_path / "run", load_structure(WIDE)
-    settings = TrainSettings(phases=(ImitationPhase(),), steps=60, widths=(16,), policy=PARTS)
+    settings = TrainSettings(phases=(ImitationPhase(),), steps=60, widths=(16,), policy=PARTS, random_tries=2)
     train(wide, settings, folder=folder, device="cpu", logs=(), source={"built_in": WIDE})
     assert main(["evaluate", str(folder), "--json", "--targets", "--states", "50", "--device", "cpu"]) == 0
     record = json.loads(capsys.readouterr().out)
@@ -156,6 +154,7 @@ def test_a_policy_of_two_states_learns_targets(method: Any, tmp_path: Path) -> N
         ),
         steps={"imitation": 500, "default": 120}[method],
         policy=PolicySettings("resmlp", goal_conditioned=True, channels=32, layers=1),
+        random_tries=2,
         pairs=500,
         widths=(8,),
         evaluation_states=64,
@@ -173,6 +172,7 @@ def test_a_resumed_run_with_targets_does_not_search_again(tmp_path: Path, monkey
         steps=20,
         block=10,
         policy=PolicySettings("resmlp", goal_conditioned=True, channels=32, layers=1),
+        random_tries=2,
         pairs=100,
         widths=(8,),
         evaluation_states=32,

@@ -22,7 +22,6 @@ from falsework.learn import (  # noqa: E402
     load_run,
     make_policy,
 )
-from falsework.learn.training import progress_lines  # noqa: E402
 from falsework.learn.training import trainer as module  # noqa: E402
 from falsework.learn.training.evaluate import Success  # noqa: E402
 from falsework.learn.training.logger import read_progress  # noqa: E402
@@ -153,13 +152,11 @@ def test_settings_that_make_no_sense_are_refused(wrong: dict[str, Any], message:
         TrainSettings(**wrong)
 
 
-def test_progress_is_written_between_evaluations(
-    arch: Assembly, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_progress_is_written_between_evaluations(arch: Assembly, tmp_path: Path) -> None:
     """With speed, divergence, explained variance and success of rollouts; at most one line in the given time."""
-    monkeypatch.setattr(progress_lines, "LINE_EVERY", 0.0)
     several = (ImitationPhase(steps=8, batch=16), replace(REINFORCEMENT, rollouts=8, batch=16))
-    train(arch, replace(SETTINGS, phases=several), folder=tmp_path / "run", device="cpu", logs=())
+    often = replace(SETTINGS, phases=several, progress_every=0.0)
+    train(arch, often, folder=tmp_path / "run", device="cpu", logs=())
     every = [line["step"] for line in read_progress(tmp_path / "run")]
     assert every == sorted(every)
     between = [line for line in read_progress(tmp_path / "run") if "success/validation" not in line]
@@ -169,8 +166,7 @@ def test_progress_is_written_between_evaluations(
     wanted = {f"train/{name}" for name in ("kl", "rollout_return", "explained_variance", "rollout_success", "entropy")}
     assert [wanted < set(line) for line in between] == [line["step"] > 8 for line in between]
     assert all(line["steps_per_second"] > 0 for line in between)
-    monkeypatch.setattr(progress_lines, "LINE_EVERY", 1e9)
-    train(arch, SETTINGS, folder=tmp_path / "other", device="cpu", logs=())
+    train(arch, replace(SETTINGS, progress_every=1e9), folder=tmp_path / "other", device="cpu", logs=())
     assert all("success/validation" in line for line in read_progress(tmp_path / "other"))
 
 

@@ -35,8 +35,6 @@ from falsework.learn.training.train import TrainResult  # noqa: E402
 from falsework.learn.training.trainer import Trainer  # noqa: E402
 from falsework.utils.files.output_file import write_whole  # noqa: E402
 
-pytestmark = pytest.mark.usefixtures("few_tries")
-
 IMITATION = ImitationPhase(batch=16)
 PHASES: dict[str, tuple[Phase, ...]] = {
     "default": (replace(IMITATION, until=0.5), PpoPhase(rollouts=8, batch=16)),
@@ -55,6 +53,7 @@ SMALL = TrainSettings(
     evaluations=4,
     patience=0.0,
     evaluation_states=32,
+    random_tries=2,
     policy=PolicySettings("resmlp", channels=16, layers=1),
 )
 

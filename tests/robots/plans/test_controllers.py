@@ -1,4 +1,4 @@
-"""What exports take from the cell: makers, loads of tools, signals; what they say that they lose; goals of ROS 2."""
+"""Facts that exports take from the cell: makers, loads of tools, signals; losses that they name; goals of ROS 2."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What each process of `test_distributed.py` runs: some searches, whose levels go to a file."""
+"""Program of each process of `test_distributed.py`: some searches, whose levels go to a file."""
 
 from __future__ import annotations
 

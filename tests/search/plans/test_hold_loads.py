@@ -1,4 +1,4 @@
-"""What robots bear in a plan: computed with it, saved, and verified by evaluation."""
+"""Loads of robots in a plan: computed with it, saved, and verified by evaluation."""
 
 from __future__ import annotations
 

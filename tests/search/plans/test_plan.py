@@ -29,7 +29,7 @@ from falsework import (
 )
 from falsework.errors import InputError, PlanError
 from falsework.search import Demands, PlanMargins
-from falsework.search.plans import packed_proofs
+from falsework.search.plans.packed_proofs import pack_proofs
 from falsework.search.plans.plan_check import validate_plan, validate_proofs
 from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict, save_plan
 from falsework.search.plans.plan_model import plan_schema
@@ -396,11 +396,11 @@ def balanced() -> tuple[Assembly, Plan]:
 
 
 @pytest.fixture
-def changes(balanced: tuple[Assembly, Plan], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+def changes(balanced: tuple[Assembly, Plan]) -> dict[str, Any]:
     """Return a plan file that has what changes from state to state only, as those of large plans."""
-    monkeypatch.setattr(packed_proofs, "_LARGE", 0)
-    save_plan(balanced[1], tmp_path / "plan.json", proofs=True)
-    return json.loads((tmp_path / "plan.json").read_text())
+    forces = balanced[1].forces
+    assert forces is not None
+    return plan_to_dict(balanced[1]) | {"forces": {"points": forces.shape[1], **pack_proofs(forces, whole_bytes=0)}}
 
 
 def test_changes_of_forces_are_read_as_they_were(balanced: tuple[Assembly, Plan], changes: dict[str, Any]) -> None:

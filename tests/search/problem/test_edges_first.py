@@ -77,7 +77,7 @@ def _check_rows_in_order(planning: Planning, vault: Assembly) -> None:
 
 @pytest.fixture(scope="module")
 def vault() -> Assembly:
-    return load_structure("vault:parts=125")
+    return load_structure("vault:parts=80")
 
 
 def test_parts_at_edges_are_inserted_first_and_removed_last(vault: Assembly) -> None:

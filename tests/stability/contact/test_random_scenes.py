@@ -1,4 +1,4 @@
-"""A thousand random rows between abutments and stacks on slopes: the criterion, the replay and discrete elements.
+"""Random rows between abutments and stacks on slopes: the criterion, the replay and discrete elements.
 
 The replay, in which robots hold every part and let go, agrees with every verdict that is decided. Where discrete
 elements disagree a row has two equilibria, and which of them its blocks come to depends on their inertia: discrete
@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pytest
 from settling import settle
 
 from falsework import StabilityOracle, StabilitySettings, Verdict
@@ -45,10 +44,10 @@ def compare(random_scenes: Any, seeds: range) -> tuple[int, int, int]:
     return both, here, there
 
 
-def test_some_random_scenes(random_scenes: Any) -> None:
-    both, here, there = compare(random_scenes, range(2000, 2100))
-    assert both >= 30
-    assert here <= 4
+def test_random_scenes(random_scenes: Any) -> None:
+    both, here, there = compare(random_scenes, range(300))
+    assert both >= 135
+    assert here <= 10
     assert there <= 2
 
 
@@ -62,11 +61,3 @@ def test_a_collapse_is_confirmed_under_slower_loads(random_scenes: Any) -> None:
         loads = [(10, 1), (10, 100), (20_000, 1)]
         settings = [DiscreteElementSettings(stiffness=0.5, ramp=ramp, slower=slower) for ramp, slower in loads]
         assert [settle(assembly, state, some).stands[0] for some in settings] == expected
-
-
-@pytest.mark.slow
-def test_a_thousand_random_scenes(random_scenes: Any) -> None:
-    both, here, there = compare(random_scenes, range(1000))
-    assert both >= 450
-    assert here <= 25
-    assert there <= 5

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from settling import replay_by_discrete_elements, settle
 
 import falsework.stability.judges
-from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, find_plans, load_structure
+from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, Verdict, find_plans, load_structure
 from falsework.assembly import complete_state, library
 from falsework.errors import InputError, StateError
 from falsework.stability import HoldSettings
@@ -29,6 +29,15 @@ RIGID = HoldSettings(mode=HoldMode.FORCE)
 GIVES_WAY = StabilitySettings(reserve=1.1, holds=HoldSettings(stiffness=5e6, mode=HoldMode.FORCE))
 STIFF_CONTACTS = DiscreteElementSettings(stiffness=5.0)
 SOFT_CONTACTS = DiscreteElementSettings(stiffness=0.05)  # on which states come to rest, or collapse, in few steps
+
+
+@pytest.fixture(scope="module")
+def pressed_plan() -> tuple[Assembly, Plan]:
+    """A vault, and a plan of it in which robots press."""
+    vault = library.build("vault:parts=30")
+    plan = find_plans(vault, stability=GIVES_WAY, forces=False).plans[0]
+    assert any(plan.presses)
+    return vault, plan
 
 
 def answer_of(assembly: Assembly, **settings: Any) -> int:
@@ -231,23 +240,12 @@ def test_presses_are_checked(scenes: Any, presses: list[tuple[Press, ...]], mess
         replay_by_discrete_elements(scenes.tower(2), [[2, 0, 2], [2, 2, 2], [1, 2, 2]], presses=presses)
 
 
-def test_a_plan_with_presses_can_be_built(shared_assembly: Callable[[str], Path]) -> None:
-    """Every state of it stands, with robots as stiff as planned."""
-    vault = load_structure(str(shared_assembly("vault-62")))
-    plan = find_plans(vault, stability=GIVES_WAY, forces=False).plans[0]
-    assert any(plan.presses)
-    found = replay_by_discrete_elements(
-        vault, plan.states, STIFF_CONTACTS, presses=plan.presses_before, holds=plan.claim.holds
-    )
-    assert found.stands.tolist() == [STANDS] * len(plan.states)
-
-
-def test_robots_that_press_may_be_rigid_otherwise() -> None:
-    """Held parts are fixed again after each press: every state of a plan with presses stands."""
-    vault = library.build("vault")
-    plan = find_plans(vault, stability=GIVES_WAY, forces=False).plans[0]
-    assert any(plan.presses)
-    found = replay_by_discrete_elements(vault, plan.states, STIFF_CONTACTS, presses=plan.presses_before, holds=RIGID)
+@pytest.mark.parametrize("rigid", [False, True])
+def test_a_plan_with_presses_can_be_built(pressed_plan: tuple[Assembly, Plan], rigid: bool) -> None:
+    """Every state of it stands; rigid robots fix held parts again after each press."""
+    vault, plan = pressed_plan
+    holds = RIGID if rigid else plan.claim.holds
+    found = replay_by_discrete_elements(vault, plan.states, STIFF_CONTACTS, presses=plan.presses_before, holds=holds)
     assert found.stands.tolist() == [STANDS] * len(plan.states)
 
 

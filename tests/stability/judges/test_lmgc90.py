@@ -20,7 +20,7 @@ from falsework.geometry import TriangleMesh
 from falsework.stability.judges.discrete_elements import DiscreteElementSettings
 
 FALL = 0.5 * 9.81 * 0.3**2
-"""What falls freely falls so far while LMGC90 computes, metres."""
+"""Distance of a free fall in the time that LMGC90 computes, metres."""
 
 
 @pytest.fixture

@@ -46,7 +46,7 @@ class Families:
         self.hidden.pop(row, None)
         return value, Answer(CONDITION, value < self.bounds[row])
 
-    def find(self, *, hurry: bool = False) -> tuple[int, Bracket] | None:
+    def find(self, *, time_limited: bool = False) -> tuple[int, Bracket] | None:
         """Return the weakest family and its bracket."""
         return Weakest(
             range(len(self.bounds)),
@@ -55,7 +55,7 @@ class Families:
             guess=lambda _: 1.0,
             cap=CAP,
             floor=lambda _: 1e-4,
-            hurry=hurry,
+            time_limited=time_limited,
         ).search(self.confirm)
 
     def search(self) -> tuple[int, float, float] | None:
@@ -122,7 +122,7 @@ def test_when_the_time_is_over_all_bear_the_inner_end_and_one_fails_at_the_outer
     bounds = [4.0, 2.5, 7.0, 3.0, 50.0, 20.0]
     widths = []
     for most in range(60):
-        found = Families(bounds, most=most).find(hurry=True)
+        found = Families(bounds, most=most).find(time_limited=True)
         assert found is not None
         _, bracket = found
         assert bracket.inside < 2.5

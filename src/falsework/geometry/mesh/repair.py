@@ -102,7 +102,7 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
         )
     done: list[str] = []
     if not is_closed(corners):
-        points, corners = _mend(name, points, corners, done)
+        points, corners = _repaired(name, points, corners, done)
     else:
         corners = _drop_copies(corners, done)
     shells = Shells.from_mesh(points, corners)
@@ -137,7 +137,7 @@ def closes(vertices: Array, faces: Faces) -> bool:
     if not len(faces) or not np.isfinite(vertices[np.unique(faces)]).all():
         return False
     try:
-        _mend("", *merge_equal(vertices, faces), [])
+        _repaired("", *merge_equal(vertices, faces), [])
     except MeshError:
         return False
     return True
@@ -152,7 +152,7 @@ def _drop_copies(corners: Faces, done: list[str]) -> Faces:
     return corners[kept]
 
 
-def _mend(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Array, Faces]:
+def _repaired(name: str, points: Array, corners: Faces, done: list[str]) -> tuple[Array, Faces]:
     """Repair with increasingly strong methods, and stop as soon as the surface is closed."""
     welded = weld(points)
     if len(np.unique(welded)) < len(points):

@@ -92,6 +92,10 @@ class TrainSettings:
     """Validation states of the curve, at most, and a quarter as many training states; a fixed sample."""
     checkpoint_every: float = 30.0
     """Seconds between two checkpoints, as near as blocks allow."""
+    progress_every: float = 1.0
+    """Seconds between two lines of progress, at least."""
+    random_tries: int = 16
+    """Rollouts of random actions none of which may solve a pair that a goal-conditioned policy is tested on."""
     threads: int = 0
     """Threads of torch on a processor; 0: half of its cores, since threads that wait for each other lose more to other
     work on the machine than they win."""

@@ -32,19 +32,15 @@ FORMAT = "falsework.searched/1"
 
 _ARRAYS = frozenset({"train", "test", "more"})
 
-_TOGETHER, _FEW = 64, 4
+_BATCH_GPU, _BATCH_CPU = 64, 4
 """Further searches that run side by side, on a GPU and on a processor; the time is looked at between them."""
 _KEPT = 8
 """States kept of each on a GPU, in widths, and those that lead to them: there are more than a graph can connect."""
-_RANDOM_TRIES = 16
-"""Rollouts of random legal actions none of which may solve a pair that is tested. A pair that they solve with
-probability p stays with probability (1 - p)^16: were all p equally frequent, those of the pairs that stay would have a
-mean of 1 / 18."""
 _ROUNDS = 8
 """Times that a pair is drawn for each target, at most, to find enough of them."""
 _VALIDATION = 5
 """One unseen pair in so many is for validation, at least; so many times fewer of them than test pairs are enough."""
-_THROUGH = 0.25
+_COMPLETED_SHARE = 0.25
 """Share of searches that must complete, or the next ones begin at the other end."""
 
 
@@ -60,6 +56,10 @@ class GoalDataSettings:
     """Widths of further searches to learn from."""
     test_pairs: int = 2_000
     """Unseen pairs at most."""
+    random_tries: int = 16
+    """Rollouts of random legal actions none of which may solve a pair that is tested. A pair that they solve with
+    probability p stays with probability (1 - p)^16: were all p equally frequent, those of the pairs that stay would
+    have a mean of 1 / 18."""
     seed: int = 0
     """Of the first search; each further one, the test search included, adds one."""
 
@@ -67,8 +67,9 @@ class GoalDataSettings:
         for width in (self.train_width, self.test_width, *self.widths):
             if width < 1:
                 raise InputError(f"a search of width {width} finds nothing; give at least 1")
-        if self.test_pairs < 1:
-            raise InputError("test_pairs is a count; give at least 1")
+        for name in ("test_pairs", "random_tries"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is a count; give at least 1")
         check_seed(self.seed)
 
 
@@ -118,7 +119,7 @@ class SearchStates:
         device: torch.device,
         shards: ProcessGroup = ProcessGroup(),
         report: Report | None = None,
-        enough: Callable[[], bool] | None = None,
+        should_stop: Callable[[], bool] | None = None,
     ) -> SearchStates:
         """Search.
 
@@ -129,7 +130,7 @@ class SearchStates:
             device: where to search.
             shards: processes that search together.
             report: called with progress messages.
-            enough: asked before each lot of further searches, in all processes alike, whether they and those after
+            should_stop: asked before each lot of further searches, in all processes alike, whether they and those after
                 them can be left out.
         """
         # A search from the complete structure passes many states that a GPU leaves open, each a wait for the processor.
@@ -139,9 +140,9 @@ class SearchStates:
                 report(f"search {number + 1} of {2 + len(settings.widths)}, width {width}")
             seed, way = settings.seed + number, Direction.DISASSEMBLY
             first.append(search_states(task, judge, width, seed, device=device, shards=shards, direction=way)[0])
-        together = _TOGETHER if device.type == "cuda" else _FEW
+        together = _BATCH_GPU if device.type == "cuda" else _BATCH_CPU
         more, done, way = [first[0][:0]], 0, Direction.DISASSEMBLY
-        while done < len(settings.widths) and not (enough is not None and enough()):
+        while done < len(settings.widths) and not (should_stop is not None and should_stop()):
             width = settings.widths[done]
             count = sum(1 for _ in takewhile(width.__eq__, settings.widths[done : done + together * shards.size]))
             if report is not None:
@@ -154,7 +155,7 @@ class SearchStates:
             more.append(states)
             done += count
             # States beyond the point where most searches die out are found from the other end.
-            died = way is Direction.DISASSEMBLY and through < _THROUGH * count
+            died = way is Direction.DISASSEMBLY and through < _COMPLETED_SHARE * count
             way = Direction.ASSEMBLY if died else Direction.DISASSEMBLY
         return cls(first[0], first[1], np.concatenate(more))
 
@@ -222,7 +223,7 @@ def build_goal_dataset(
     rng = np.random.default_rng(settings.seed)
     train = PairSource(graph).draw(rng, settings.test_pairs)
     wanted = settings.test_pairs + -(-settings.test_pairs // _VALIDATION)
-    unseen = _unseen(wider, graph.states, wanted, TensorRules(task, where), without_fallback(asked), rng)
+    unseen = _unseen(wider, graph.states, wanted, TensorRules(task, where), without_fallback(asked), rng, settings)
     count = min(settings.test_pairs, len(unseen) - len(unseen) // _VALIDATION)
     test = unseen[:count]
     validation = unseen[count:]
@@ -238,7 +239,13 @@ def build_goal_dataset(
 
 
 def _unseen(
-    wider: StateGraph, seen: States, count: int, rules: TensorRules, oracle: TensorOracle, rng: np.random.Generator
+    wider: StateGraph,
+    seen: States,
+    count: int,
+    rules: TensorRules,
+    oracle: TensorOracle,
+    rng: np.random.Generator,
+    settings: GoalDataSettings,
 ) -> Pairs:
     """Return at most `count` pairs of a graph that are not among `seen` and not solved by random actions."""
     try:
@@ -249,7 +256,7 @@ def _unseen(
     known = VerdictTable(rules)
     for number in range(_ROUNDS):
         drawn = source.draw(rng, 2 * count)
-        kept.append(drawn[unsolved_at_random(drawn, rules, oracle, known, _RANDOM_TRIES, number)])
+        kept.append(drawn[unsolved_at_random(drawn, rules, oracle, known, settings.random_tries, number)])
         pairs = joined_pairs(kept)
         both = np.concatenate([pairs.states, pairs.targets], axis=1)
         kept = [pairs[np.sort(np.unique(both, axis=0, return_index=True)[1])]]

@@ -86,9 +86,9 @@ class SymmetryAugmentation:
             torch.empty_like(one).scatter_(1, index, one)
             for one, index in zip(drawn, (image, image, both), strict=True)
         ]
-        taboo = self._is_held_out(turned[0]) | self._is_held_out(turned[1])
+        held_out = self._is_held_out(turned[0]) | self._is_held_out(turned[1])
         states, targets, valid = (
-            torch.where(taboo[:, None], one, other) for one, other in zip(drawn, turned, strict=True)
+            torch.where(held_out[:, None], one, other) for one, other in zip(drawn, turned, strict=True)
         )
         return states, targets, valid
 

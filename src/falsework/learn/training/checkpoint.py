@@ -36,7 +36,7 @@ SEARCHED = "searched.npz"
 
 GENERAL = "general"
 """Name of the policy for any structure that comes with the package, in place of the folder of a run."""
-_COMES_WITH_PACKAGE = Path(__file__).resolve().parents[1] / "pretrained"
+PRETRAINED = Path(__file__).resolve().parents[1] / "pretrained"
 
 
 class RunStructure(FileModel, frozen=True):
@@ -126,7 +126,7 @@ def save_run(folder: Path, policy: torch.nn.Module, metadata: Mapping[str, Any])
 def run_folder(folder: Path | str) -> Path:
     """Return the folder of a run; that of the package for the name `general`, unless there is a folder of this name."""
     folder = Path(folder)
-    return _COMES_WITH_PACKAGE if str(folder) == GENERAL and not folder.exists() else folder
+    return PRETRAINED if str(folder) == GENERAL and not folder.exists() else folder
 
 
 def read_run(folder: Path) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def read_run(folder: Path) -> dict[str, Any]:
         InputError: no such folder, no run in it, damaged, or of another version.
     """
     path = folder / FILE
-    if folder == _COMES_WITH_PACKAGE and not folder.is_dir():
+    if folder == PRETRAINED and not folder.is_dir():
         raise InputError(
             "this installation has no policy for any structure; make one by benchmarks/general.py, and give its folder"
         )

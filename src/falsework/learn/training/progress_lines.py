@@ -10,21 +10,22 @@ from falsework.learn.env.environment import Environment
 from falsework.learn.training.budget import TrainingBudget
 from falsework.learn.training.logger import Journal
 
-LINE_EVERY = 1.0
-"""Seconds between two lines, at least."""
-
 
 class ProgressLines:
     """Writer of the numbers of a learner at work, with the speeds since the last line."""
 
-    def __init__(self, journal: Journal | None, environment: Environment, budget: TrainingBudget) -> None:
+    def __init__(
+        self, journal: Journal | None, environment: Environment, budget: TrainingBudget, *, every: float
+    ) -> None:
         """Start the clock.
 
         Args:
             journal: log of the run, if this process writes one.
             environment: counts its steps.
             budget: clock of the run.
+            every: seconds between two lines, at least.
         """
+        self._every = every
         self._journal, self._environment, self._budget = journal, environment, budget
         self._time, self._steps, self._played = time.perf_counter(), 0, environment.counters.steps
         self._learner: Learner | None = None
@@ -40,7 +41,7 @@ class ProgressLines:
         """
         now, played = time.perf_counter(), self._environment.counters.steps
         seconds = now - self._time
-        if self._journal is None or seconds < LINE_EVERY:
+        if self._journal is None or seconds < self._every:
             return
         taken = learner.steps - (self._steps if learner is self._learner else 0)
         line = {

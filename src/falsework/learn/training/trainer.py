@@ -136,7 +136,7 @@ class Trainer:
             self._run,
             kept=resume,
             dataset=dataset,
-            enough=lambda: self.budget.progress(self.steps) >= _SEARCHED_BY,
+            should_stop=lambda: self.budget.progress(self.steps) >= _SEARCHED_BY,
         )
         self.data_seconds = self.data.seconds
         self.solved.hold_out(self.data.held_out)
@@ -171,7 +171,7 @@ class Trainer:
         numbers: dict[str, float] = {}
         blocks = interrupted = 0
         here, prepared = time.perf_counter(), self.budget.seconds
-        lines = ProgressLines(journal, self.environment, self.budget)
+        lines = ProgressLines(journal, self.environment, self.budget, every=settings.progress_every)
         while not self._over():
             if self.budget.stop_requested():
                 interrupted = decided(float(not self._ended), self.shards, self.device)

@@ -54,7 +54,7 @@ def collect_training_data(
     *,
     kept: bool = False,
     dataset: Dataset | GoalDataset | None = None,
-    enough: Callable[[], bool] | None = None,
+    should_stop: Callable[[], bool] | None = None,
 ) -> TrainingData:
     """Search for states, or read those that an earlier session found.
 
@@ -62,7 +62,7 @@ def collect_training_data(
         run: training run; states are kept in its folder.
         kept: read them if they are there.
         dataset: states to use instead; of a policy with goals a `GoalDataset`.
-        enough: called between searches for goals; true if no time is left for more, alike in all processes.
+        should_stop: called between searches for goals; true if no time is left for more, alike in all processes.
 
     Raises:
         InputError: data of another criterion than the run.
@@ -71,7 +71,7 @@ def collect_training_data(
     assembly, settings, device = run.assembly, run.settings, run.device
     count, images = settings.evaluation_states, symmetries(assembly)
     if settings.policy.goal_conditioned:
-        pairs = dataset if isinstance(dataset, GoalDataset) else find_pairs(run, _searched(run, kept, enough))
+        pairs = dataset if isinstance(dataset, GoalDataset) else find_pairs(run, _searched(run, kept, should_stop))
         held_out = symmetric_images(pairs.held_out, images)
         tasks: GoalSampler = RandomWalkGoals(pairs.wide, device=device, held_out=held_out)
         if len(images) > 1:
@@ -129,14 +129,14 @@ def collect_training_data(
     )
 
 
-def _searched(run: RunContext, kept: bool, enough: Callable[[], bool] | None) -> SearchStates:
+def _searched(run: RunContext, kept: bool, should_stop: Callable[[], bool] | None) -> SearchStates:
     """Search for states of tasks with targets, or read those in the folder of the run."""
     path = None if run.folder is None else run.folder / SEARCHED
     if kept and path is not None and path.exists():
         return SearchStates.load(path, run.task)
     searches = _target_searches(run.settings)
     searched = SearchStates.find(
-        run.task, searches, run.oracle, device=run.device, shards=run.shards, report=run.report, enough=enough
+        run.task, searches, run.oracle, device=run.device, shards=run.shards, report=run.report, should_stop=should_stop
     )
     _keep(run, path, lambda where: searched.save(where, run.task))
     if searches.widths and not len(searched.more):
@@ -158,7 +158,7 @@ def find_pairs(run: RunContext, searched: SearchStates | None = None) -> GoalDat
 
 
 def _target_searches(settings: TrainSettings) -> GoalDataSettings:
-    return GoalDataSettings(widths=_widths(settings))
+    return GoalDataSettings(widths=_widths(settings), random_tries=settings.random_tries)
 
 
 def _keep(run: RunContext, path: Path | None, save: Callable[[Path], None]) -> None:

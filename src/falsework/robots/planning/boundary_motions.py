@@ -32,7 +32,7 @@ _SAME_WAY = 1e-4
 """Largest difference of joint values, directions and cosines between a line and one that ends where a robot is."""
 
 
-def parts_of(task: Task | None, *, continues: bool) -> dict[str, Any]:
+def graph_parts(task: Task | None, *, continues: bool) -> dict[str, Any]:
     """Return which parts a keyframe graph for a task has to know: those ever in place, and those that ever leave."""
     if task is None:
         return {}

@@ -20,7 +20,7 @@ from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.cell_holds import stability_in
-from falsework.robots.planning.boundary_motions import BoundaryMotions, leading_insertions, parts_of
+from falsework.robots.planning.boundary_motions import BoundaryMotions, graph_parts, leading_insertions
 from falsework.robots.planning.carried_groups import plan_groups
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.hybrid_search import HybridSearch
@@ -127,7 +127,7 @@ def plan_robots(
         )
     now = configurations, held, gripped
     continues = settings.direction is Direction.ASSEMBLY and any(given is not None for given in now)
-    clock, needed = Deadline(deadline), parts_of(task, continues=continues)
+    clock, needed = Deadline(deadline), graph_parts(task, continues=continues)
 
     def search(limits: HybridSettings, graph: KeyframeGraph | None, clock: Deadline) -> HybridResult:
         graph = graph or KeyframeGraph(assembly, cell, settings=limits.keyframes, seed=limits.seed, **needed)

@@ -139,8 +139,10 @@ class SolvabilityCheck:
         score: ActionScore | None = None,
         seed: int = 0,
         joint: JointHolds | None = None,
+        varied_verdicts: int = _VARIED_VERDICTS,
     ) -> None:
         """Know only the target to be solvable; by default the guide lets parts with much support go in first."""
+        self._varied_verdicts = varied_verdicts
         self.joint = joint
         self.oracle = oracle if joint is None else HoldingOracle(oracle, joint)
         self._acceptance = Acceptance(oracle.replayer)
@@ -198,7 +200,7 @@ class SolvabilityCheck:
         directions = [Direction.DISASSEMBLY, Direction.ASSEMBLY]
         for direction in reversed(directions) if seed % 2 else directions:
             beam = BackjumpingBeam(self.task, self.oracle, BackjumpingSettings(direction, seed=seed), guide=disturbed)
-            routes = self._search(beam, _VARIED_WIDTH, _VARIED_VERDICTS)
+            routes = self._search(beam, _VARIED_WIDTH, self._varied_verdicts)
             if routes:
                 self.follow(routes)
                 return
@@ -235,7 +237,7 @@ class SolvabilityCheck:
         task = replace(self.task, start=state)
         for _ in range(MAX_FALLEN_REPLAYS):
             beam = BackjumpingBeam(task, self.oracle, BackjumpingSettings(seed=self._seed), guide=self._guide)
-            routes = self._search(beam, _VARIED_WIDTH, _VARIED_VERDICTS)
+            routes = self._search(beam, _VARIED_WIDTH, self._varied_verdicts)
             if not routes or not any(self.joint.learn_from(route.states) for route in routes):
                 self.follow(routes)
                 return bool(routes)

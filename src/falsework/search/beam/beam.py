@@ -39,7 +39,7 @@ class BeamSearch(LevelSearch):
             guide: scores actions; without it only diversity decides.
         """
         task = task.judged_by(oracle)
-        # Only a beam that looks ahead confirms the ways to its states; one that judges whole levels has no histories.
+        # Only a beam that looks ahead confirms the paths to its states; one that judges whole levels has no histories.
         histories = settings.direction is Direction.ASSEMBLY and settings.lookahead > 0
         replayer = oracle.replayer if histories else None
         if replayer is not None:
@@ -48,7 +48,7 @@ class BeamSearch(LevelSearch):
         self.levels = self._levels
         self.judge = CountingOracle(oracle)
         self.judge.replayed = replayer is not None  # see `PathVerifier`
-        self._paths = BeamPaths(self.levels, self.judge, replayer)
+        self._paths = BeamPaths(self.levels, self.judge, replayer, settings.history_bytes)
         self._failures = None if task.neighbours is None else FailedMoves(task.neighbours)
         self._hash = StateHash.for_parts(task.part_count)
         self._candidates = 0
@@ -86,7 +86,7 @@ class BeamSearch(LevelSearch):
         else:
             choice = selector.select_from_all(settings.width)
         self._candidates += len(frontier)
-        # A state refused because of the way to it may be reached by another, which was merged with this one, unless it
+        # A state refused because of the path to it may be reached by another, which was merged with this one, unless it
         # is unstable however it is reached.
         whole = choice.exhaustive and not refuted and self._whole_before
         if whole and self._paths.refused:

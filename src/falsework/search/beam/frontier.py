@@ -26,9 +26,9 @@ class Level:
     action: NDArray[np.int64]
     """Shape (kept,)."""
     score: NDArray[np.float64]
-    """Sum of the guide's scores on the way, shape (kept,)."""
+    """Sum of the guide's scores on the path, shape (kept,)."""
     grounded: NDArray[np.int8]
-    """1 where the state and all on the way to it are known to be stable, -1 where one is not, 0 where the verdict of
+    """1 where the state and all on the path to it are known to be stable, -1 where one is not, 0 where the verdict of
     a fixed part waits; shape (kept,)."""
 
 

@@ -69,7 +69,7 @@ class LevelSearch(Search):
         return np.concatenate([empty, *(level.states for level in self.levels)])
 
     def route(self) -> Route:
-        """Return the best scored way from start to target, in disassembly order; only once `found`."""
+        """Return the best scored path from start to target, in disassembly order; only once `found`."""
         if not self.found:
             raise InputError("the beam search has not reached its goal; there is no route yet")
         states = [self.levels[number].states[row] for number, row in self._backtrace()]
@@ -91,7 +91,7 @@ class LevelSearch(Search):
         return level, len(self._levels[-1].states) if self._levels else 0, self.settings.width
 
     def choices(self) -> Iterator[tuple[int, int]]:
-        """Yield the choices on the way to the best scored state of the last level that led to a dead end, latest first.
+        """Yield the choices on the path to the best state of the last level that led to a dead end, latest first.
 
         Yields:
             Level and the action chosen there: first those that fixed the parts that robots hold in all states of the
@@ -110,7 +110,7 @@ class LevelSearch(Search):
             held_after, action = held, int(self.levels[number].action[row])
 
     def before(self, number: int) -> States:
-        """Return the state at a level on the way to the best scored one, shape (parts,)."""
+        """Return the state at a level on the path to the best scored one, shape (parts,)."""
         row = next(row for level, row in self._backtrace() if level == number)
         return self.levels[number].states[row]
 
@@ -156,7 +156,7 @@ class LevelSearch(Search):
             self._deepest, self._rejected = self.levels[-1].states[:REPORTED_STATES], rejected
 
     def _backtrace(self) -> Iterator[tuple[int, int]]:
-        """Yield levels and rows of the way to the best scored state of the last level, that state first."""
+        """Yield levels and rows of the path to the best scored state of the last level, that state first."""
         row, levels = 0, self.levels
         for number in range(len(levels) - 1, -1, -1):
             yield number, row

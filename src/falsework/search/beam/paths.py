@@ -1,4 +1,4 @@
-"""Ways by which a beam reaches its states: deferred verdicts, and in the order of assembly contact histories."""
+"""Paths by which a beam reaches its states: deferred verdicts, and in the order of assembly contact histories."""
 
 from __future__ import annotations
 
@@ -20,29 +20,30 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _NOTHING: Array = np.zeros((0, 0, 6))
-_HISTORY_BYTES = 256 << 20
-"""Memory for histories; the earliest are computed anew where they are needed again, which costs time alone."""
-
-
-def histories_in_memory(history: History) -> int:
-    """Return how many contact histories of the size of one a search keeps."""
-    return _HISTORY_BYTES // max(history.nbytes, 1)
 
 
 class BeamPaths:
-    """Ways to the states of a beam."""
+    """Paths to the states of a beam."""
 
-    def __init__(self, levels: list[Level | PackedLevel], judge: CountingOracle, replayer: AnyReplayer | None) -> None:
+    def __init__(
+        self,
+        levels: list[Level | PackedLevel],
+        judge: CountingOracle,
+        replayer: AnyReplayer | None,
+        history_bytes: int,
+    ) -> None:
         """Begin with nothing.
 
         Args:
             levels: of the beam; the list that the beam itself changes.
             judge: asked for the deferred verdicts.
             replayer: of the structure; None where contact histories do not matter.
+            history_bytes: memory for histories.
         """
+        self._history_bytes = history_bytes
         self._levels, self._judge, self._replayer = levels, judge, replayer
         self.refused = False
-        """Whether a candidate for the next level failed the test of its way."""
+        """Whether a candidate for the next level failed the test of its path."""
         self._next: dict[int, History] = {}
         """Histories of candidates for the next level."""
         self._most: float = np.inf
@@ -53,7 +54,7 @@ class BeamPaths:
         displacement is empty beyond the memory for them."""
 
     def stable_ancestors(self) -> States:
-        """Return for each state of the last level the nearest on the way to it that is known to be stable."""
+        """Return for each state of the last level the nearest on the path to it that is known to be stable."""
         states = self._levels[-1].states.copy()
         at = np.arange(len(states))
         left = at.copy()
@@ -66,7 +67,7 @@ class BeamPaths:
         return states
 
     def stable(self, rows: NDArray[np.int64], level: int = -1) -> Mask:
-        """Request the deferred verdicts on the ways to states of a level; return which ways are stable, shape (rows,).
+        """Request the deferred verdicts on the paths to states of a level; return which are stable, shape (rows,).
 
         Args:
             rows: states of the level.
@@ -85,7 +86,7 @@ class BeamPaths:
         return here.grounded[rows] > 0
 
     def verifier(self, frontier: Frontier, rows: Rows) -> Mask:
-        """Return which stable candidates are reached by ways that are stable too, and come to rest. Shape (rows,)."""
+        """Return which stable candidates are reached by paths that are stable too, and come to rest. Shape (rows,)."""
         good = self.stable(frontier.parent(rows))
         if self._replayer is not None and good.any():
             rows, level = rows[good], len(self._levels) - 1
@@ -123,7 +124,7 @@ class BeamPaths:
         del self._known[level + 1 :], self._known_steps[level + 1 :]
 
     def summary(self) -> ReplaySummary | None:
-        """Return the replay of the way to the first state of the last level; None where it does not come to rest."""
+        """Return the replay of the path to the first state of the last level; None where it does not come to rest."""
         row, level = 0, len(self._levels) - 1
         if self._replayer is None or self._history(level, row) is None:
             return None
@@ -139,20 +140,20 @@ class BeamPaths:
         return most[0], most[1], None, tuple(step.presses for step in steps), tuple(steps) if known else ()
 
     def _history(self, level: int, row: int) -> History | None:
-        """Return the history of a state of a level; None where the way to it does not stand."""
+        """Return the history of a state of a level; None where the path to it does not stand."""
         replayer = self._replayer
         assert replayer is not None
         self._fit(len(self._levels))
-        way = [row]  # back to a state whose history is known, or to the first level
-        while way[-1] not in self._known[level + 1 - len(way)] and len(way) <= level:
-            way.append(int(self._levels[level + 1 - len(way)].parent[way[-1]]))
-        first = level + 1 - len(way)
-        if way[-1] not in self._known[first]:
-            start = replayer.replay(self._levels[0].states[way[-1]][None])
-            self._put(0, way[-1], start.histories[0] if start.histories else None)
-        history = self._known[first][way[-1]]
+        path = [row]  # back to a state whose history is known, or to the first level
+        while path[-1] not in self._known[level + 1 - len(path)] and len(path) <= level:
+            path.append(int(self._levels[level + 1 - len(path)].parent[path[-1]]))
+        first = level + 1 - len(path)
+        if path[-1] not in self._known[first]:
+            start = replayer.replay(self._levels[0].states[path[-1]][None])
+            self._put(0, path[-1], start.histories[0] if start.histories else None)
+        history = self._known[first][path[-1]]
         for at in range(first + 1, level + 1):
-            before, after = way[level + 1 - at], way[level - at]
+            before, after = path[level + 1 - at], path[level - at]
             if history is not None:
                 states = self._levels[at - 1].states[before], self._levels[at].states[after]
                 rests, history = replayer.step(history, *states)
@@ -161,17 +162,17 @@ class BeamPaths:
         return history
 
     def _put(self, level: int, row: int, history: History | None) -> None:
-        """Remember the history of a state, None where the way to it does not stand."""
+        """Remember the history of a state, None where the path to it does not stand."""
         self._fit(level + 1)
         self._known[level][row] = history
         if history is not None:
-            self._most = histories_in_memory(history)
+            self._most = self._history_bytes // max(history.nbytes, 1)
             step = StepCertificate(self._kept(history.track), history.torn.copy(), history.presses)
             self._known_steps[level][row] = history.moved, history.part, step
 
     def _kept(self, track: Array | None) -> Array:
         """Return the displacement of a step to keep: most steps only hold a part, and share one of zeros."""
-        if track is None or len(self._levels) * track.nbytes > 2 * _HISTORY_BYTES:
+        if track is None or len(self._levels) * track.nbytes > 2 * self._history_bytes:
             return _NOTHING
         if track.any():
             return track.copy()

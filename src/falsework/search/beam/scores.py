@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Sum of the scores on the way to each candidate; higher is better."""
+    """Sum of the scores on the path to each candidate; higher is better."""
 
     frontier: Frontier
     before: Array

@@ -86,7 +86,7 @@ class Selector:
         kept = self.order(rows[stable], self.scores.of, width)[:width]
         return self._selection(kept, rows[~stable])
 
-    def select_lazily(self, width: int, lookahead: int, ways: BeamPaths, *, commit: bool) -> Selection:
+    def select_lazily(self, width: int, lookahead: int, paths: BeamPaths, *, commit: bool) -> Selection:
         """Ask only until `width` states are found stable; keep `lookahead` more that a fixed part leads to.
 
         States that leave more robots free come first, then the better scored.
@@ -95,12 +95,12 @@ class Selector:
             width: states to keep among those that a removal, or in assembly a release, leads to.
             lookahead: states to keep among those that fixing a part leads to; their verdicts wait until a descendant is
                 kept.
-            ways: second test of candidates with a stable verdict.
+            paths: second test of candidates with a stable verdict.
             commit: once `width` are found, drop states that keep more robots busy than these.
         """
         frontier, promise = self.frontier, Priorities(self.scores, self.rng)
         loose = self.order(promise.loose, promise.of, width)
-        proven, rejected = self._verify_untried_first(loose, width, ways)
+        proven, rejected = self._verify_untried_first(loose, width, paths)
         most_held = np.inf
         if commit and len(proven) >= width:
             most_held = float(frontier.held(proven).max())
@@ -127,24 +127,24 @@ class Selector:
         rest = rest[np.argsort(falls, kind="stable")]
         return np.concatenate([fixed[: count // 2], rest[: count - count // 2]])
 
-    def _verify_untried_first(self, waiting: Rows, wanted: int, ways: BeamPaths) -> tuple[Rows, Rows]:
+    def _verify_untried_first(self, waiting: Rows, wanted: int, paths: BeamPaths) -> tuple[Rows, Rows]:
         """As `_verify_in_order`; moves that failed before are tried last."""
         if self.failures is None or not len(waiting):
-            return self._verify_in_order(waiting, wanted, ways)
+            return self._verify_in_order(waiting, wanted, paths)
         frontier = self.frontier
         keys = self.failures.keys(frontier.states(waiting), frontier.part(waiting))
         failed = self.failures.failed(keys)
         again = np.flatnonzero(failed)[: AHEAD * wanted]
         order = np.concatenate([np.flatnonzero(~failed), again])
         waiting, keys = waiting[order], keys[order]
-        kept, rejected = self._verify_in_order(waiting, wanted, ways)
+        kept, rejected = self._verify_in_order(waiting, wanted, paths)
         for rows, stable in ((kept, True), (rejected, False)):
             place = np.isin(waiting, rows)
             self.failures.learn(keys[place], np.full(int(place.sum()), stable))
         return kept, rejected
 
-    def _verify_in_order(self, waiting: Rows, wanted: int, ways: BeamPaths) -> tuple[Rows, Rows]:
-        """The first stable candidates of a list, about `wanted` of them, and those found not stable on the way."""
+    def _verify_in_order(self, waiting: Rows, wanted: int, paths: BeamPaths) -> tuple[Rows, Rows]:
+        """The first stable candidates of a list, about `wanted` of them, and those found unstable meanwhile."""
         frontier = self.frontier
         kept: list[Rows] = [waiting[:0]]
         rejected: list[Rows] = [waiting[:0]]
@@ -153,7 +153,7 @@ class Selector:
             batch = waiting[position : position + (max(wanted, _VERDICT_BATCH) if position else wanted)]
             stable = self.judge.stable(frontier.states(batch), self.stable_ancestors[frontier.parent(batch)])
             if stable.any():
-                stable[stable] = ways.verifier(frontier, batch[stable])
+                stable[stable] = paths.verifier(frontier, batch[stable])
             kept.append(batch[stable])
             rejected.append(batch[~stable])
             position += len(batch)

@@ -13,6 +13,9 @@ AHEAD = 16
 """Candidates beyond those that a beam keeps for their verdicts, for each state of its width: states ahead without a
 need for a verdict, and moves that failed before and are tried again. More are a wider choice for the next level."""
 
+HISTORY_BYTES = 256 << 20
+"""Memory for contact histories."""
+
 Diversity = Literal["k-means", "none"]
 
 
@@ -36,6 +39,8 @@ class BeamSettings:
     """Draws random numbers, together with the seed."""
     seed: int = 0
     """Same seed, same machine, same result."""
+    history_bytes: int = HISTORY_BYTES
+    """Memory for contact histories; those that it has no room for are computed anew where they are needed again."""
     pool: int = 8_000_000
     """Bound on candidates times parts that are written down and clustered at once; beyond it a random sample is."""
 

@@ -219,7 +219,7 @@ class DeviceBeam(LevelSearch):
         return undecided, sliding
 
     def _scores(self, level: _TensorLevel, legal: torch.Tensor) -> torch.Tensor:
-        """Return the sum of the guide's scores on the way to what each action leads to, shape (level, 2 parts)."""
+        """Return the sum of the guide's scores on the path to what each action leads to, shape (level, 2 parts)."""
         if self._guide is None:
             return level.score[:, None].expand(legal.shape)
         scores = self._guided(self.levels[-1].states, legal.cpu().numpy())

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 WHOLE, CHANGES = "zlib_base64", "changes_zlib_base64"
 """Entries of the file: the arrays of all states, or what changes from state to state."""
 
-_LARGE = 64 * 1024 * 1024
+_WHOLE_BYTES = 64 * 1024 * 1024
 """Bytes of whole arrays from which only changes are written; other programs read whole arrays more easily."""
 _ROOM, _EXPANSION = 1 << 28, 64
 """Proofs may take 256 MiB, or so many times the size of their text if that is more, so that a short text cannot ask for
@@ -27,14 +27,16 @@ _LEVELS = {WHOLE: 9, CHANGES: 6}
 """Levels of compression; there is little left to gain in changes."""
 
 
-def pack_proofs(arrays: Array | StateArrays) -> dict[str, str]:
-    """Return arrays of shape (states, rows, width) as an entry of a plan file."""
-    if isinstance(arrays, StateArrays) and 8 * np.prod(arrays.shape) > _LARGE:
+def pack_proofs(arrays: Array | StateArrays, *, whole_bytes: int = _WHOLE_BYTES) -> dict[str, str]:
+    """Return arrays of shape (states, rows, width) as an entry of a plan file, whole up to so many bytes."""
+    if isinstance(arrays, StateArrays) and 8 * np.prod(arrays.shape) > whole_bytes:
         return _packed(CHANGES, _changes(arrays))
     return _packed(WHOLE, iter([np.ascontiguousarray(arrays, dtype="<f8")]))
 
 
-def unpack_proofs(entry: str, text: Any, shape: tuple[int, int, int], what: str) -> Array | StateArrays:
+def unpack_proofs(
+    entry: str, text: Any, shape: tuple[int, int, int], what: str, *, room: int = _ROOM
+) -> Array | StateArrays:
     """Return what `pack_proofs` wrote.
 
     Args:
@@ -42,6 +44,7 @@ def unpack_proofs(entry: str, text: Any, shape: tuple[int, int, int], what: str)
         text: value of the entry.
         shape: states, rows and width that are expected.
         what: the text is to hold.
+        room: bytes that arrays may take, or `_EXPANSION` times the size of the text if that is more.
 
     Raises:
         ValueError: it does not; says why.
@@ -50,7 +53,7 @@ def unpack_proofs(entry: str, text: Any, shape: tuple[int, int, int], what: str)
     misfit = f"does not hold {what}"
     try:
         packed, unpacker = base64.b64decode(text, validate=True), zlib.decompressobj()
-        most = max(_ROOM, _EXPANSION * len(packed))
+        most = max(room, _EXPANSION * len(packed))
         # A whole array, or for changes one state and the numbers of the blocks of all states.
         least = 8 * rows * width * (states if entry == WHOLE else 1) + states * rows * (entry == CHANGES) // 8
         if least > most:

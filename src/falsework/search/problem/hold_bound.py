@@ -85,7 +85,7 @@ class HoldBound:
         same = {name: getattr(settings, name) for name in ("gravity", "tolerance", "force_bound", "reserve")}
         equilibrium = StabilitySettings(criterion="equilibrium", cone=settings.friction_cone, **same)
         if assembly.joints is not None:  # those that set bear less before
-            assembly = assembly.replace(joints=assembly.joints.once_set())
+            assembly = assembly.replace(joints=assembly.joints.fully_set())
         self._oracle = StabilityOracle(assembly, equilibrium)
         self._clock = clock
         fixed = np.zeros(task.part_count, dtype=bool)

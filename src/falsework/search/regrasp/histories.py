@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from falsework.assembly.state import States, state_of_key
-from falsework.search.beam.paths import histories_in_memory
+from falsework.search.beam.settings import HISTORY_BYTES
 
 if TYPE_CHECKING:
     from falsework.stability.contact.history import History
@@ -43,7 +43,7 @@ class PathHistories:
         """Store the histories of states that were reached for the first time."""
         for state, history in zip(states, histories, strict=True):
             self._known.setdefault(state.tobytes(), history)
-        while histories and len(self._known) > max(histories_in_memory(histories[-1]), 4):
+        while histories and len(self._known) > max(HISTORY_BYTES // max(histories[-1].nbytes, 1), 4):
             self._known.popitem(last=False)
 
     def _of(self, state: bytes) -> History | None:

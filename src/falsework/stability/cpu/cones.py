@@ -19,7 +19,7 @@ _C = math.cos(math.pi / 8)
 _S = math.sin(math.pi / 8)
 _DIAGONAL = math.sqrt(0.5)
 NEGLIGIBLE = 1e-9
-"""What counts as nothing beside 1, and its inverse as without limit: friction up to which a cone is a cylinder or a
+"""Negligible value beside 1, whose inverse is without limit: friction up to which a cone is a cylinder or a
 ray; shifts of the diagonal of a matrix, with entries near 1, that leave forces in balance up to rounding; friction with
 which contacts stick, and a stiffness as good as rigid. Chosen; tested on frictionless, bonded and locked parts."""
 

@@ -40,7 +40,7 @@ class Weakest:
         cap: float,
         low: float = 0.0,
         floor: Callable[[int], float],
-        hurry: bool = False,
+        time_limited: bool = False,
         cut: Callable[[int, Answer], float] | None = None,
         near: float | None = None,
     ) -> None:
@@ -54,7 +54,7 @@ class Weakest:
             cap: value beyond which there is no bound.
             low: value at which all are known to be stable.
             floor: absolute width at which the bracket of a family is narrow enough.
-            hurry: whether the time is limited, so that what all families bear is found first, if roughly.
+            time_limited: whether the time is limited, so that what all families bear is found first, if roughly.
             cut: as for `Interval`, of each family.
             near: bound of the first family in a nearby state.
         """
@@ -73,7 +73,10 @@ class Weakest:
         if near is not None and self._families:
             self._searches[self._families[0]].begin_near(near)
         self._first = max(min(map(guess, families), default=0.0) / (2.0 * GROWTH), (1.0 + 2.0 * ACCURACY) * low)
-        self._batch, self._hurry = 1 if hurry else max(len(self._families), 1), hurry  # one call is not cut short
+        self._batch, self._time_limited = (
+            1 if time_limited else max(len(self._families), 1),
+            time_limited,
+        )  # one call is not cut short
 
     def search(self, confirm: Callable[[int, float, Answer], tuple[float, Answer]]) -> tuple[int, Bracket] | None:
         """Return the weakest family and its bracket, without an outer end where none has a bound; None without any.
@@ -83,7 +86,7 @@ class Weakest:
                 a larger value.
         """
         try:
-            if self._hurry:
+            if self._time_limited:
                 self._raise_all(self._first)
             while (best := self._weakest()) is not None:
                 search = self._searches[best]
@@ -247,7 +250,7 @@ def weakest_load(
         cap=cap,
         low=low,
         floor=lambda row: FLOOR * guess(row),
-        hurry=prober.limited,
+        time_limited=prober.limited,
         cut=None if loads is None else lambda row, failed: prober.cut(state, failed, loads[row]),
         near=value if order and names[order[0]] == weak else None,
     )

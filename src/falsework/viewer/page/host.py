@@ -1,4 +1,4 @@
-"""What the controls of the page need of the page that they are on."""
+"""Interface of the page, as its controls need it."""
 
 from __future__ import annotations
 

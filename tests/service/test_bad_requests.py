@@ -15,8 +15,6 @@ from typing import Any
 import httpx
 import pytest
 
-from falsework.service import middleware, server
-
 JSON = {"Content-Type": "application/json"}
 STATE = [1, 1, 1, 1, 1, 2, 2]
 
@@ -212,22 +210,21 @@ def is_open(connection: socket.socket) -> bool:
         return False
 
 
-def test_idle_connections_make_room(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_idle_connections_make_room(live: Any) -> None:
     """However many clients only connect, and however often, others are served, and only idle ones lose a connection."""
-    monkeypatch.setattr(server, "CONNECTIONS", 20)
+    most = live.settings.connections
     with contextlib.ExitStack() as opened:
         for _ in range(3):
-            crowd = [opened.enter_context(connection) for connection in idle(live, 60)]
+            crowd = [opened.enter_context(connection) for connection in idle(live, most + 40)]
             with httpx.Client(base_url=live.url, timeout=5) as client:
                 assert client.get("/health").status_code == 200
                 assert client.post("/stability", json={"states": ["complete"]}).status_code == 200
             still = [is_open(connection) for connection in crowd]
             assert not any(still[:40])
-            assert sum(still) <= 20
+            assert sum(still) <= most
 
 
-def test_a_request_in_work_is_not_idle(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "CONNECTIONS", 5)
+def test_a_request_in_work_is_not_idle(live: Any) -> None:
     live.wait_until_well()
     (planner,) = pids(live, "replan")
     os.kill(planner, signal.SIGSTOP)
@@ -235,7 +232,7 @@ def test_a_request_in_work_is_not_idle(live: Any, monkeypatch: pytest.MonkeyPatc
         try:
             asked = threads.submit(live.post, "/replan", {"state": "complete", "deadline": 900})
             time.sleep(0.2)
-            for connection in idle(live, 30):
+            for connection in idle(live, live.settings.connections + 20):
                 opened.enter_context(connection)
             assert httpx.get(f"{live.url}/structure", timeout=5).status_code == 200
         finally:
@@ -244,11 +241,11 @@ def test_a_request_in_work_is_not_idle(live: Any, monkeypatch: pytest.MonkeyPatc
         assert asked.result().status_code == 200
 
 
-def test_too_many_requests_at_a_time_are_refused_in_json(live: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(middleware, "CONNECTIONS", 1)
+def test_too_many_requests_at_a_time_are_refused_in_json(live: Any) -> None:
     head = b"POST /replan HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 99\r\n\r\n{"
-    with socket.create_connection(live.address, timeout=5) as slow:
-        slow.sendall(head)
+    with contextlib.ExitStack() as opened:
+        for slow in idle(live, live.settings.connections):
+            opened.enter_context(slow).sendall(head)
         time.sleep(0.2)
         reply = live.client.get("/structure")
         expect(reply, 503, "too many requests")

@@ -1,4 +1,4 @@
-"""Doubts about a structure as a whole: its unit, materials, supports, and which way is up."""
+"""Findings about a structure as a whole: its unit, materials, supports, and which way is up."""
 
 from __future__ import annotations
 
@@ -16,49 +16,49 @@ from falsework.geometry.mesh.read import UNITS
 from falsework.utils.quantity import listed
 
 _SIZES = (0.02, 5.0)
-"""Smallest and largest size of a typical part that raises no doubt about the unit, metres."""
+"""Smallest and largest size of a typical part that raises no finding about the unit, metres."""
 _DENSITIES = (100.0, 10_000.0)
-"""Smallest and largest density that raises no doubt, kg/m3."""
+"""Smallest and largest density that raises no finding, kg/m3."""
 _FRICTION = 1.5
-"""Largest coefficient of friction that raises no doubt."""
+"""Largest coefficient of friction that raises no finding."""
 _LEVEL = 0.01
 """Difference in height, as a share of that of the structure, up to which parts are level."""
 _INCLINED = 1.0
 """Angle between faces that touch from which they are doubtful, degrees."""
 
 
-def material_doubts(draft: Draft, options: dict[str, Any], assembly: Assembly | None) -> list[str]:
-    """Return doubts about densities and friction."""
+def material_findings(draft: Draft, options: dict[str, Any], assembly: Assembly | None) -> list[str]:
+    """Return findings about densities and friction."""
     if assembly is not None:
-        return doubts_of_materials(assembly, len(draft.blocks))
+        return findings_on_materials(assembly, len(draft.blocks))
     density = np.ravel(options.get("density", [])).tolist()
     density = density or [block.attributes.get("density") for block in draft.blocks]
-    return _doubts_of(density, [options.get("friction")], draft.names)
+    return _material_findings(density, [options.get("friction")], draft.names)
 
 
-def doubts_of_materials(assembly: Assembly, parts: int | None = None) -> list[str]:
-    """Return doubts about the densities and the friction of a structure, or of its first parts."""
+def findings_on_materials(assembly: Assembly, parts: int | None = None) -> list[str]:
+    """Return findings about the densities and the friction of a structure, or of its first parts."""
     frictions = [assembly.friction]
     if assembly.joints is not None:
         frictions += [value for value in assembly.joints.friction.tolist() if np.isfinite(value)]
-    return _doubts_of(assembly.density[:parts].tolist(), frictions, assembly.names)
+    return _material_findings(assembly.density[:parts].tolist(), frictions, assembly.names)
 
 
-def _doubts_of(density: list[Any], frictions: list[Any], names: Sequence[str]) -> list[str]:
-    doubts = []
+def _material_findings(density: list[Any], frictions: list[Any], names: Sequence[str]) -> list[str]:
+    findings = []
     for part, value in enumerate(density):
         if isinstance(value, (int, float)) and not _DENSITIES[0] <= value <= _DENSITIES[1]:
             of = f" of part {names[part]}" if len(set(density)) > 1 and part < len(names) else ""
-            doubts.append(f"the density{of} is {value:g} kg/m3, which no building material has; stone has about 2400")
+            findings.append(f"the density{of} is {value:g} kg/m3, which no building material has; stone has about 2400")
             break
     high = max((value for value in frictions if isinstance(value, (int, float))), default=0.0)
     if high > _FRICTION:
-        doubts.append(f"a coefficient of friction is {high:g}; it is the tangent of an angle, 0.4 to 0.8 for stone")
-    return doubts
+        findings.append(f"a coefficient of friction is {high:g}; it is the tangent of an angle, 0.4 to 0.8 for stone")
+    return findings
 
 
-def inclination_doubts(names: Sequence[str], contacts: Contacts | None) -> list[str]:
-    """Return doubts about pairs of parts whose faces touch without being parallel."""
+def inclination_findings(names: Sequence[str], contacts: Contacts | None) -> list[str]:
+    """Return findings about pairs of parts whose faces touch without being parallel."""
     if contacts is None or contacts.lean is None:
         return []
     angles, pairs = inclinations(contacts), np.unique(contacts.parts, axis=0)
@@ -72,8 +72,8 @@ def inclination_doubts(names: Sequence[str], contacts: Contacts | None) -> list[
     ]
 
 
-def support_doubts(draft: Draft, solids: Sequence[TriangleMesh | None], fixed: np.ndarray) -> list[str]:
-    """Return doubts about the parts that are boundary."""
+def support_findings(draft: Draft, solids: Sequence[TriangleMesh | None], fixed: np.ndarray) -> list[str]:
+    """Return findings about the parts that are boundary."""
     if fixed.all():
         return ["every part is boundary: nothing can move, so every verdict is stable and every plan is empty"]
     low, level = _heights(solids)
@@ -99,8 +99,8 @@ def lowest(solids: Sequence[TriangleMesh | None]) -> list[int]:
     return np.flatnonzero(low <= np.nanmin(low) + level).tolist()
 
 
-def upright_doubt(upright: bool | None, with_y_up: Callable[[], bool | None]) -> str:
-    """Return the doubt that a structure was made with y up.
+def upright_finding(upright: bool | None, with_y_up: Callable[[], bool | None]) -> str:
+    """Return the finding that a structure was made with y up.
 
     Args:
         upright: whether it stands as it is; None if it has nothing to stand on, or all of it lies on the ground.
