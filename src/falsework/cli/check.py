@@ -183,8 +183,9 @@ class CheckPlan(JudgingCommand):
             claim = found.claim
             output.say(
                 f"{self.plan}: all {found.states} states are stable by the criterion {claim.criterion} ({claim.cone} "
-                f"cone, tolerance {claim.tolerance:g}, gravity {claim.gravity:g} m/s2, force bound "
-                f"{claim.force_bound:g}); residual at most {found.residual:.1e} of gravity"
+                f"cone, tolerance {format_quantity(claim.tolerance, 'share')}, gravity {claim.gravity:g} m/s2, "
+                f"force bound "
+                f"{claim.force_bound:g}); largest residual {format_quantity(found.residual, 'share')} of gravity"
             )
             demanded = self.margin or (plan.margins and str(plan.margins.demands))
             if demanded:
@@ -269,7 +270,8 @@ class CheckPlan(JudgingCommand):
         record |= {"part": assembly.names[part] if part >= 0 else None, "share_of_part": moved / size}
         output.row("steps", record)
         mover = (
-            f"{assembly.names[part]} moved {format_quantity(moved, 'length')}, {moved / size:.1e} of its size"
+            f"{assembly.names[part]} moved {format_quantity(moved, 'length')}, "
+            f"{format_quantity(moved / size, 'share')} of its size"
             if part >= 0
             else ""
         )

@@ -160,7 +160,7 @@ def _stock(canvas: Canvas, sheet: AssemblyInstructions, lines: list[tuple[int, i
 def _mass(sheet: AssemblyInstructions, *parts: int) -> str:
     """Return the mass of parts in kg, in full."""
     mass = float(sheet.assembly.mass.mass[list(parts)].sum())
-    return f"{mass:,.0f}" if mass >= 1000 else f"{mass:.4g}" if mass >= 1 else f"{mass:.3f}"
+    return f"{mass:,.0f}" if mass >= 1000 else f"{mass:.2f}" if mass >= 1 else f"{mass:.3f}"
 
 
 def _center(sheet: AssemblyInstructions, part: int) -> str:

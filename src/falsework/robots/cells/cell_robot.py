@@ -141,7 +141,7 @@ def _home(given: list[float] | dict[str, float] | str | None, place: Place, mode
         unit = "m" if model.prismatic[joint] else "degrees"
         raise place.fail(
             "home",
-            f"cannot be reached: {model.joint_names[joint]} is {value:.4g} {unit}, outside its limits {low:.4g} to "
-            f"{high:.4g}",
+            f"cannot be reached: {model.joint_names[joint]} is {value:.3f} {unit}, outside its limits {low:.3f} to "
+            f"{high:.3f}",
         )
     return np.array(values)

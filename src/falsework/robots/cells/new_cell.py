@@ -141,7 +141,7 @@ def _of_robot(cell: Cell, number: int) -> list[str]:
     lines.append('# signals = { grip = "..." }         # output that closes the gripper, for programs')
     places = _places(robot)
     if places:
-        shown = ", ".join(f"{{ position = [{x:.3g}, {y:.3g}, {z:.3g}] }}" for x, y, z in places)
+        shown = ", ".join(f"{{ position = [{x:.3f}, {y:.3f}, {z:.3f}] }}" for x, y, z in places)
         lines.append(f"places = [{shown}]  # in the frame of the base")
     else:
         lines.append("# places = [{ position = [...] }]   # where parts are picked up, in the frame of the base")

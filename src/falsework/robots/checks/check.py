@@ -233,7 +233,7 @@ class _Checker:
         far = float(np.abs(here - there).max())
         self.largest_join = max(self.largest_join, far)
         if far > _SAME_JOINT:
-            self.say(index, robot, f"it jumps by {far:.4g} rad between two motions")
+            self.say(index, robot, f"it jumps by {far:.4f} rad between two motions")
         return end
 
     def _collisions(

@@ -61,10 +61,10 @@ def _joint_fault(model: RobotModel, read: Any, file: Path) -> str:
         if joint.nq == 1:
             low, high = (float(limits[joint.idx_q]) for limits in (read.lowerPositionLimit, read.upperPositionLimit))
             if model.lower[number] < low - _SAME or model.upper[number] > high + _SAME:
-                return f"{file.name}: joint {name} has the range {low:.4g} to {high:.4g}, it is planned with more"
+                return f"{file.name}: joint {name} has the range {low:.4f} to {high:.4f}, it is planned with more"
         fastest = float(read.upperVelocityLimit[joint.idx_v])
         if model.velocity[number] > fastest + _SAME:
-            return f"{file.name}: joint {name} is limited to {fastest:.4g} rad/s or m/s, it is planned with more"
+            return f"{file.name}: joint {name} is limited to {fastest:.4f} rad/s or m/s, it is planned with more"
     return ""
 
 

@@ -98,7 +98,7 @@ class RobotModel:
         if outside.any():
             joint = int(np.argmax(outside))
             raise InputError(
-                f"{what}: {self.joint_names[joint]} is {found[joint]:.4g}, outside its limits "
-                f"{self.lower[joint]:.4g} to {self.upper[joint]:.4g}"
+                f"{what}: {self.joint_names[joint]} is {found[joint]:.4f}, outside its limits "
+                f"{self.lower[joint]:.4f} to {self.upper[joint]:.4f}"
             )
         return found

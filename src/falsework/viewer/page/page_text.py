@@ -102,7 +102,10 @@ def facts_of(model: ViewerState, part: int) -> list[tuple[str, str]]:
         ("part", f"{assembly.names[part]} (number {part})"),
         ("mass", format_quantity(float(assembly.mass.mass[part]), "mass")),
         ("now", now),
-        ("contacts", f"{len(mine)}, {contacts.areas[mine].sum():.3g} m2, with {touching or 'nothing'}"),
+        (
+            "contacts",
+            f"{len(mine)}, {format_quantity(float(contacts.areas[mine].sum()), 'area')}, with {touching or 'nothing'}",
+        ),
         ("held by", "; ".join(spans) if spans else "no robot"),
     ]
     chance = model.action_probabilities()[part] if model.policy is not None else np.nan
