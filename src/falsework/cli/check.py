@@ -177,7 +177,8 @@ class CheckPlan(JudgingCommand):
         )
         if self.steps:
             for step in plan.in_order(Direction(self.order)):
-                borne = describe_loads(found.loads[step.number], plan.part_names) if found.loads else ""
+                loads = found.loads[step.number] if found.loads else ()
+                borne = describe_loads(loads, plan.part_names, plan.holders[step.number])
                 output.say("; ".join(filter(None, (f"{step.number:4d}  {step}", borne))))
         if found.good:
             claim = found.claim

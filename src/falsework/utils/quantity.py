@@ -90,6 +90,7 @@ def format_quantity(value: float, kind: str, digits: int = _DIGITS) -> str:
         kind: length, mass, force, moment, area, volume, stiffness, angle, duration, share of gravity, share or factor.
         digits: how many are significant.
     """
+    value = float(value)
     size = abs(value)
     if not math.isfinite(value):
         return "no number" if math.isnan(value) else f"{'-' * (value < 0)}unlimited"

@@ -68,7 +68,7 @@ def _(thing: Plan) -> str:
     try:
         assembly = structure_of_plan(thing)
     except FalseworkError as error:
-        rows = ((step.number, "" if step.robot is None else f"R{step.robot + 1}", step.words) for step in thing)
+        rows = ((step.number, step.by(), step.words) for step in thing)
         listed = _folded(counted(len(thing), "step"), _table(("step", "robot", "action"), rows))
         return _page([_remark(error)], facts) + listed
     drawn = _picture(lambda: picture(thing, None, assembly, frames=6, columns=3, width=260))

@@ -15,7 +15,6 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, check_robots
 from falsework.errors import InputError
 from falsework.search.problem.deadline import check_deadline
-from falsework.stability.holds import describe_loads, describe_presses
 from falsework.stability.margins.nearness import nearness_to_limit
 from falsework.stability.verdict import Criterion
 from falsework.utils.display.notebook import in_notebook
@@ -204,7 +203,7 @@ def picture(
         content = svg_of(lines)
     elif single is not None:
         proof = proofs.get(single)
-        borne = describe_loads(timeline.loads_at(single), shown.assembly.names)
+        borne = timeline.loads_text(single)
         image = one_state(
             timeline,
             single,
@@ -214,6 +213,7 @@ def picture(
             words=title or "; ".join(filter(None, (caption(timeline, single, proof), borne if proof else ""))),
             marks=None if proof is None else proof.marks,
             arms=shown.arms,
+            travelling=False,
             action_probabilities=shares,
             share_of="the limit" if limits else "",
         )
@@ -224,9 +224,7 @@ def picture(
         content = png_of(sheet)
     shows = f"{len(places)} of {len(timeline) + 1} states" if len(timeline) else f"{shown.assembly.name}"
     if single is not None:
-        names = shown.assembly.names
-        said = describe_presses(timeline.presses_at(single), names), describe_loads(timeline.loads_at(single), names)
-        shows = "; ".join(filter(None, (shows, *said)))
+        shows = "; ".join(filter(None, (timeline.label(single), timeline.loads_text(single))))
     fallen = _unstable(proofs) if proofs else None
     if fallen is not None:
         shows += f"; {proofs[single].words if single is not None else f'{len(fallen)} of them are not stable'}"

@@ -123,7 +123,9 @@ def viewable_of(
     if isinstance(known, RobotPlan):
         assembly = structure_of_plan(known.plan, file, structure, **options)
         arms = Arms(known, _cell_of(known, file, cell, assembly), direction)
-        timeline = Timeline.from_plan(known.plan, assembly, direction, arms.holders())
+        timeline = Timeline.from_plan(
+            known.plan, assembly, direction, arms.holders(), tuple(robot.name for robot in known.robots)
+        )
         return Viewable("robot plan", assembly, timeline, known.plan, arms=arms)
     if isinstance(known, StateGraph):
         return _graph(known, str(file or "the graph"), structure, direction, options)
