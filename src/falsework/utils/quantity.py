@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-
-import numpy as np
+from decimal import Decimal
 
 from falsework.errors import InputError
 
@@ -106,7 +105,7 @@ def format_quantity(value: float, kind: str, digits: int = _DIGITS) -> str:
 
 def format_number(value: float, digits: int = _DIGITS) -> str:
     """Write a number as options and files take it: without a unit, an exponent, or commas."""
-    return np.format_float_positional(_rounded(float(value), digits), trim="-")
+    return f"{Decimal(f'{float(value) + 0.0:.{digits}g}'):f}"
 
 
 def _rounded(value: float, digits: int) -> float:

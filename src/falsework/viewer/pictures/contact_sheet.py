@@ -67,7 +67,6 @@ def draw(
         bounds: box that the picture shows, shape (2, 3); the structure if not given.
         arrows: drawn over the parts, which become pale if any of them lie inside.
         extra: other meshes, such as arms.
-        travelling: whether to show the parts that come next on their way.
         samples: pixels are averaged over `samples` squared.
     """
     solids = [*solids_of(assembly, appearance), *extra]
