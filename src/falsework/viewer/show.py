@@ -35,7 +35,7 @@ from falsework.viewer.pictures.render import Camera
 from falsework.viewer.pictures.video import frame_places, frame_times, write_film
 from falsework.viewer.proof import StateProof
 from falsework.viewer.timeline import interesting
-from falsework.viewer.viewable import Showable, Viewable, viewable_of
+from falsework.viewer.viewable import Showable, Viewable, open_file, viewable_of
 
 if TYPE_CHECKING:
     from falsework.learn.networks.policy import Policy
@@ -87,10 +87,10 @@ def view(
     from falsework.viewer.web.served_page import serve
 
     check_view(robots, host, port, deadline)
-    shown = viewable_of(subject, structure, robots=robots, **options).with_policy(policy)
-    page = Page(
-        _model(shown, criterion=criterion, deadline=deadline), host=host, port=port, allowed_hosts=allowed_hosts
-    )
+    opened = open_file if isinstance(subject, (str, Path)) else viewable_of
+    shown = opened(subject, structure, robots=robots, **options).with_policy(policy)
+    model = _model(shown, criterion=criterion, deadline=deadline)
+    page = Page(model, file=shown.file, host=host, port=port, allowed_hosts=allowed_hosts)
     if not in_notebook() if browser is None else browser:
         webbrowser.open(page.address)
     if not (in_notebook() or hasattr(sys, "ps1")) if wait is None else wait:
