@@ -87,8 +87,10 @@ def view(
     from falsework.viewer.web.served_page import serve
 
     check_view(robots, host, port, deadline)
-    opened = open_file if isinstance(subject, (str, Path)) else viewable_of
-    shown = opened(subject, structure, robots=robots, **options).with_policy(policy)
+    options = {"robots": robots, **options}
+    is_file = isinstance(subject, (str, Path))
+    shown = open_file(subject, structure, **options) if is_file else viewable_of(subject, structure, **options)
+    shown = shown.with_policy(policy)
     model = _model(shown, criterion=criterion, deadline=deadline)
     page = Page(model, file=shown.file, host=host, port=port, allowed_hosts=allowed_hosts)
     if not in_notebook() if browser is None else browser:
