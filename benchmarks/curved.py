@@ -32,7 +32,7 @@ from states import one_core
 
 from falsework import Assembly, StabilityOracle, StabilitySettings, verify_certificates
 from falsework.assembly import ContactWarning
-from falsework.stability.problem import TOLERANCE
+from falsework.stability.settings import EQUILIBRIUM
 
 _COUNTS = ("pairs", "states", "unsafe", "cautious")
 
@@ -52,12 +52,12 @@ class Options:
 
 def questions(pair: Pair, rng: np.random.Generator) -> list[tuple[float, bool]]:
     """Return coefficients of friction, and whether there is equilibrium within the tolerance."""
-    needed = critical_friction(pair, TOLERANCE, steps=8)
+    needed = critical_friction(pair, EQUILIBRIUM.tolerance, steps=8)
     frictions = [0.0]
     if 0.0 < needed < np.inf:
         margin = 10 ** rng.uniform(-3, -1)
         frictions += [needed * (1 - margin), needed * (1 + margin)]
-    return [(friction, pair.residual(friction) <= TOLERANCE) for friction in frictions]
+    return [(friction, pair.residual(friction) <= EQUILIBRIUM.tolerance) for friction in frictions]
 
 
 def pair_of(options: Options, rng: np.random.Generator, surface: str) -> tuple[Pair, Assembly, dict[str, float]]:

@@ -114,7 +114,10 @@ class CapturedGraph:
         matrix = np.zeros((problem.parts, 6, problem.points, 3))
         pair = np.repeat(np.arange(problem.pairs), np.diff(problem.pair_start))
         points = np.arange(problem.points)
-        for part, transfer in ((problem.part_a, problem.transfer_a), (problem.part_b, problem.transfer_b)):
+        for part, transfer in (
+            (problem.geometry.part_a, problem.transfer_a),
+            (problem.geometry.part_b, problem.transfer_b),
+        ):
             matrix[part, :, points] += transfer[pair] @ problem.basis
         self.map = torch.tensor(matrix.reshape(rows, columns), dtype=torch.float32, device="cuda")
         self.gravity = torch.tensor(problem.scaled_gravity.reshape(rows, 1), dtype=torch.float32, device="cuda")
@@ -174,7 +177,7 @@ class CapturedGraph:
 def time_graph(problem: Problem, states: np.ndarray, iterations: int) -> dict[str, float]:
     """Return milliseconds per state for inverses and iterations."""
     graph = CapturedGraph(problem, len(states), iterations)
-    free = torch.tensor(np.repeat(problem.free(states), 6, axis=1).T, dtype=torch.float32, device="cuda")
+    free = torch.tensor(np.repeat(states == 1, 6, axis=1).T, dtype=torch.float32, device="cuda")
     acts = torch.tensor(np.repeat(problem.active(states), 3, axis=1).T, dtype=torch.float32, device="cuda")
     inverse = median_ms(lambda: graph.load(free, acts), 3) / len(states)
     iterate = median_ms(graph.graph.replay, 5) / len(states)
@@ -183,7 +186,7 @@ def time_graph(problem: Problem, states: np.ndarray, iterations: int) -> dict[st
 
 def time_structure(assembly: Assembly, states: np.ndarray, criterion: Criterion, options: Options) -> dict[str, Any]:
     """Return all figures of one structure under one criterion."""
-    settings = StabilitySettings(criterion)
+    settings = StabilitySettings(criterion=criterion)
     problem = build_problem(assembly, cone=settings.friction_cone)
     begin = time.perf_counter()
     solver = GpuSolver(assembly, problem, settings)

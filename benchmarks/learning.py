@@ -42,17 +42,15 @@ from falsework import StabilityOracle, StabilitySettings, load_structure, train
 from falsework.errors import InputError
 from falsework.learn import Environment, Policy, PolicySettings, TrainSettings, roll_out, transfer
 from falsework.learn.config.policy import recommended
-from falsework.learn.config.train import METHODS, Criterion, from_dict, to_dict
+from falsework.learn.config.train import METHODS, Criterion, from_dict, phases_of, to_dict
 from falsework.learn.data.dataset import Dataset, build_dataset, search_states, training_task
-from falsework.learn.data.goal_dataset import GoalDataSettings, SearchStates, build_goal_dataset
+from falsework.learn.data.goal_dataset import GoalDataset, GoalDataSettings, SearchStates, build_goal_dataset
 from falsework.learn.data.goal_pairs import Pairs
 from falsework.learn.data.symmetry import symmetries
 from falsework.learn.data.symmetry_augmentation import symmetric_images
 from falsework.learn.networks.autocast import Network
 from falsework.learn.training.evaluate import measure_success, sample
-from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.train import TrainResult
-from falsework.learn.training.training_data import find_pairs
 from falsework.search.device.oracle import TensorOracle, tensor_oracle
 from falsework.search.problem.hashing import StateIndex
 from falsework.utils.distributed import ProcessGroup, init_distributed
@@ -101,7 +99,8 @@ def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, *
     given: dict[str, Any] = {"robots": robots, "seed": seed, "minutes": minutes, "steps": options.steps}
     given |= {"data": options.data, "widths": tuple(options.widths), "criterion": options.criterion}
     given["removable_only_if_clear"] = options.clear
-    given["phases"] = METHODS[changes.pop("method", options.method)]
+    goals = "policy" in changes and changes["policy"].goal_conditioned
+    given["phases"] = phases_of(options.method, goal_conditioned=goals, begun=bool(options.begin))
     if options.policy:
         given["policy"] = PolicySettings(options.policy)
     if options.imitation_steps is not None:
@@ -122,7 +121,7 @@ def run(
     assembly: Any,
     settings: TrainSettings,
     label: str,
-    dataset: Dataset | SearchStates | None = None,
+    dataset: Dataset | GoalDataset | None = None,
 ) -> TrainResult:
     """Train, with progress on standard error."""
     last = time.perf_counter()
@@ -151,9 +150,13 @@ def run(
 
 
 def evaluated(
-    options: argparse.Namespace, result: TrainResult, settings: TrainSettings, assembly: Any, *, one_state: bool = False
+    options: argparse.Namespace,
+    result: TrainResult,
+    settings: TrainSettings,
+    assembly: Any,
+    pairs: dict[str, Pairs] | None = None,
 ) -> dict[str, Any]:
-    """Return greedy success on all states of both sets, or on all pairs, and that of random legal actions."""
+    """Return greedy success on all states of both sets, or on pairs, and that of random legal actions."""
     device = next(result.policy.parameters()).device
     filled = settings.resolved(assembly.part_count, device.type)
     oracle = StabilityOracle(assembly, StabilitySettings(criterion=settings.criterion))
@@ -162,17 +165,8 @@ def evaluated(
         assembly, settings.robots, oracle=oracle, device=device, removable_only_if_clear=clearance
     )
     network: Any = Network(result.policy, filled.precision)
-    if settings.policy.goal_conditioned or one_state:
-        run = RunContext(assembly, filled, tensor_oracle(oracle, device), device)
-        searched, other = goal_searches(options, assembly, settings, device)
-        pairs = find_pairs(run, replace(searched, more=searched.more[:0]))
-        other = second_draw(run, other, np.concatenate([searched.train, searched.more]))
-        sets: Any = {
-            "train": (pairs.train.states, pairs.train.targets),
-            "test": (pairs.test.states, pairs.test.targets),
-            "second": (other.states, other.targets),
-        }
-    else:
+    sets: Any = {name: (one.states, one.targets) for name, one in (pairs or {}).items()}
+    if not sets:
         data = protocol(assembly, settings, tensor_oracle(oracle, device), str(device))
         sets = {"train": (data.train, None), "test": (data.test, None)}
     shards = ProcessGroup.from_torch()
@@ -190,10 +184,14 @@ def evaluated(
     return {**found, "evaluated": f"at most {options.states} of each set" if options.states else everything}
 
 
-def goal_searches(
+def goal_data(
     options: argparse.Namespace, assembly: Any, settings: TrainSettings, device: Any
-) -> tuple[SearchStates, SearchStates]:
-    """Return the states of the searches for pairs, and those of a second draw; kept in the folder of --searches."""
+) -> tuple[GoalDataset, dict[str, Pairs]]:
+    """Return what a policy with goals learns from, and the pairs that it is evaluated on.
+
+    Those of `second` are of searches of their own; neither of their states is in the data. Searches are kept in the
+    folder of --searches.
+    """
     filled = settings.resolved(assembly.part_count, device.type)
     oracle = StabilityOracle(assembly, StabilitySettings(criterion=settings.criterion))
     judge = tensor_oracle(oracle, device)
@@ -202,23 +200,19 @@ def goal_searches(
     for seed, widths in ((0, filled.widths if settings.data == "wide" else ()), (SECOND_DRAW, ())):
         name = f"pairs-{assembly.name}-{settings.robots}-{settings.criterion}-{seed}-{len(widths)}.npz"
         path = Path(options.searches) / name if options.searches else None
+        searches = GoalDataSettings(widths=widths, seed=seed)
         if path is not None and path.exists():
-            found.append(SearchStates.load(path, task))
-            continue
-        found.append(SearchStates.find(task, GoalDataSettings(widths=widths, seed=seed), judge, device=device))
-        if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            found[-1].save(path, task)
-    return found[0], found[1]
-
-
-def second_draw(run: RunContext, searched: SearchStates, known: Any) -> Pairs:
-    """Return unseen pairs of other searches than those of training; neither state is among the known ones."""
-    drawn = GoalDataSettings(seed=SECOND_DRAW)
-    device = str(run.device)
-    pairs = build_goal_dataset(run.assembly, run.task, drawn, oracle=run.oracle, device=device, searched=searched).test
-    index = StateIndex(np.unique(known, axis=0))
-    return pairs[(index.find(pairs.states) < 0) & (index.find(pairs.targets) < 0)]
+            searched = SearchStates.load(path, task)
+        else:
+            searched = SearchStates.find(task, searches, judge, device=device)
+            if path is not None:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                searched.save(path, task)
+        found.append(build_goal_dataset(assembly, task, searches, oracle=judge, device=str(device), searched=searched))
+    first, other = found[0], found[1].test
+    index = StateIndex(first.wide.states)
+    other = other[(index.find(other.states) < 0) & (index.find(other.targets) < 0)]
+    return first, {"train": first.train, "test": first.test, "second": other}
 
 
 def protocol(assembly: Any, settings: TrainSettings, oracle: TensorOracle, device: str) -> Dataset:
@@ -325,7 +319,7 @@ def searched(options: argparse.Namespace) -> None:
             searches.states(width, seed)
         if options.goals == "yes":
             kind = recommended(assembly.part_count, goal_conditioned=True)
-            goal_searches(options, assembly, settings_of(options, name, robots, 0, policy=kind), device)
+            goal_data(options, assembly, settings_of(options, name, robots, 0, policy=kind), device)
 
 
 def table4(options: argparse.Namespace) -> None:
@@ -337,12 +331,16 @@ def table4(options: argparse.Namespace) -> None:
                 settings = settings_of(options, name, robots, seed, policy=kind)
                 label = f"{name}:{robots} {'two states' if two else 'one state'} seed {seed} {options.label}"
                 begun = time.perf_counter()
-                searches = goal_searches(options, assembly, settings, choose_device(options.device)) if two else None
+                device = choose_device(options.device)
+                data, pairs = goal_data(options, assembly, settings, device)
                 searched = round(time.perf_counter() - begun, 1)
-                result = run(options, name, assembly, settings, label, searches and searches[0])
+                if two and not settings.steps:
+                    minutes = settings.resolved(assembly.part_count, device.type).minutes
+                    settings = replace(settings, minutes=max(minutes - searched / 60, 0.1))
+                result = run(options, name, assembly, settings, label, data if two else None)
                 if result.interrupted:
                     return
-                found = evaluated(options, result, settings, assembly, one_state=not two)
+                found = evaluated(options, result, settings, assembly, pairs)
                 line("table4", name, settings, result, found, label=options.label, search_seconds=searched)
 
 

@@ -34,20 +34,20 @@ class Reference:
         held = view.world.carried(view.robot, view.scene)
         if held is not None:
             bodies += [self._add(joints, _moved(model.flange, piece)) for piece in held[1]]
-        stands = view.obstacles
+        stands = view.arrays.obstacles
         rows = [slice(a, b) for a, b in zip(stands.start[:-1], stands.start[1:], strict=True)]
         obstacles = [self._add(0, stands.vertices[row]) for row in rows]
-        for body, obstacle in np.argwhere(view.rules.pair).tolist():
+        for body, obstacle in np.argwhere(view.arrays.rules.pair).tolist():
             self._pair(bodies[body], obstacles[obstacle])
-        if view.rules.floor > -1e6:
-            slab = coal.Halfspace(np.array([0.0, 0, 1]), view.rules.floor)
+        if view.arrays.rules.floor > -1e6:
+            slab = coal.Halfspace(np.array([0.0, 0, 1]), view.arrays.rules.floor)
             floor = self.geometry.addGeometryObject(
                 pinocchio.GeometryObject("floor", 0, pinocchio.SE3.Identity(), slab)
             )
-            for body in np.flatnonzero(view.rules.on_floor).tolist():
+            for body in np.flatnonzero(view.arrays.rules.on_floor).tolist():
                 self._pair(bodies[body], floor)
         self.apart = self.pairs
-        for a, b in view.rules.self_pairs.tolist():
+        for a, b in view.arrays.rules.self_pairs.tolist():
             self._pair(bodies[a], bodies[b])
         self.data = self.model.createData()
         self.found = pinocchio.GeometryData(self.geometry)

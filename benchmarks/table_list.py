@@ -353,6 +353,7 @@ TABLES = {
         ),
         benchmark="learning draws",
         where=of_paper_data,
+        newest="label",
     ),
     "transfer": Table(
         "policies",
@@ -364,9 +365,11 @@ TABLES = {
     "pairs": Table(
         "learning",
         (*STRUCTURE, ("further searches", "{searches}")),
-        (("success, %", "{test.success:%}"),),
+        (("success, %", "{test.success:%}"), ("of a second draw", "{second.success:%}")),
         benchmark="learning table4",
-        where=lambda record: record["goal_conditioned"] and "random" in record["test"],
+        where=lambda record: (
+            record["goal_conditioned"] and "random" in record["test"] and record.get("label") != "failures"
+        ),
     ),
     "paper-table-5": Table(
         "learning",

@@ -135,6 +135,8 @@ class Table:
     """Which records belong to the table."""
     apart: str = ""
     """Key of runs of one row that are compared: of each value there are the runs at the newest commit that has it."""
+    newest: str = "commit"
+    """Key of which a row has the runs with the newest value; another one gathers the runs of several commits."""
 
     def rows(self) -> list[Runs]:
         """Return the newest runs of each subject, in the order of their first records."""
@@ -143,9 +145,9 @@ class Table:
         for record in records(self.source):
             if record["benchmark"] in names and self.where(record):
                 groups.setdefault(tuple(fill_in(template, [record]) for _, template in self.key), []).append(record)
-        newest = [{run.get(self.apart): run["commit"] for run in runs} for runs in groups.values()]
+        newest = [{run.get(self.apart): run[self.newest] for run in runs} for runs in groups.values()]
         return [
-            [run for run in runs if run["commit"] == last[run.get(self.apart)]]
+            [run for run in runs if run[self.newest] == last[run.get(self.apart)]]
             for runs, last in zip(groups.values(), newest, strict=True)
         ]
 

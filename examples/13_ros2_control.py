@@ -163,7 +163,8 @@ def mock_controllers(content: dict[str, Any], cell: Cell, folder: Path) -> Itera
     file = folder / "parameters.yaml"
     file.write_text(json.dumps(parameters(content, description(cell, starts))))
     names = ["joint_state_broadcaster", *(f"{arm['robot']}_controller" for arm in content["arms"])]
-    given = ["--ros-args", "--params-file", str(file)]
+    # The description is a parameter in Humble; later managers read it from the topic of the publisher.
+    given = ["--ros-args", "--params-file", str(file), "--remap", "~/robot_description:=/robot_description"]
     started = [
         subprocess.Popen(["ros2", "run", *node, *given], start_new_session=True)
         for node in (("robot_state_publisher", "robot_state_publisher"), ("controller_manager", "ros2_control_node"))

@@ -32,6 +32,7 @@ SMOKE = {
     "search_compare": ["--structures", "arch:blocks=5", "--seeds", "1"],
     "luck": ["--structures", "arch:blocks=5", "--perturbations", "2", "--criterion", "equilibrium"],
     "stability": ["--structures", "arch:blocks=5", "--states", "8"],
+    "verdicts": ["--structures", "arch:blocks=5", "--states", "8", "--rounds", "1"],
     "contact": ["all", "--structures", "arch:blocks=5", "--seeds", "1", "--repeat", "1"],
     "judges": ["plans", "--structures", "arch:blocks=5", "--draws", "1"],
     "margins": ["truth", "--cases", "1"],

@@ -174,7 +174,7 @@ class SharedInverse:
     def _check_batch(self, states: States) -> Verdicts:
         torch, method, problem, bound = self._torch, self.method, self.problem, self.method.force_bound
         verdicts = Verdicts.all_undecided(len(states), points=problem.points, parts=problem.parts)
-        free = self._tensor(np.repeat(problem.free(states), 6, axis=1).T)
+        free = self._tensor(np.repeat(states == 1, 6, axis=1).T)
         active = self._tensor(np.repeat(problem.active(states), VARIABLES, axis=1).T)
         pull = torch.sparse.mm(self._program_back, free * self._whitened_gravity[:, None])
         cost = self._join(self._spread.T, pull, 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,7 @@ from scipy.spatial import ConvexHull
 
 from falsework import load_structure
 from falsework.cli.main import main
-from falsework.errors import StateError
+from falsework.errors import DependencyError, StateError
 from falsework.geometry import TriangleMesh
 from falsework.geometry.mesh.collision import inside
 from falsework.robots import CellRobot, Gripper, Placement
@@ -75,6 +76,24 @@ def test_pieces_cover_the_solid() -> None:
     few = convex_pieces(mesh, pieces=3)
     assert len(few) <= 4
     assert covered(points[solid], few).all()
+
+
+def test_a_surface_that_is_no_manifold_is_one_piece() -> None:
+    """Nothing of it is lost, whatever is inside."""
+    mesh = ring()
+    torn = TriangleMesh.from_arrays("torn", mesh.vertices, mesh.faces[1:])
+    (piece,) = convex_pieces(torn)
+    assert covered(mesh.vertices, (piece,)).all()
+
+
+def test_cutting_needs_a_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Convex parts do not."""
+    monkeypatch.setitem(sys.modules, "manifold3d", None)
+    assert len(convex_pieces(load_structure("arch").meshes[1])) == 1
+    with pytest.raises(
+        DependencyError, match=r"parts that are not convex need manifold3d: pip install 'falsework\[robots\]'"
+    ):
+        convex_pieces(ring())
 
 
 def test_a_simpler_hull_lies_outside() -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, verify_certificates
 from falsework.assembly import Loads
-from falsework.stability.problem import TOLERANCE
+from falsework.stability.settings import EQUILIBRIUM
 
 CRITERIA = ("equilibrium", "contact")
 STATE = np.array([[1, 2]], dtype=np.uint8)
@@ -136,7 +136,7 @@ def test_no_pair_is_stable_that_has_no_equilibrium_on_all_facets(pairs: Any, sur
     for _ in range(5):
         pair = pairs.random_pair(rng, surface)
         body = pair.assembly(0.0)
-        needed = pairs.critical_friction(pair, TOLERANCE, steps=11)
+        needed = pairs.critical_friction(pair, EQUILIBRIUM.tolerance, steps=11)
         near += bool(0.0 < needed < np.inf)
         for criterion in CRITERIA:
             if needed > 0.0:

@@ -14,7 +14,8 @@ from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, ver
 from falsework.assembly import library
 from falsework.stability import ExactSolver, NumericalSettings
 from falsework.stability.cpu.solver import CpuSolver
-from falsework.stability.problem import Cone, build_problem
+from falsework.stability.criterion import Cone
+from falsework.stability.problem import build_problem
 from falsework.stability.second_order.springs import into_cone
 from falsework.stability.strength import Strength
 

@@ -25,8 +25,8 @@ from falsework.search.plans.plan_check import validate_plan
 from falsework.stability import Verdicts
 from falsework.stability.certificate import residual_bound_of_velocity, residual_of_forces
 from falsework.stability.contact_geometry import geometry_of
-from falsework.stability.problem import TOLERANCE
 from falsework.stability.second_order.springs import into_cone
+from falsework.stability.settings import EQUILIBRIUM
 from falsework.stability.strength import strength_of
 
 CRITERIA = ("equilibrium", "contact")
@@ -87,9 +87,11 @@ def test_no_pair_is_stable_that_has_no_equilibrium_on_one_of_its_surfaces(
         pair = pairs.random_inclined_pair(rng, surface)
         body = pair.assembly(0.0, fitted=fitted)
         assert body.contacts.point_lean.max() <= np.radians(pair.angle.max() / 2) + 1e-6
-        needed = curved.critical_friction(pair, TOLERANCE, steps=7)
+        needed = curved.critical_friction(pair, EQUILIBRIUM.tolerance, steps=7)
         near += bool(0.0 < needed < np.inf)
-        below = [friction for friction in (0.0, min(needed, 1.5) - 0.012) if pair.residual(friction) > TOLERANCE]
+        below = [
+            friction for friction in (0.0, min(needed, 1.5) - 0.012) if pair.residual(friction) > EQUILIBRIUM.tolerance
+        ]
         for friction in below:
             for criterion in CRITERIA:
                 assert verdict_of(body.replace(friction=friction), criterion) != Verdict.STABLE
@@ -118,7 +120,7 @@ def test_facets_shifted_by_half_of_one_carry_what_both_bear(pairs: Any, criterio
     assert pair.angle.max() == pytest.approx(2.0, abs=1e-6)
     body = pair.assembly(0.0)
     assert np.degrees(body.contacts.point_lean).max() == pytest.approx(1.0, abs=1e-3)
-    needed = import_module("curved_pairs").critical_friction(pair, TOLERANCE)
+    needed = import_module("curved_pairs").critical_friction(pair, EQUILIBRIUM.tolerance)
     assert 0.05 < needed < 1.0
     assert verdict_of(body.replace(friction=needed - 1e-3), criterion) == Verdict.UNSTABLE
     assert verdict_of(body.replace(friction=needed + 0.06), criterion) == Verdict.STABLE

@@ -26,7 +26,7 @@ STRUCTURES = ("arch:blocks=7", "wall:bricks=3,courses=3", "dome")
 
 def scaled_map(problem: Problem, state: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Whitened wrenches on the free parts per scaled variable, from the wrenches of unit forces."""
-    free, active = problem.free(state[None])[0], problem.active(state[None])[0]
+    free, active = state == 1, problem.active(state[None])[0]
     wrenches = wrench_matrix(problem, free, active).toarray() * np.repeat(problem.force_scale[active], 3)
     for k, part in enumerate(np.flatnonzero(free)):
         wrenches[6 * k : 6 * k + 6] = problem.whitening[part] @ wrenches[6 * k : 6 * k + 6]
@@ -41,12 +41,12 @@ def assembly(request: pytest.FixtureRequest) -> Assembly:
 def test_forces_act_in_pairs(assembly: Assembly) -> None:
     """Newton: about one common point, the wrenches on both parts of a contact cancel."""
     problem = build_problem(assembly)
-    wrench = problem.wrench.toarray().reshape(problem.parts, 6, problem.points, 3)
+    wrench = problem.geometry.wrench.toarray().reshape(problem.parts, 6, problem.points, 3)
     total = wrench.sum(axis=0)
     for center, each in zip(assembly.mass.center, wrench, strict=True):
         total[3:] += np.cross(center, each[:3].transpose(1, 2, 0)).transpose(2, 0, 1)
     np.testing.assert_allclose(total, 0, atol=1e-12)
-    on_b = wrench[problem.part_b, :3, np.arange(problem.points), 0]
+    on_b = wrench[problem.geometry.part_b, :3, np.arange(problem.points), 0]
     np.testing.assert_allclose(on_b, assembly.contacts.normals[assembly.contacts.contact_of_point])
 
 
@@ -56,10 +56,10 @@ def test_power_is_the_same_on_both_sides(assembly: Assembly) -> None:
     random = np.random.default_rng(0)
     velocity = random.standard_normal((problem.parts, 6))
     forces = random.standard_normal((problem.points, 3))
-    on_parts = (problem.wrench @ forces.ravel()).reshape(-1, 6)
+    on_parts = (problem.geometry.wrench @ forces.ravel()).reshape(-1, 6)
     contacts, center = assembly.contacts, assembly.mass.center
     relative = np.zeros((problem.points, 3))
-    for part, sign in ((problem.part_a, -1), (problem.part_b, 1)):
+    for part, sign in ((problem.geometry.part_a, -1), (problem.geometry.part_b, 1)):
         arm = contacts.points - center[part]
         relative += sign * (velocity[part, :3] + np.cross(velocity[part, 3:], arm))
     local = np.einsum("cij,cj->ci", contacts.frames[contacts.contact_of_point], relative)

@@ -16,6 +16,7 @@ from falsework.geometry import TriangleMesh
 from falsework.stability import ExactSolver, NumericalSettings, Verdicts
 from falsework.stability.certificate import StabilityCriterion, residual_bound_of_velocity, residual_of_forces
 from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.criterion import Cone
 from falsework.stability.problem import build_problem
 from falsework.stability.verdict import Solver
 
@@ -51,7 +52,7 @@ def solve(
     return verdicts
 
 
-def settings_of(cone: str, gravity: float = EARTH) -> StabilitySettings:
+def settings_of(cone: Cone, gravity: float = EARTH) -> StabilitySettings:
     return StabilitySettings(criterion="equilibrium", cone=cone, gravity=gravity, numerics=NumericalSettings(threads=1))  # type: ignore[arg-type]
 
 
@@ -107,7 +108,7 @@ def test_a_cube_past_an_edge_tips_at_every_size(scenes: Any, solver: Any, size: 
 
 
 @pytest.mark.parametrize("cone", CONES)
-def test_certificates_carry_over(scenes: Any, cone: str) -> None:
+def test_certificates_carry_over(scenes: Any, cone: Cone) -> None:
     """Forces in weights and velocities in widths prove the same number at every size, density and gravity."""
     name = "arch:blocks=7,thickness=0.25"
     base = structure(name)
@@ -129,7 +130,7 @@ def test_certificates_carry_over(scenes: Any, cone: str) -> None:
 
 @pytest.mark.parametrize("name", ["arch:blocks=7", "wall:bricks=3,courses=3", "bottle"])
 @pytest.mark.parametrize("cone", CONES)
-def test_units_that_are_powers_of_four_change_no_digit(scenes: Any, solver: Any, cone: str, name: str) -> None:
+def test_units_that_are_powers_of_four_change_no_digit(scenes: Any, solver: Any, cone: Cone, name: str) -> None:
     """Such factors (and their roots) shift the exponents of all numbers, so whatever residual is found first stays."""
     base = structure(name)
     states = some_states(scenes, base)
@@ -144,7 +145,7 @@ def test_units_that_are_powers_of_four_change_no_digit(scenes: Any, solver: Any,
 
 @pytest.mark.parametrize("name", ["arch:blocks=7", "wall:bricks=3,courses=3", "bottle"])
 @pytest.mark.parametrize("cone", CONES)
-def test_any_units_give_the_same_verdicts(scenes: Any, solver: Any, cone: str, name: str) -> None:
+def test_any_units_give_the_same_verdicts(scenes: Any, solver: Any, cone: Cone, name: str) -> None:
     base = structure(name)
     states = some_states(scenes, base)
     expected = solve(solver, base, states, settings_of(cone))

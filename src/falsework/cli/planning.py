@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from falsework.search.problem.task import Direction, Task
     from falsework.search.task_rules import TaskRules, WayRules
     from falsework.stability.contact.hold_loads import Loads
+    from falsework.stability.criterion import Cone
     from falsework.stability.judges.judgement import Judgement
     from falsework.stability.oracle import StabilityOracle
-    from falsework.stability.problem import Cone
     from falsework.stability.settings import SolverName, StabilitySettings
     from falsework.stability.verdict import Criterion
 

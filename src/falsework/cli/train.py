@@ -14,7 +14,7 @@ from falsework.cli.exit_code import Exit
 from falsework.cli.planning import refuse_unstable
 from falsework.errors import InputError
 from falsework.learn.config.policy import recommended
-from falsework.learn.config.train import METHODS, Method, TrainSettings
+from falsework.learn.config.train import Method, TrainSettings, phases_of
 from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
@@ -63,10 +63,10 @@ class Train(JudgingCommand):
     begin: Annotated[Path | None, arg(metavar="RUN", help_behavior_hint=UNSET)] = None
     """Run whose weights and network to begin with: of this structure, of another one (`transformer`, `gat`), or of a
     policy for any structure."""
-    method: Annotated[Method | None, arg(help_behavior_hint="(default: `default`; `fine-tuning` with --begin)")] = None
-    """Preset: a short imitation of searches and then PPO from many rollouts (`default`), or PPO from scratch with a
-    curriculum of start states (`reinforcement`), which does better where few states are known (`--data width64`);
-    with `--begin` PPO from all of them (`fine-tuning`)."""
+    method: Method = "default"
+    """Preset: a short imitation of searches, which is left out with `--begin`, and then PPO from many rollouts
+    (`default`), or PPO from scratch with a curriculum of start states (`reinforcement`), which does better where few
+    states are known (`--data width64`)."""
     policy: Annotated[
         str | None, arg(metavar="KIND", help_behavior_hint="(default: resmlp; transformer above 20 parts)")
     ] = None
@@ -104,7 +104,7 @@ class Train(JudgingCommand):
                 raise InputError(f"{name} {given} leaves no time to learn; give more than 0")
         assembly = self.structure.load()
         settings = TrainSettings(
-            phases=METHODS[self.method or ("fine-tuning" if self.begin else "default")],
+            phases=phases_of(self.method, goal_conditioned=self.goal_conditioned, begun=self.begin is not None),
             robots=self.robots,
             policy=recommended(assembly.part_count, goal_conditioned=self.goal_conditioned, kind=self.policy),
             reward=self.reward or "",

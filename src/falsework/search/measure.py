@@ -45,9 +45,7 @@ def margins(
     if isinstance(subject, Plan):
         check_identity(subject, assembly)
         if stability is None:
-            settings = StabilitySettings(
-                subject.claim.criterion, "quadratic" if subject.claim.cone == "quadratic" else "octagon"
-            )
+            settings = StabilitySettings(criterion=subject.claim.criterion, cone=subject.claim.cone)
         subject = subject.states
     oracle = StabilityOracle(assembly, settings)
     return oracle.margins(complete_state(assembly.boundary) if subject is None else subject, kinds, deadline=deadline)

@@ -29,7 +29,7 @@ from falsework.stability.second_order.springs import ROUNDING, into_cone, spring
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.stiffness import movement_limit, structure_size
 from falsework.stability.strength import Strength, strength_of
-from falsework.stability.verdict import Verdict, Verdicts
+from falsework.stability.verdict import Proof, Verdicts, proof_of
 
 Array = NDArray[np.float64]
 
@@ -78,22 +78,19 @@ def verify_certificates(
     for name, given, expected in shapes:
         if given != expected:
             raise InputError(f"{name} have shape {given}; expected {expected} for this assembly")
-    accepted, points = np.zeros(len(states), dtype=bool), len(assembly.contacts.points)
-    stable, unstable = np.flatnonzero(verdicts.stable), np.flatnonzero(verdicts.verdict == Verdict.UNSTABLE)
-    balanced = stable
-    if claim.criterion == "contact":
-        assert verdicts.displacement is not None
-        balanced = np.flatnonzero(verdicts.slides)
-        for rows in chunks(stable, points):
-            residual = residual_of_displacement(assembly, states[rows], verdicts.displacement[rows], claim)
-            accepted[rows] = residual <= claim.tolerance
-        for rows in chunks(np.flatnonzero(verdicts.tips), points):
-            known = states[rows], verdicts.displacement[rows]
-            growth = growth_of_motion(assembly, *known, verdicts.velocity[rows], claim)
-            accepted[rows] = (residual_of_displacement(assembly, *known, claim) <= claim.tolerance) & (growth > NEUTRAL)
+    proof, points = proof_of(verdicts.verdict, claim.criterion), len(assembly.contacts.points)
+    accepted, displacement = np.zeros(batch, dtype=bool), verdicts.displacement
+    for rows in chunks(np.flatnonzero((proof == Proof.DISPLACEMENT) | (proof == Proof.MOTION)), points):
+        assert displacement is not None
+        residual = residual_of_displacement(assembly, states[rows], displacement[rows], claim)
+        accepted[rows] = residual <= claim.tolerance
+        if len(tips := rows[proof[rows] == Proof.MOTION]):
+            motion = displacement[tips], verdicts.velocity[tips]
+            accepted[tips] &= growth_of_motion(assembly, states[tips], *motion, claim) > NEUTRAL
+    balanced = np.flatnonzero(proof == Proof.FORCES)
     forces = [verdicts.forces[row] for row in balanced]
     accepted[balanced] = residuals_in_order(assembly, states[balanced], forces, claim) <= claim.tolerance
-    for rows in chunks(unstable, points):
+    for rows in chunks(np.flatnonzero(proof == Proof.VELOCITY), points):
         bound = residual_bound_of_velocity(assembly, states[rows], verdicts.velocity[rows], claim)
         accepted[rows] = bound > np.where(verdicts.on_tolerance[rows], claim.resolution, claim.tolerance)
     return accepted
@@ -125,11 +122,6 @@ def residual_of_displacement(
     limit = movement_limit(structure_size(assembly), compression)
     residual = residual_of_forces(assembly, states, springs.forces, claim)
     return np.where(finite & (moved <= np.sqrt(3.0) * limit), residual, np.inf)
-
-
-def forces_of_displacement(assembly: Assembly, states: States, displacement: Array, claim: StabilityCriterion) -> Array:
-    """Return the contact forces `(n, t1, t2)` in N that the law gives at a displacement, shape (batch, points, 3)."""
-    return springs_of_displacement(assembly, states, displacement, claim).forces
 
 
 def residual_of_forces(

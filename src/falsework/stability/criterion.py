@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,41 +12,51 @@ from falsework.stability.holds import HoldSettings
 from falsework.stability.stiffness import TANGENTIAL_RATIO
 from falsework.stability.verdict import Criterion, Verdicts
 
+Cone = Literal["octagon", "quadratic"]
+
 _RESOLUTION = 1e-3
 """Residual at which verdicts are decided, as a share of the tolerance."""
 _WELL_BELOW = 0.1
 """Residual of a stable state, as a share of the tolerance, above which the verdict depends on the tolerance."""
 
 
-@dataclass(frozen=True)
-class StabilityCriterion:
-    """Criterion, cone, gravity, tolerance and bounds that a verdict refers to."""
+@dataclass(frozen=True, kw_only=True)
+class StabilityBounds:
+    """Gravity, tolerance, bounds and holds that a verdict refers to."""
 
-    cone: str = "octagon"
-    """Friction cone, `octagon` or `quadratic`."""
     gravity: float = 9.81
     """m/s2 along -z."""
     tolerance: float = 1e-4
-    """Largest residual of a stable state, as a share of gravity."""
+    """Largest residual of a stable state: the largest acceleration of a part as a share of gravity, an angular
+    acceleration times the part's largest radius of gyration. The paper allows 1e-3 m/s2 (section 4). Solvers go on to
+    `resolution`; `Verdicts.on_tolerance` tells where they do not get there."""
     force_bound: float = 1e3
-    """Bound on the sum of all normal forces, in weights of the structure."""
-    criterion: Criterion = "equilibrium"
-    """Definition of stability."""
+    """Bound on the sum of all normal forces, in weights of the structure; the paper bounds forces too."""
     stiffness_ratio: float = TANGENTIAL_RATIO
     """Ratio of tangential to normal contact stiffness, under the criterion `contact`."""
     reserve: float = 1.0
-    """Number by which friction is divided."""
+    """Number by which friction is divided in all verdicts and replays; 1.1 is the default of plans."""
     holds: HoldSettings = field(default_factory=HoldSettings)
-    """Stiffness and limits of robots that hold parts, in replays."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the criterion as plain JSON values."""
-        return vars(self) | {"holds": self.holds.to_dict()}
+    """Stiffness and limits of robots that hold parts, and whether they press, in replays."""
 
     @property
     def resolution(self) -> float:
         """Residual at which verdicts are decided, a share of gravity."""
         return _RESOLUTION * self.tolerance
+
+
+@dataclass(frozen=True)
+class StabilityCriterion(StabilityBounds):
+    """Criterion and cone of a verdict, with the bounds that it refers to."""
+
+    cone: Cone = "octagon"
+    """Friction cone."""
+    criterion: Criterion = "equilibrium"
+    """Definition of stability."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the criterion as plain JSON values."""
+        return vars(self) | {"holds": self.holds.to_dict()}
 
     @property
     def well_below(self) -> float:

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import Mask, States, as_states
+from falsework.assembly.state import INSTALLED, Mask, States, as_states
 from falsework.stability.certificate import residual_bound_of_velocity, residual_of_forces
 from falsework.stability.problem import Problem, build_problem
 from falsework.stability.second_order.springs import ROUNDING, into_cone
@@ -66,7 +66,7 @@ class ExactSolver:
         verdict = problem.undecided(1)
         assert verdict.forces is not None
         assert verdict.velocity is not None
-        free, active = problem.free(state)[0], problem.active(state)[0]
+        free, active = state[0] == INSTALLED, problem.active(state)[0]
         above, below = np.inf, 0.0
         for squares in (True, False):
             forces, velocity = np.zeros_like(verdict.forces), np.zeros_like(verdict.velocity)
@@ -151,7 +151,7 @@ def block_diagonal(blocks: Array) -> sp.csc_matrix:
 def wrench_matrix(problem: Problem, free: Mask, active: Mask) -> sp.csc_matrix:
     """Return wrenches on the free parts per force at the active points, shape (6 free, 3 active)."""
     rows, columns = np.repeat(free, 6), np.repeat(active, 3)
-    return sp.csc_matrix(problem.wrench[np.flatnonzero(rows)][:, np.flatnonzero(columns)])
+    return sp.csc_matrix(problem.geometry.wrench[np.flatnonzero(rows)][:, np.flatnonzero(columns)])
 
 
 def _without_slip(problem: Problem, free: Mask, active: Mask, velocity: Array) -> Array:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -15,14 +15,10 @@ from falsework.assembly.state import States, as_states
 from falsework.errors import InputError, StateError
 from falsework.stability.cache import VerdictCache, unique_rows
 from falsework.stability.certificate import chunks, verify_certificates
-from falsework.stability.contact.replay import Replayer
-from falsework.stability.contact.solver import ContactSolver
-from falsework.stability.contact.varied_replay import EnsembleReplayer
-from falsework.stability.counters import Counters
-from falsework.stability.cpu.solver import CpuSolver
+from falsework.stability.cpu.solver import TASK, CpuSolver
+from falsework.stability.criteria import CRITERIA
 from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.margins.margins import QUICK, MarginFinder
-from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.problem import Problem, build_problem
 from falsework.stability.settings import StabilitySettings
@@ -31,7 +27,37 @@ from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
+    from falsework.stability.contact.replay import Replayer
     from falsework.stability.exact_solver import ExactSolver
+    from falsework.stability.margins.prober import Prober
+
+
+@dataclass
+class Counters:
+    """Numbers of queries to the oracle, by the solver that answered."""
+
+    asked: int = 0
+    """Number of requested states, repetitions included."""
+    cached: int = 0
+    """Number of states answered from the cache."""
+    by_monotonicity: int = 0
+    """Number of states answered by monotonicity: the proof of another state holds for them too."""
+    cpu: int = 0
+    """Number of states decided by the CPU solver."""
+    gpu: int = 0
+    """Number of states decided by the GPU solver."""
+    exact: int = 0
+    """Number of states decided by the exact solver."""
+    undecided: int = 0
+    """Number of states left undecided by all solvers."""
+    rejected: int = 0
+    """Number of proofs of the fast solver that the checker rejected; the exact solver then decided."""
+    warm: int = 0
+    """Number of states solved with a warm start from the forces or the displacement of a parent."""
+
+    def to_dict(self) -> dict[str, int]:
+        """Return plain numbers for reports."""
+        return asdict(self)
 
 
 class StabilityOracle:
@@ -43,19 +69,14 @@ class StabilityOracle:
 
     def __init__(self, assembly: AnyStructure, settings: StabilitySettings = StabilitySettings()) -> None:
         assembly = as_assembly(assembly)
-        self.assembly, self.settings = assembly, settings
+        self.assembly, self.settings, self._claim = assembly, settings, settings.claim
         self.problem = build_problem(
             assembly, cone=settings.friction_cone, gravity=settings.gravity, reserve=settings.reserve
         )
         self.counters = Counters()
-        if contact := settings.criterion == "contact":
-            self._criterion: CpuSolver = ContactSolver(assembly, self.problem, settings)
-        elif assembly.joints is not None and assembly.joints.setting:
-            raise InputError("joints that set need the criterion contact; equilibrium has no steps")
-        else:
-            self._criterion = CpuSolver(self.problem, settings)
-        known = contact or (settings.solver in ("auto", "cpu") and not self.problem.strength.idle.any())
-        self._cpu = self._criterion if known else None
+        self._criterion = CRITERIA[settings.criterion](assembly, self.problem, settings)
+        asked = settings.solver in ("auto", "cpu") and not self.problem.strength.idle.any()
+        self._cpu = self._criterion if self._criterion.displaced or asked else None
         """Solver on the CPU; None where the exact solver is asked for, or the only one that knows all contacts."""
         self._gpu = gpu_solver(assembly, settings, self.problem)
         keep = self._criterion.holds_keep_stable
@@ -76,14 +97,8 @@ class StabilityOracle:
 
     @cached_property
     def replayer(self) -> Replayer | None:
-        """Replayer of state sequences of the structure; None under `equilibrium`, which has no history.
-
-        With a reserve it is an `EnsembleReplayer`.
-        """
-        if not isinstance(self._criterion, ContactSolver):
-            return None
-        kind = EnsembleReplayer if self.settings.reserve > 1.0 else Replayer
-        return kind(self.assembly, self.settings, solver=self._criterion)
+        """Replayer of state sequences of the structure; None under `equilibrium`, which has no history."""
+        return self._criterion.replayer()
 
     def verdicts(
         self, states: ArrayLike, *, near: ArrayLike | None = None, require_certificate: bool = False
@@ -110,14 +125,13 @@ class StabilityOracle:
         if origins is not None and len(origins) != len(batch):
             raise StateError(f"{len(origins)} near states do not fit {len(batch)} states; give one for each")
         self.counters.asked += len(batch)
+        # Kernels take idle points to bear pressure, so that only certificates count.
+        answer = self._certify if require_certificate or self.problem.strength.idle.any() else self._recall
+        verdicts = answer(batch, origins)
+        verdicts.on_tolerance[:] = self._claim.on_tolerance(verdicts)
         if require_certificate:
-            verdicts = self._certify(batch, origins)
-        elif self.problem.strength.idle.any():  # which the kernels take to bear pressure: only certificates count
-            verdicts = self._certify(batch, origins).without_certificates()
-        else:
-            verdicts = self._recall(batch, origins)
-        verdicts.on_tolerance[:] = self.settings.claim.on_tolerance(verdicts)
-        return replace(verdicts, assembly=self.assembly, states=batch) if require_certificate else verdicts
+            return replace(verdicts, assembly=self.assembly, states=batch)
+        return verdicts if verdicts.forces is None else verdicts.without_certificates()
 
     def margins(
         self, states: ArrayLike, kinds: Sequence[str] | None = None, *, deadline: float | None = None
@@ -143,7 +157,7 @@ class StabilityOracle:
         """Solver of single states under modified friction and additional loads, which count from the true friction."""
         if self.settings.reserve != 1.0:
             return StabilityOracle(self.assembly, replace(self.settings, reserve=1.0)).prober
-        return Prober(self.assembly, self.settings, self._criterion)
+        return self._criterion.prober()
 
     @cached_property
     def _margins(self) -> MarginFinder:
@@ -178,19 +192,17 @@ class StabilityOracle:
         first, back = unique_rows(states)
         unique = states[first]
         verdicts = self.problem.undecided(len(unique), displaced=self._criterion.displaced)
-        left, origins = np.arange(len(unique)), np.empty_like(unique)
-        if near is not None:
+        left, origins = np.arange(len(unique)), None
+        if near is not None and self._choose(len(unique)) is self._cpu is not None:
+            origins = np.empty_like(unique)
             origins[back] = near
-        starts_near = near is not None and self._choose(len(unique)) is self._cpu is not None
         while len(left):
-            begun, found = left[:0], None
-            if starts_near:
-                begun, found = self._certify_from_memory(unique, origins, left)
-            if found is not None:
-                verdicts.put(begun, found)
-                rest = begun[~found.stable]
-            else:
-                begun = rest = _roots(unique, origins, left) if starts_near else left
+            begun = rest = left
+            if origins is not None:
+                begun = self._certify_from_memory(unique, origins, left, verdicts)
+                rest = begun[~verdicts.stable[begun]]
+                if not len(begun):
+                    begun = rest = _roots(unique, origins, left)
             if len(rest):
                 verdicts.put(rest, self._certify_from_rest(unique[rest]))
                 self._remember(unique[rest], verdicts[rest])
@@ -201,47 +213,80 @@ class StabilityOracle:
         return verdicts[back]
 
     def _certify_from_memory(
-        self, states: States, near: States, rows: NDArray[np.intp]
-    ) -> tuple[NDArray[np.intp], Verdicts | None]:
-        """Return those of some rows of which, or of whose near states, something is remembered, and their verdicts."""
+        self, states: States, near: States, rows: NDArray[np.intp], verdicts: Verdicts
+    ) -> NDArray[np.intp]:
+        """Return those of some rows of which, or of whose near states, something is remembered; write their verdicts.
+
+        Only those that are stable have a proof.
+        """
         own = {row: guess for row in rows if (guess := self.guesses.get(states[row])) is not None}
         others = [row for row in rows if row not in own]
         new = {row: guess for row in others if (guess := self.guesses.get(near[row])) is not None}
         known = own | new
         chosen = np.array(list(known), dtype=np.intp)
-        if self._cpu is None or not known:
-            return chosen, None
-        origins = np.concatenate([states[list(own)], near[list(new)]])
-        guess = np.array(list(known.values()), dtype=np.float64)
-        found = self._cpu.check(states[chosen], parents=origins, guess=guess)
-        found.verdict[~(found.stable & self._accept(states[chosen], found))] = Verdict.UNDECIDED
-        self._criterion.refine_undecided(states[chosen], found)
-        self.counters.warm += len(chosen)
-        self._remember(states[list(new)], found[len(own) :])
-        return chosen, found
+        if self._cpu is not None and known:
+            origins = np.concatenate([states[list(own)], near[list(new)]])
+            guess = np.array(list(known.values()), dtype=np.float64)
+            found = self._cpu.check(states[chosen], parents=origins, guess=guess)
+            found.verdict[~(found.stable & self._accept(states[chosen], found))] = Verdict.UNDECIDED
+            self._criterion.refine_undecided(states[chosen], found)
+            self.counters.warm += len(chosen)
+            self._remember(states[list(new)], found[len(own) :])
+            verdicts.put(chosen, found)
+        return chosen
 
     def _certify_from_rest(self, states: States) -> Verdicts:
         """Return verdicts with certificates on distinct states, of which nothing is known."""
-        solver, cpu = self._choose(len(states)), self._cpu
+        solver = self._choose(len(states))
         if solver is None:
             return self.exact.check(states)
         verdicts = solver.check(states, certificates=True)
-        # A GPU may stop at residuals above the resolution; they are proofs where no solver finds better ones.
         accepted = self._accept(states, verdicts)
+        # A GPU may stop at residuals above the resolution; they are proofs where no solver finds better ones.
         rough = np.flatnonzero(accepted & verdicts.stable & (verdicts.residual > self.settings.resolution))
         kept = verdicts[rough]
         accepted[rough] = False
-        rest = np.flatnonzero(~accepted)
-        if len(rest) and solver is self._gpu and cpu is not None:
-            again = cpu.check(states[rest], certificates=True)
-            verdicts.put(rest, again)
-            rest = rest[~self._accept(states[rest], again)]
-        if len(rest):
-            verdicts.put(rest, self._decide_exactly(states[rest], verdicts[rest]))
+        self._ask_further(states, verdicts, solver, np.flatnonzero(~accepted), self._accept)
         lost = verdicts.undecided[rough]
         verdicts.put(rough[lost], kept[lost])
         self._criterion.refine_undecided(states, verdicts)
         return verdicts
+
+    def _ask_further(
+        self,
+        states: States,
+        verdicts: Verdicts,
+        solver: CpuSolver | GpuSolver,
+        rest: NDArray[np.intp],
+        accept: Callable[[States, Verdicts], NDArray[np.bool_]],
+        near: States | None = None,
+        known: Sequence[NDArray[np.float64] | None] = (),
+    ) -> None:
+        """Ask what comes after a solver about the states that it leaves: the CPU after a GPU, then the exact solver.
+
+        Args:
+            states: shape (batch, parts).
+            verdicts: in and out, of the solver.
+            solver: who was asked.
+            rest: rows of the states that it leaves.
+            accept: whether verdicts count.
+            near: states near to these, and what is known of them: the exact solver decides on the parts that contacts
+                join to the difference alone.
+            known: one entry a state, where `near` is given.
+        """
+        if not len(rest):
+            return
+        if solver is self._gpu and self._cpu is not None:
+            again = self._cpu.check(states[rest], certificates=verdicts.forces is not None)
+            verdicts.put(rest, again)
+            rest = rest[~accept(states[rest], again)]
+        rest = rest[self._criterion.is_left_to_exact(verdicts[rest])]
+        if len(rest):
+            joined = None if near is None else self.problem.hold_apart(states[rest], near[rest])
+            exact = self.exact.check(states[rest] if joined is None else joined)
+            self._criterion.read_exact(exact, verdicts[rest])
+            self._remember(states[rest], exact, joined, [] if joined is None else [known[row] for row in rest])
+            verdicts.put(rest, exact)
 
     def _recall(self, states: States, near: States | None) -> Verdicts:
         """Return verdicts without certificates, from the cache if possible."""
@@ -274,7 +319,7 @@ class StabilityOracle:
         # Look up the near states first: storing what is found may evict them.
         known = [None] * len(states) if near is None else [self.guesses.get(origin) for origin in near]
         each = np.arange(len(states))  # a GPU divides them itself
-        for rows in [each] if solver is self._gpu else chunks(each, self.problem.points, 16):
+        for rows in [each] if solver is self._gpu else chunks(each, self.problem.points, TASK):
             origins = guess = None
             if near is not None and solver.starts_from_guesses:
                 origins, guess = near[rows], self._criterion.no_guess(len(rows))
@@ -287,14 +332,7 @@ class StabilityOracle:
                 self.guesses.remember(states[rows][solved.stable], guess[solved.stable])
             verdicts.put(rows, solved)
         rest = np.flatnonzero(verdicts.undecided)
-        if len(rest) and solver is self._gpu and self._cpu is not None:
-            verdicts.put(rest, self._cpu.check(states[rest], certificates=False))
-            rest = rest[verdicts.undecided[rest]]
-        if len(rest):
-            joined = states[rest] if near is None else self.problem.hold_apart(states[rest], near[rest])
-            exact = self._decide_exactly(joined, verdicts[rest])
-            self._remember(states[rest], exact, joined, [known[row] for row in rest])
-            verdicts.put(rest, exact)
+        self._ask_further(states, verdicts, solver, rest, lambda _, found: ~found.undecided, near, known)
         return verdicts
 
     def _remember(
@@ -312,34 +350,20 @@ class StabilityOracle:
         if guess is None:
             return
         whole = verdicts.stable.copy()
-        for row in np.flatnonzero(whole) if joined is not None else []:
-            if (joined[row] == states[row]).all():
-                continue
-            start, whole[row] = origins[row], origins[row] is not None
-            if start is not None and not self._criterion.displaced:
-                kept = self.problem.active(states[row : row + 1])[0] & ~self.problem.active(joined[row : row + 1])[0]
-                guess[row, kept] = start[kept]
+        if joined is not None:
+            for row in np.flatnonzero(whole & (joined != states).any(axis=1)).tolist():
+                start, whole[row] = origins[row], origins[row] is not None
+                if start is not None:
+                    one = slice(row, row + 1)
+                    kept = (self.problem.active(states[one]) & ~self.problem.active(joined[one]))[0]
+                    guess[row, kept] = start[kept]
         self.guesses.remember(states[whole], guess[whole])
 
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
         """Return whether the checker accepts each verdict; count the rejected ones."""
-        accepted = verify_certificates(self.assembly, states, verdicts, self.settings.claim)
+        accepted = verify_certificates(self.assembly, states, verdicts, self._claim)
         self.counters.rejected += int((~accepted & ~verdicts.undecided).sum())
         return accepted
-
-    def _decide_exactly(self, states: States, verdicts: Verdicts) -> Verdicts:
-        """Return verdicts of the exact solver.
-
-        Args:
-            states: shape (batch, parts).
-            verdicts: verdicts of the solver that left them undecided.
-        """
-        decided, rows = verdicts[np.arange(len(verdicts))], np.flatnonzero(self._criterion.is_left_to_exact(verdicts))
-        if len(rows):
-            exact = self.exact.check(states[rows])
-            self._criterion.read_exact(exact, verdicts[rows])
-            decided.put(rows, exact)
-        return decided
 
     def _choose(self, count: int) -> CpuSolver | GpuSolver | None:
         """Choose the solver for a batch of this size; None for the exact solver."""

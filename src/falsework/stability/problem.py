@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
+from falsework.assembly.state import HELD, INSTALLED, States
 from falsework.errors import AssemblyError
-from falsework.stability.contact_geometry import geometry_of
+from falsework.stability.contact_geometry import ContactGeometry, geometry_of
+from falsework.stability.criterion import Cone
 from falsework.stability.strength import Strength, strength_of
 from falsework.stability.verdict import Verdicts
 
 if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
     from falsework.assembly.model import Assembly
 
-Cone = Literal["octagon", "quadratic"]
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-TOLERANCE = 1e-4
-"""Default largest residual of a stable state, as a share of gravity; the paper allows 1e-3 m/s2 (section 4)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,17 +45,13 @@ class Problem:
     parts: int
     boundary: Mask
     """Parts that never move, including props, shape (parts,)."""
-    part_a: NDArray[np.int32]
-    """Part on which the opposite force acts, shape (points,)."""
-    part_b: NDArray[np.int32]
-    """Part on which the force acts, shape (points,)."""
+    geometry: ContactGeometry
+    """Contact points, and the map of their forces to wrenches on the parts."""
     friction: float
     """Coefficient of friction of contact points without one of their own from a joint."""
     strength: Strength
     """Strength of each contact point."""
     cone: Cone
-    wrench: csr_array
-    """Map of contact forces to wrenches on the parts, shape (6 parts, 3 points); see `ContactGeometry`."""
     gravity_wrench: Array
     """Weight and loads, shape (parts, 6), N and Nm."""
     pair_parts: NDArray[np.int32]
@@ -92,7 +83,7 @@ class Problem:
     @property
     def points(self) -> int:
         """Number of contact points."""
-        return len(self.part_a)
+        return len(self.geometry.part_a)
 
     @property
     def pairs(self) -> int:
@@ -103,10 +94,6 @@ class Problem:
         """Return undecided verdicts on a batch of states, with room for certificates, and for displacements in them."""
         points, parts = (self.points, self.parts) if certificates else (None, None)
         return Verdicts.all_undecided(batch, points=points, parts=parts, displaced=displaced)
-
-    def free(self, states: States) -> Mask:
-        """Return the parts that can move: installed and not held. Shape (batch, parts)."""
-        return states == INSTALLED
 
     def hold_apart(self, states: States, origins: States) -> States:
         """Return states in which free parts that no contact between free parts joins to what changed are held.
@@ -132,8 +119,7 @@ class Problem:
 
     def active(self, states: States) -> Mask:
         """Return the contact points that act: both parts present, not both fixed, not idle. Shape (batch, points)."""
-        a, b = states[:, self.part_a], states[:, self.part_b]
-        return (a != REMOVED) & (b != REMOVED) & ((a != HELD) | (b != HELD)) & ~self.strength.idle
+        return self.geometry.acts(states) & ~self.strength.idle
 
 
 def build_problem(
@@ -151,13 +137,13 @@ def build_problem(
         AssemblyError: a part whose inertia is not positive definite.
     """
     contacts, mass = assembly.contacts, assembly.mass
-    owner = contacts.contact_of_point
-    part_a, part_b = contacts.parts[owner, 0], contacts.parts[owner, 1]
+    owner, geometry = contacts.contact_of_point, geometry_of(contacts, mass)
     axes = contacts.point_frames.transpose(0, 2, 1)  # columns n, t1, t2
 
-    first = np.flatnonzero(np.r_[True, (np.diff(part_a) != 0) | (np.diff(part_b) != 0)]) if len(owner) else []
+    ends = contacts.parts[owner]
+    first = np.flatnonzero(np.r_[True, (np.diff(ends, axis=0) != 0).any(axis=1)]) if len(owner) else []
     pair_start = np.r_[first, len(owner)].astype(np.int32)
-    pair_parts = contacts.parts[owner[pair_start[:-1]]] if len(owner) else np.zeros((0, 2), np.int32)
+    pair_parts = ends[pair_start[:-1]]
     pair_of_point = np.repeat(np.arange(len(pair_parts)), np.diff(pair_start))
     middle = np.zeros((len(pair_parts), 3))
     np.add.at(middle, pair_of_point, contacts.points)
@@ -182,8 +168,6 @@ def build_problem(
     gravity_wrench = assembly.applied_wrench(gravity)
     arrays: dict[str, NDArray] = {
         "boundary": immovable,
-        "part_a": part_a.astype(np.int32),
-        "part_b": part_b.astype(np.int32),
         "gravity_wrench": gravity_wrench,
         "pair_parts": pair_parts.astype(np.int32),
         "pair_start": pair_start,
@@ -205,7 +189,7 @@ def build_problem(
         friction=float(assembly.friction) / reserve,
         strength=strength_of(assembly, gravity, reserve),
         cone=cone,
-        wrench=geometry_of(contacts, mass).wrench,
+        geometry=geometry,
         weight=float(gravity * mass.mass[~immovable].sum()),
         **arrays,
     )

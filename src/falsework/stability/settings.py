@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
 from typing import Literal, get_args
 
 import numpy as np
 
 from falsework.errors import InputError
-from falsework.stability.criterion import StabilityCriterion
-from falsework.stability.holds import HoldSettings
-from falsework.stability.problem import TOLERANCE, Cone
-from falsework.stability.stiffness import TANGENTIAL_RATIO
-from falsework.stability.strength import FORCE_BOUND
+from falsework.stability.criterion import Cone, StabilityBounds, StabilityCriterion
 from falsework.stability.verdict import Criterion
 
 SolverName = Literal["auto", "cpu", "gpu", "exact"]
@@ -74,8 +70,8 @@ class NumericalSettings:
 
 
 @dataclass(frozen=True)
-class StabilitySettings:
-    """Stability criterion and choice of solver."""
+class StabilitySettings(StabilityBounds):
+    """Stability criterion, its bounds, and choice of solver."""
 
     criterion: Criterion = "contact"
     """`contact`: parts come to rest on compliant contacts without prestress. `equilibrium`: balancing forces exist,
@@ -83,20 +79,6 @@ class StabilitySettings:
     cone: Cone | None = None
     """Friction cone: the paper's octagon, or Coulomb's quadratic cone. None: quadratic under `contact`, where the
     octagon would make verdicts depend on the orientation of contact frames, and octagon under `equilibrium`."""
-    gravity: float = 9.81
-    """m/s2 along -z."""
-    tolerance: float = TOLERANCE
-    """Largest residual of a stable state: the largest acceleration of a part as a share of gravity, an angular
-    acceleration times the part's largest radius of gyration. The paper allows 1e-3 m/s2 (section 4). Solvers go on to
-    `resolution`; `Verdicts.on_tolerance` tells where they do not get there."""
-    force_bound: float = FORCE_BOUND
-    """Bound on the sum of all normal forces, in weights of the structure."""
-    stiffness_ratio: float = TANGENTIAL_RATIO
-    """Ratio of tangential to normal contact stiffness, under the criterion `contact`."""
-    reserve: float = 1.0
-    """Number by which friction is divided in all verdicts and replays; 1.1 is the default of plans."""
-    holds: HoldSettings = field(default_factory=HoldSettings)
-    """Stiffness and limits of robots that hold parts, and whether they press, in replays."""
     solver: SolverName = "cpu"
     """First solver; states that it leaves undecided go to the exact solver. `auto` takes the GPU, where there is
     one, for batches on which it is faster than the CPU."""
@@ -122,23 +104,10 @@ class StabilitySettings:
         return self.cone or ("quadratic" if self.criterion == "contact" else "octagon")
 
     @property
-    def resolution(self) -> float:
-        """Residual at which verdicts are decided, a share of gravity."""
-        return self.claim.resolution
-
-    @property
     def claim(self) -> StabilityCriterion:
         """Criterion and bounds for the certificate checker."""
-        return StabilityCriterion(
-            self.friction_cone,
-            self.gravity,
-            self.tolerance,
-            self.force_bound,
-            self.criterion,
-            self.stiffness_ratio,
-            self.reserve,
-            self.holds,
-        )
+        bounds = {field.name: getattr(self, field.name) for field in fields(StabilityBounds)}
+        return StabilityCriterion(**bounds, criterion=self.criterion, cone=self.friction_cone)
 
 
 EQUILIBRIUM = StabilitySettings(criterion="equilibrium")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +15,6 @@ _SMALL, _LARGE = 256 << 20, 3 << 30
 blocks: nearly all forces of a plan of ten thousand parts, which takes as much for its proofs."""
 REMEMBERED = 1 << 16
 """States whose answers are kept by key, until all are forgotten together: chosen for memory, 33 MB at 510 parts."""
-
-_UNHELD = 3
-"""Held parts of which a guess is looked up for the state before they were held: as many as robots mostly hold;
-checked on recorded searches."""
 
 
 class StateMemory:
@@ -101,16 +96,18 @@ class Guesses:
         self._boundary, self._holds_keep_stable = boundary, holds_keep_stable
 
     def get(self, state: States) -> Array | None:
-        """Return the guess stored for a state; where holds keep states stable, also for it with parts not yet held."""
+        """Return the guess of a state; where holds keep states stable, else that of it before one or all were held."""
         found = self.memory.get(state.tobytes())
         if found is not None or not self._holds_keep_stable:
             return found
-        held, before = np.flatnonzero((state == HELD) & ~self._boundary)[:_UNHELD], state.copy()
-        for values in product((REMOVED, INSTALLED, HELD), repeat=len(held)):
-            before[held] = values
-            if (found := self.memory.get(before.tobytes())) is not None:
-                break
-        return found
+        held, before = np.flatnonzero((state == HELD) & ~self._boundary), state.copy()
+        for parts in (held, *held[:, None]):
+            for value in (REMOVED, INSTALLED):
+                before[parts] = value
+                if (found := self.memory.get(before.tobytes())) is not None:
+                    return found
+            before[parts] = HELD
+        return None
 
     def pass_on(self, states: States, origins: States) -> None:
         """Let states that were cached as stable share the guess of their parents."""

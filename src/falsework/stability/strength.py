@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from falsework.assembly.joints import Joints
 from falsework.assembly.model import Assembly
 from falsework.geometry.contact.contacts import Contacts
+from falsework.stability.criterion import StabilityBounds
 
 Array = NDArray[np.float64]
 
-FORCE_BOUND = 1e3
-"""Default bound on the sum of all normal forces, in weights of the structure (the paper bounds forces too)."""
 SMOOTH = 1e-3
 """Coefficient of friction below which cones are too narrow for forces to be kept inside them, and below which the
 search for the least friction tries none: chosen, not measured."""
@@ -62,8 +61,8 @@ def strength_of(assembly: Assembly, gravity: float = 9.81, reserve: float = 1.0)
     """Return the strength of the contact points of a structure, its friction divided by a reserve.
 
     Tension is limited by the apex of the cone, cohesion over friction. The tension of a contact point, and its
-    tangential force by cohesion, are limited to `FORCE_BOUND` weights of the structure shared by all contact points: a
-    strength beyond any load would only weaken the bounds of certificates.
+    tangential force by cohesion, are limited to the default force bound shared by all contact points: a strength beyond
+    any load would only weaken the bounds of certificates.
 
     Where the surfaces at a point are inclined to its normal (`Contacts.lean`), a force has to be one that both of them
     bear, whichever is the true one: see `_within_both`.
@@ -75,7 +74,7 @@ def strength_of(assembly: Assembly, gravity: float = 9.81, reserve: float = 1.0)
         return _within_both(Strength(friction / reserve, none, none, none == 0, none > 0), assembly.contacts)
     given = assembly.joints
     friction = np.where(np.isnan(given.friction), friction, given.friction)
-    most = FORCE_BOUND * gravity * assembly.mass.mass[~assembly.boundary].sum() / max(count, 1)
+    most = StabilityBounds.force_bound * gravity * assembly.mass.mass[~assembly.boundary].sum() / max(count, 1)
     end = np.divide(given.cohesion, friction, out=np.full(count, np.nan), where=friction > 0)
     pull = np.minimum(np.fmin(given.tension, end), most)
     stick = given.cohesion - friction * pull

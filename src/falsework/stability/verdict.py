@@ -200,18 +200,18 @@ class Verdicts(Displayed):
 
 
 def proof_of(verdict: NDArray[np.int8], criterion: Criterion = "equilibrium") -> NDArray[np.int8]:
-    """Return the kind of proof that belongs to each verdict; for `SLIDES` the forces that prove equilibrium."""
+    """Return the kind of proof of each verdict; for `SLIDES` the forces that prove equilibrium."""
     return _proofs(criterion)[verdict.astype(np.intp) - min(Verdict)]
 
 
 @cache
 def _proofs(criterion: Criterion) -> NDArray[np.int8]:
     """Return the kind of proof by verdict, starting from the least verdict."""
-    stable = Proof.DISPLACEMENT if criterion == "contact" else Proof.FORCES
-    by_verdict = {
-        Verdict.TIPS: Proof.MOTION,
-        Verdict.SLIDES: Proof.FORCES,
-        Verdict.UNSTABLE: Proof.VELOCITY,
-        Verdict.STABLE: stable,
-    }
+    by_verdict = {Verdict.UNSTABLE: Proof.VELOCITY, Verdict.STABLE: Proof.FORCES}
+    if criterion == "contact":
+        by_verdict |= {
+            Verdict.TIPS: Proof.MOTION,
+            Verdict.SLIDES: Proof.FORCES,
+            Verdict.STABLE: Proof.DISPLACEMENT,
+        }
     return np.array([by_verdict.get(kind, Proof.NONE) for kind in sorted(Verdict)], dtype=np.int8)

@@ -129,8 +129,6 @@ def test_what_is_added_is_drawn_first(arch, generator) -> None:
     curriculum.add(states[40:60])
     sampled: Any = curriculum.sample(20, generator)
     assert {*sampled.rows.tolist()} == set(range(before, before + 20))
-    with pytest.raises(InputError, match="give all of them targets or none"):
-        curriculum.add(states[:2], states[:2])
 
 
 def test_saved_and_loaded_it_goes_on_the_same(arch, generator) -> None:
@@ -171,7 +169,7 @@ def test_a_policy_learns_an_arch_from_a_curriculum() -> None:
 def test_without_states_there_is_nothing_to_draw(arch, generator) -> None:
     environment, _ = arch
     empty = environment.rules.goals(environment.rules.complete())
-    with pytest.raises(InputError, match="start states that are not their own target"):
+    with pytest.raises(InputError, match="start states that are not the end"):
         Curriculum(empty, environment.rules)
 
 

@@ -12,7 +12,7 @@ from falsework import load_structure
 from falsework.cli.main import main
 from falsework.errors import InputError
 from falsework.learn import PolicySettings, PpoPhase, TrainSettings, load_run
-from falsework.learn.config.train import METHODS
+from falsework.learn.config.train import phases_of
 from falsework.learn.training.train import train
 
 SMALL = PolicySettings("transformer", layers=1, channels=16, heads=2)
@@ -71,7 +71,7 @@ def test_the_command_fine_tunes(tmp_path: Path) -> None:
     settings = load_run(tmp_path / "second").settings
     assert settings.policy == load_run(first).settings.policy
     assert [phase.algorithm for phase in settings.phases] == ["ppo"]
-    assert settings.phases[0] == METHODS["fine-tuning"][0].resolved("cpu")
+    assert settings.phases[0] == phases_of(begun=True)[0].resolved("cpu")
 
 
 def test_runs_that_do_not_fit_are_refused(tmp_path: Path) -> None:

@@ -92,6 +92,9 @@ def test_patience(arch: Assembly) -> None:
     best.consider(policy, Success(8, 1), 4, 0.4, waiting=True)
     assert not best.over(0.65)
     assert best.over(0.66)
+    best.wait(0.5)
+    assert not best.over(0.75)
+    assert best.over(0.76)
 
 
 def scripted(monkeypatch: pytest.MonkeyPatch, validation: list[int]) -> list[Any]:
@@ -128,6 +131,14 @@ def test_training_ends_when_validation_no_longer_rises(arch: Assembly, monkeypat
     assert result.steps == 24  # the best at 12 of 40, and more than a quarter of 40 later
     assert len(weights) == 6
     assert not result.interrupted
+
+
+def test_patience_begins_anew_with_each_phase(arch: Assembly, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PPO may lose at first what imitation has learned: 12 of 40 steps of its own, not of the best before it."""
+    scripted(monkeypatch, [9, 1])
+    phases = (ImitationPhase(steps=8, batch=16), *SETTINGS.phases)
+    result = train(arch, replace(SETTINGS, phases=phases, patience=0.25), folder=None, device="cpu")
+    assert result.steps == 8 + 12
 
 
 @pytest.mark.parametrize(

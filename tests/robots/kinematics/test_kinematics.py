@@ -167,7 +167,7 @@ def test_wrong_input_is_named() -> None:
     with pytest.raises(InputError, match=r"no built-in robot 'kr6'; there are crb15000"):
         builtin_robot("kr6")
     model = builtin_robot("ur10e")
-    with pytest.raises(InputError, match=r"joint_3 is 4, outside its limits -3.142 to 3.142"):
+    with pytest.raises(InputError, match=r"elbow_joint is 4, outside its limits -3.142 to 3.142"):
         model.check_configuration([0, 0, 4, 0, 0, 0])
     with pytest.raises(InputError, match="needs 6 joint values"):
         model.check_configuration([0, 0])

@@ -60,7 +60,7 @@ def test_a_check_says_what_all_pairs_say(
         base = len(view.model.pieces[0])
         gaps = [coal_distance(piece, stand) - 0.01 for piece in pieces for stand in blocks]
         everything = [*view.model.pieces[0], *pieces]
-        gaps += [coal_distance(everything[a], everything[b]) for a, b in view.rules.self_pairs]
+        gaps += [coal_distance(everything[a], everything[b]) for a, b in view.arrays.rules.self_pairs]
         assert base == 1
         if abs(min(gaps)) > 1e-6:
             assert collides == (min(gaps) <= 0)

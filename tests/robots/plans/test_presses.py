@@ -32,6 +32,7 @@ from falsework.stability import HoldSettings
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, Press
 from tests.robots.plans.bag_reading import wrenches
 from tests.robots.plans.orders import APART
+from tests.robots.plans.program_grammar import Rapid, UrScript
 from tests.robots.plans.test_export import load_yaml, run_programs
 
 WRENCH = (-12.0, 3.0, 4.0, 0.5, -0.2, 0.3)
@@ -217,7 +218,7 @@ def test_a_bag_has_set_points_of_the_wrench(pressed: RobotPlan, column: Assembly
     """At the flange, whose frame a reader knows from the description of the arm; zero from the end on."""
     (path,) = export_plan(pressed, tmp_path, "mcap", structure=column, cell=cell)
     (press,) = timed_presses(pressed, column, cell, schedule_of(pressed))
-    (begun, first), (ended, last) = wrenches(path, "/arm 2/wrench_setpoint")
+    (begun, first), (ended, last) = wrenches(path, "/arm_2/wrench_setpoint")
     assert first.header.frame_id == "arm 2_tool0"
     robot = cell.robots[1]
     flange = flange_pose(robot.model, pressed.keyframes[-1].configurations[1], robot.base)
@@ -231,6 +232,7 @@ def test_a_bag_has_set_points_of_the_wrench(pressed: RobotPlan, column: Assembly
 def test_a_module_moves_the_set_point(pressed: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path) -> None:
     paths = export_plan(pressed, tmp_path, "rapid", structure=column, cell=cell)
     text = paths[1].read_text()
+    assert {"MoveL", "RelTool", "CalcRobT"} <= Rapid(text).called
     (press,) = timed_presses(pressed, column, cell, schedule_of(pressed))
     assert "! press block-2 with 13.0 N, (-12.0, 3.0, 4.0) N in the cell, at 1 MN/m" in text
     numbers = r"(-?\d+\.\d+)"
@@ -266,6 +268,7 @@ def test_a_script_controls_the_force(pressed: RobotPlan, column: Assembly, cell:
 
     paths = export_plan(pressed, tmp_path, "urscript", structure=column, cell=cell, force=True)
     text = paths[1].read_text()
+    UrScript(text)
     form = r"force_mode\(pose_trans\(get_target_tcp_pose\(\), p\[([^\]]*)\]\), \[0, 0, 1, 0, 0, 0\], "
     ((pose, force),) = re.findall(form + r"\[0, 0, ([\d.]+), 0, 0, 0\], 2, \[[^\]]*\]\)", text)
     assert float(force) == pytest.approx(np.linalg.norm(WRENCH[:3]))

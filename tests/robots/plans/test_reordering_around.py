@@ -104,7 +104,7 @@ def test_motions_are_proven_in_the_scenes_that_they_were_planned_in(planned: Pla
 
 def assert_equal_arrays(one: CollisionQuery, other: CollisionQuery) -> None:
     """Assert that two queries are about the same moving bodies and the same obstacles."""
-    for mine, its in ((one.bodies, other.bodies), (one.obstacles, other.obstacles), (one.rules, other.rules)):
+    for mine, its in zip(one.arrays[1:4], other.arrays[1:4], strict=True):
         for a, b in zip(mine, its, strict=True):
             np.testing.assert_array_equal(a, b)
 

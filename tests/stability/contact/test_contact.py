@@ -15,7 +15,8 @@ from falsework.assembly import complete_state, empty_state, library
 from falsework.errors import InputError
 from falsework.geometry import TriangleMesh
 from falsework.stability import Proof, Verdicts
-from falsework.stability.certificate import forces_of_displacement, residual_of_displacement
+from falsework.stability.certificate import residual_of_displacement
+from falsework.stability.second_order.springs import springs_of_displacement
 from falsework.stability.settings import EQUILIBRIUM
 
 RATIOS = (0.4, 0.7, 1.0)
@@ -209,11 +210,11 @@ def test_the_forces_of_a_displacement_balance_by_another_formula(proven: Any) ->
     """Sums of forces and of their moments, part by part, agree that the forces hold every part."""
     arch, states, verdicts, settings = proven
     problem = StabilityOracle(arch, settings).problem
-    forces = forces_of_displacement(arch, states, verdicts.displacement, settings.claim)[0]
+    forces = springs_of_displacement(arch, states, verdicts.displacement, settings.claim).forces[0]
     np.testing.assert_allclose(forces, verdicts.forces[0], atol=1e-6 * problem.weight)
     net, contacts = problem.gravity_wrench.copy(), arch.contacts
     on_b = np.einsum("pij,pi->pj", contacts.point_frames, forces)
-    for part, sign in ((problem.part_a, -1.0), (problem.part_b, 1.0)):
+    for part, sign in ((problem.geometry.part_a, -1.0), (problem.geometry.part_b, 1.0)):
         moment = np.cross(contacts.points - arch.mass.center[part], on_b)
         np.add.at(net, part, sign * np.hstack([on_b, moment]))
     free = states[0] == 1

@@ -84,7 +84,7 @@ def test_the_weight_on_a_hand_is_taken_up_by_the_contacts(dome: Assembly, dome_s
         springs = replay.histories[row].springs
         forces = np.where(springs[:, :1] > 0, springs, 0.0) * problem.force_scale[:, None]
         forces[~problem.active(dome_states[row : row + 1])[0]] = 0.0
-        net = problem.gravity_wrench + (problem.wrench @ forces.ravel()).reshape(-1, 6)
+        net = problem.gravity_wrench + (problem.geometry.wrench @ forces.ravel()).reshape(-1, 6)
         free = dome_states[row] == 1
         assert np.abs(net[free]).max() < 1e-3 * problem.weight
         slip = np.hypot(forces[:, 1], forces[:, 2]) - dome.friction * forces[:, 0]

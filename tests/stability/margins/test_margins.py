@@ -11,6 +11,7 @@ from falsework import StabilityOracle, StabilitySettings, load_structure, verify
 from falsework.assembly import Joints, Loads, complete_state
 from falsework.errors import InputError
 from falsework.stability import StateMargins
+from falsework.stability.margins.contact_prober import ContactProber
 from falsework.stability.margins.state_margins import Bound
 
 CRITERIA = (StabilitySettings(), StabilitySettings(criterion="equilibrium", cone="quadratic"))
@@ -237,6 +238,7 @@ def test_large_loads_need_no_exact_solver(monkeypatch: pytest.MonkeyPatch) -> No
 def test_iterations_that_end_undecided_are_continued(monkeypatch: pytest.MonkeyPatch) -> None:
     arch = load_structure("arch:blocks=7")
     state, prober = complete_state(arch.boundary), StabilityOracle(arch).prober
+    assert isinstance(prober, ContactProber)
     assert prober.ask(state, prober.own()).stands
     monkeypatch.setattr(prober, "contact_options", prober.contact_options._replace(steps=2))
     continued = prober.ask(state, prober.own())

@@ -28,8 +28,8 @@ class Families:
         self.bounds, self.hidden, self.most = bounds, hidden or {}, most
         self.probes, self.fails = Counter[int](), Counter[int]()
 
-    def probe(self, rows: Sequence[int], value: float, near: Sequence[Answer | int]) -> list[Answer]:
-        assert all(isinstance(start, Answer) or start < place for place, start in enumerate(near))
+    def probe(self, rows: Sequence[int], value: float, near: Sequence[Answer]) -> list[Answer]:
+        assert all(start.stands for start in near)
         answers: list[Answer] = []
         for row in rows:
             if answers and not answers[-1].stands:
@@ -46,23 +46,21 @@ class Families:
         self.hidden.pop(row, None)
         return value, Answer(CONDITION, value < self.bounds[row])
 
-    def find(self, *, around: bool = False, hurry: bool = False) -> tuple[int, Bracket] | None:
-        """Return the weakest family and its bracket; with `around`, families lie on a circle."""
-        count = len(self.bounds)
+    def find(self, *, hurry: bool = False) -> tuple[int, Bracket] | None:
+        """Return the weakest family and its bracket."""
         return Weakest(
-            range(count),
+            range(len(self.bounds)),
             self.probe,
             START,
             guess=lambda _: 1.0,
             cap=CAP,
             floor=lambda _: 1e-4,
-            around=count // 3 if around else 0,
             hurry=hurry,
         ).search(self.confirm)
 
-    def search(self, *, around: bool = False) -> tuple[int, float, float] | None:
+    def search(self) -> tuple[int, float, float] | None:
         """Return the weakest family and the ends of its bracket; None where none has a bound."""
-        found = self.find(around=around)
+        found = self.find()
         assert found is not None
         row, bracket = found
         if bracket.outside is None:
@@ -73,12 +71,11 @@ class Families:
         return row, bracket.inside, bracket.outside
 
 
-@pytest.mark.parametrize("around", [False, True])
 @pytest.mark.parametrize("seed", range(10))
-def test_the_least_bound_is_found_within_one_percent(seed: int, around: bool) -> None:
+def test_the_least_bound_is_found_within_one_percent(seed: int) -> None:
     bounds = np.exp(np.random.default_rng(seed).uniform(np.log(0.05), np.log(300), 36)).tolist()
     families = Families(bounds)
-    found = families.search(around=around)
+    found = families.search()
     assert found is not None
     _, inside, outside = found
     assert inside < 1.01 * min(bounds)
@@ -97,7 +94,7 @@ def test_most_families_take_one_or_two_probes() -> None:
 
 def test_equal_families_end_the_search() -> None:
     families = Families([3.0] * 36)
-    found = families.search(around=True)
+    found = families.search()
     assert found is not None
     assert found[1] < 3.0 <= found[2]
     assert families.probes.total() < 36 * 6
@@ -121,12 +118,11 @@ def test_a_family_without_a_bound_from_rest_has_none() -> None:
     assert Families([1e9, 1e9], hidden={1: 2.0}).search() is None
 
 
-@pytest.mark.parametrize("around", [False, True])
-def test_when_the_time_is_over_all_bear_the_inner_end_and_one_fails_at_the_outer(around: bool) -> None:
+def test_when_the_time_is_over_all_bear_the_inner_end_and_one_fails_at_the_outer() -> None:
     bounds = [4.0, 2.5, 7.0, 3.0, 50.0, 20.0]
     widths = []
     for most in range(60):
-        found = Families(bounds, most=most).find(around=around, hurry=True)
+        found = Families(bounds, most=most).find(hurry=True)
         assert found is not None
         _, bracket = found
         assert bracket.inside < 2.5

@@ -7,11 +7,11 @@ import torch
 from falsework.learn.algorithms.curriculum import Curriculum
 from falsework.learn.algorithms.exploration import Exploration
 from falsework.learn.algorithms.rollout_storage import Transitions
-from falsework.learn.algorithms.start_states import StartBatch
+from falsework.learn.algorithms.start_states import StartBatch, StartSampler
 from falsework.learn.data.solvable_states import SolvableStates
 
 
-class BlendedStarts:
+class BlendedStarts(StartSampler):
     """States of a curriculum and, within its horizon, any solvable states, and states that are explored for this."""
 
     def __init__(
@@ -36,12 +36,12 @@ class BlendedStarts:
         self._anywhere, self._explored = anywhere, explored
 
     @property
-    def mean_steps(self) -> float:
+    def mean_steps(self) -> float:  # type: ignore[override]
         """See `StartSampler`."""
         return self._curriculum.mean_steps
 
     @property
-    def widening(self) -> bool:
+    def widening(self) -> bool:  # type: ignore[override]
         """See `StartSampler`."""
         return self._curriculum.widening
 

@@ -6,7 +6,7 @@ import torch
 
 from falsework.errors import InputError
 from falsework.learn.algorithms.rollout_storage import Transitions
-from falsework.learn.algorithms.start_states import StartBatch
+from falsework.learn.algorithms.start_states import StartBatch, StartSampler
 from falsework.learn.config.ppo import CurriculumSettings
 from falsework.search.device.rules import TensorRules
 from falsework.utils.collectives import gather_rows
@@ -20,12 +20,12 @@ CORRECTED_AFTER = 500
 """Updates until importance weights correct completely for how often states are drawn."""
 
 
-class Curriculum:
-    """Prioritised sampling of start states that are known to be solvable; a `StartSampler`.
+class Curriculum(StartSampler):
+    """Prioritised sampling of start states that are known to be solvable.
 
     Every state is drawn once before any is drawn again; then those whose last rollout had a high surrogate loss, from
     which there is most to learn, are drawn more often. Where rollouts fail again and again, the policy is made to
-    explore more. With `growing` settings, only states near their target take part at first.
+    explore more. With `growing` settings, only states near the end take part at first.
     """
 
     def __init__(
@@ -34,17 +34,14 @@ class Curriculum:
         rules: TensorRules,
         settings: CurriculumSettings = CurriculumSettings(),
         *,
-        targets: torch.Tensor | None = None,
         shards: ProcessGroup = ProcessGroup(),
     ) -> None:
         """Begin.
 
         Args:
-            starts: stable states with a path to their target, shape (count, parts); those that are their target are
-                left out.
+            starts: stable states with a path to the end, shape (count, parts); those that are the end are left out.
             rules: of the structure.
             settings: how to draw.
-            targets: of each start, shape (count, parts), or None.
             shards: processes; each draws for itself, and outcomes are shared.
 
         Raises:
@@ -53,37 +50,28 @@ class Curriculum:
         self.settings = settings
         self.updates = 0
         self.horizon = 0
-        """Steps to the target that states may be away to be drawn."""
+        """Steps to the end that states may be away to be drawn."""
         self._rules = rules
         self._shards = shards
         device = starts.device
         self.starts = starts[:0]
-        self._targets = None if targets is None else targets[:0]
         self._left = torch.zeros(0, dtype=torch.int64, device=device)
         self.visited = torch.zeros(0, dtype=torch.bool, device=device)
         self.surrogate = torch.zeros(0, device=device)
         self.entropy = torch.zeros(0, device=device)
         self.far = torch.zeros(2, device=device)
         """Rollouts from the far end of what is drawn, and successes among them, since the horizon moved."""
-        self.add(starts, targets)
+        self.add(starts)
         if len(self) == 0:
-            raise InputError("a curriculum needs start states that are not their own target; give at least one")
+            raise InputError("a curriculum needs start states that are not the end; give at least one")
         self.horizon = self._next_horizon() if settings.growing else self._longest()
 
     def __len__(self) -> int:
         return len(self.starts)
 
-    def add(self, starts: torch.Tensor, targets: torch.Tensor | None = None) -> None:
-        """Take in more states, shape (count, parts), not drawn yet; equal ones are not looked for.
-
-        Raises:
-            InputError: targets for some states and none for others.
-        """
-        if (targets is None) != (self._targets is None):
-            raise InputError(
-                "states of a curriculum with and without targets were mixed; give all of them targets or none"
-            )
-        left = self._rules.steps_left(starts, targets)
+    def add(self, starts: torch.Tensor) -> None:
+        """Take in more states, shape (count, parts), not drawn yet; equal ones are not looked for."""
+        left = self._rules.steps_left(starts)
         rows = (left > 0).nonzero()[:, 0]
         new = {
             "starts": starts[rows],
@@ -92,20 +80,18 @@ class Curriculum:
             "surrogate": torch.zeros(len(rows), device=starts.device),
             "entropy": torch.full((len(rows),), self.settings.entropy, device=starts.device),
         }
-        if targets is not None:
-            new["_targets"] = targets[rows]
         for name, values in new.items():
             setattr(self, name, torch.cat([getattr(self, name), values]))
         if not self.settings.growing and len(self):
             self.horizon = self._longest()
 
     @property
-    def mean_steps(self) -> float:
-        """Steps from a start within the horizon to its target, on average."""
+    def mean_steps(self) -> float:  # type: ignore[override]
+        """Steps from a start within the horizon to the end, on average."""
         return float(self._left[self._left <= self.horizon].double().mean())
 
     @property
-    def widening(self) -> bool:
+    def widening(self) -> bool:  # type: ignore[override]
         """See `StartSampler`."""
         return self.horizon < self._longest()
 
@@ -119,9 +105,8 @@ class Curriculum:
         if len(rows) < count:
             more = torch.multinomial(probability, count - len(rows), replacement=True, generator=generator)
             rows = torch.cat([rows, more])
-        targets = None if self._targets is None else self._targets[rows]
         weight = self._correction(probability[rows])
-        return StartBatch(self.starts[rows], targets, self.entropy[rows], weight, rows)
+        return StartBatch(self.starts[rows], None, self.entropy[rows], weight, rows)
 
     def record(
         self, batch: StartBatch, transitions: Transitions, surrogate: torch.Tensor, generator: torch.Generator
@@ -162,13 +147,7 @@ class Curriculum:
     def state_dict(self) -> dict[str, torch.Tensor]:
         """See `StartSampler`."""
         columns = {name: getattr(self, name) for name in ("starts", "visited", "surrogate", "entropy", "far")}
-        if self._targets is not None:
-            columns["targets"] = self._targets
         return {**columns, "counts": torch.tensor([self.updates, self.horizon])}
-
-    def local_state_dict(self) -> dict[str, torch.Tensor]:
-        """See `StartSampler`."""
-        return {}
 
     def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
         """See `StartSampler`."""
@@ -176,8 +155,7 @@ class Curriculum:
         for name in ("starts", "visited", "surrogate", "entropy", "far"):
             setattr(self, name, tensors[name].to(device).clone())
         self.visited = self.visited.bool()
-        self._targets = tensors["targets"].to(device).clone() if "targets" in tensors else None
-        self._left = self._rules.steps_left(self.starts, self._targets)
+        self._left = self._rules.steps_left(self.starts)
         self.updates, self.horizon = tensors["counts"].tolist()
 
     def probability(self, inside: torch.Tensor) -> torch.Tensor:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import torch
 
@@ -42,23 +42,19 @@ class StartBatch:
     """Indices of the states in their sampler, shape (rollouts,)."""
 
 
-class StartSampler(Protocol):
+class StartSampler(ABC):
     """Sampler of start states that adapts to the outcomes of rollouts."""
 
-    @property
-    def mean_steps(self) -> float:
-        """Steps from a start to its target, on average."""
-        ...
+    mean_steps: float
+    """Steps from a start to its target, on average."""
+    widening = False
+    """Whether farther states will still be drawn."""
 
-    @property
-    def widening(self) -> bool:
-        """Whether farther states will still be drawn."""
-        ...
-
+    @abstractmethod
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
         """Draw the starts of `count` rollouts of this process."""
-        ...
 
+    @abstractmethod
     def record(
         self, batch: StartBatch, transitions: Transitions, surrogate: torch.Tensor, generator: torch.Generator
     ) -> None:
@@ -70,26 +66,25 @@ class StartSampler(Protocol):
             surrogate: mean size of the surrogate loss of each rollout, shape (rollouts,).
             generator: source of randomness.
         """
-        ...
 
     def report(self) -> dict[str, float]:
         """Return numbers to log."""
-        ...
+        return {}
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """Return the state that is the same in all processes."""
-        ...
+        return {}
 
     def local_state_dict(self) -> dict[str, torch.Tensor]:
         """Return the state that belongs to this process."""
-        ...
+        return {}
 
+    @abstractmethod
     def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
         """Restore both; `local` is None if the number of processes has changed."""
-        ...
 
 
-class MixedStarts:
+class MixedStarts(StartSampler):
     """States that searches found, recent failures, and hindsight pairs or any state known to be solvable."""
 
     def __init__(
@@ -118,7 +113,6 @@ class MixedStarts:
         self._most = _REMEMBERED * collection
         some = slice(None, None, max(len(starts) // _MEASURED, 1))
         left = rules.steps_left(starts[some], None if targets is None else targets[some])
-        self.widening = False
         self.mean_steps = max(float(left.double().mean()), 1.0) if len(left) else 1.0
 
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
@@ -148,14 +142,6 @@ class MixedStarts:
         if batch.targets is not None:
             pairs = relabel(transitions, len(batch.states), self._solved, generator)
             self._passed = _take(_joined([StartBatch(*pairs[:2]), self._passed]), slice(self._most))
-
-    def report(self) -> dict[str, float]:
-        """See `StartSampler`."""
-        return {}
-
-    def state_dict(self) -> dict[str, torch.Tensor]:
-        """See `StartSampler`."""
-        return {}
 
     def local_state_dict(self) -> dict[str, torch.Tensor]:
         """See `StartSampler`."""

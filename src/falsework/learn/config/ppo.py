@@ -55,8 +55,8 @@ class PpoPhase:
     """Start states of rollouts. `mixed`: states that searches found, recent failures, and hindsight goals or any state
     known to be solvable; `curriculum`: the curriculum of the paper; `complete`: the complete structure alone."""
     rollouts: int = 0
-    """Rollouts per collection, over all processes; 0: 512 on a CPU; on a GPU 4,096, of `mixed` 2,048, or with one epoch
-    16,384, and three times that with goals, whose rollouts are shorter: a collection takes as long as its longest."""
+    """Rollouts per collection, over all processes; 0: 512 on a CPU; on a GPU 4,096, of `mixed` without goals 2,048, or
+    with one epoch 16,384."""
     batch: int = 0
     """Transitions per step of the optimizer, over all processes; 0: 4,096 on a GPU and 1,024 on a CPU; of `mixed` with
     one epoch 8,192 and 512."""
@@ -83,10 +83,10 @@ class PpoPhase:
     """Mean entropy of the actions, in nat, below which that weight rises; the floor falls linearly to 0 over the phase,
     so that the policy explores first and decides at last. 0: none."""
     anywhere: float = 0.0
-    """Of a curriculum without goals: share of the rollouts that starts at any solvable state within its horizon, those
+    """Of a curriculum: share of the rollouts that starts at any solvable state within its horizon, those
     that rollouts passed included."""
     explored: float = 0.0
-    """Of a curriculum without goals: share of the rollouts that starts at solvable states far from those of the
+    """Of a curriculum: share of the rollouts that starts at solvable states far from those of the
     searches, which moves in the direction of assembly find during the training."""
     imitation: float = 0.1
     """Weight of imitating states known to be solvable, or paths to goals, which preserves what imitation learned."""
@@ -118,8 +118,8 @@ class PpoPhase:
         """Replace every 0 by the default for a kind of device, `cpu` or `cuda`."""
         gpu = device == "cuda"
         if self.starts == "mixed" and self.epochs == 1:
-            rollouts, batch = (49_152 if goal_conditioned else 16_384, 8_192) if gpu else (512, 512)
-        elif self.starts == "mixed":
+            rollouts, batch = (16_384, 8_192) if gpu else (512, 512)
+        elif self.starts == "mixed" and not goal_conditioned:
             rollouts, batch = (2_048, 4_096) if gpu else (512, 1_024)
         else:
             rollouts, batch = (4_096, 4_096) if gpu else (512, 1_024)
@@ -148,4 +148,4 @@ REINFORCEMENT = PpoPhase(
 states far from the data."""
 
 FINE_TUNING = replace(REINFORCEMENT, starts="mixed", anywhere=0.0, explored=0.0, imitation=0.1)
-"""Reinforcement from the weights of another run: from states of the searches at all distances at once."""
+"""Reinforcement from weights that know something, of another run or of imitation: no curriculum."""

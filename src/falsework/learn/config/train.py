@@ -15,18 +15,29 @@ from falsework.learn.config.ppo import FINE_TUNING, REINFORCEMENT, PpoPhase
 from falsework.utils.quantity import check_seed
 
 Phase = ImitationPhase | PpoPhase
-Method = Literal["default", "reinforcement", "fine-tuning"]
+Method = Literal["default", "reinforcement"]
 Data = Literal["wide", "width64"]
 Criterion = Literal["contact", "equilibrium"]
 """As `falsework.stability.verdict.Criterion`, which would load more than the command line needs to show its help."""
 
-METHODS: dict[Method, tuple[Phase, ...]] = {
-    # More imitation overfits the states of the searches, which makes the fine-tuning slower and worse.
-    "default": (ImitationPhase(until=0.5, steps=1000), PpoPhase()),
-    "reinforcement": (REINFORCEMENT,),
-    "fine-tuning": (FINE_TUNING,),
-}
+# More imitation overfits the states of the searches, which makes what follows slower and worse.
+_IMITATION = ImitationPhase(until=0.5, steps=1000)
+METHODS: dict[Method, tuple[Phase, ...]] = {"default": (_IMITATION, PpoPhase()), "reinforcement": (REINFORCEMENT,)}
 """Presets of `TrainSettings.phases` by the name that `falsework train --method` takes."""
+
+
+def phases_of(method: Method = "default", *, goal_conditioned: bool = False, begun: bool = False) -> tuple[Phase, ...]:
+    """Return the phases of a preset.
+
+    Args:
+        method: name of the preset.
+        goal_conditioned: of a policy with goals: the default is then imitation followed by `FINE_TUNING`.
+        begun: with the weights of another run: the default is then `FINE_TUNING` alone.
+    """
+    if method != "default" or not (goal_conditioned or begun):
+        return METHODS[method]
+    return (FINE_TUNING,) if begun else (_IMITATION, FINE_TUNING)
+
 
 _EVALUATE_EVERY = 25.0
 """Seconds between two evaluations."""
@@ -61,7 +72,7 @@ class TrainSettings:
     widths: tuple[int, ...] = ()
     """Widths of the wider searches; none given: by the number of parts and the device."""
     pairs: int = 20_000
-    """Start-goal pairs of the curriculum of a goal-conditioned policy; other starts are drawn anew."""
+    """Start-goal pairs by which a goal-conditioned policy knows how far goals are; what it learns is drawn anew."""
     minutes: float = 0.0
     """Total time, data included; 0: by the number of parts and the device."""
     steps: int = 0
@@ -74,8 +85,9 @@ class TrainSettings:
     evaluations: int = 0
     """Evaluations on the validation set, in equal shares of the budget; 0: one every 25 s, but at least ten. The best
     weights of these are the result."""
-    patience: float = 0.25
-    """Share of the budget after whose passing without a rise of validation the training ends; 0: never."""
+    patience: float = 0.5
+    """Share of the budget after whose passing in one phase without a rise of validation the training ends; 0: never.
+    The learning rate falls over the whole budget, and validation rises last where it is low."""
     evaluation_states: int = 512
     """Validation states of the curve, at most, and a quarter as many training states; a fixed sample."""
     checkpoint_every: float = 30.0
@@ -105,8 +117,8 @@ class TrainSettings:
             raise InputError("evaluations are not negative, and patience is a share; give 0 or more, and at most 1")
         check_seed(self.seed)
         last = self.phases[-1]
-        if self.policy.goal_conditioned and isinstance(last, PpoPhase) and last.starts == "complete":
-            raise InputError("PPO from the complete structure supports no goals; choose mixed starts or the curriculum")
+        if self.policy.goal_conditioned and isinstance(last, PpoPhase) and last.starts != "mixed":
+            raise InputError("PPO with a curriculum or from the complete structure has no goals; choose the default")
         check_robots(self.robots)
 
     def resolved(self, parts: int, device: str) -> TrainSettings:

@@ -72,10 +72,10 @@ def learner_of(
         sampler: StartSampler = MixedStarts(starts, solved, rules, rollouts, targets=targets, tasks=data.tasks)
     else:
         if phase.starts == "complete":
-            starts, targets = rules.complete(), None
-        curriculum = Curriculum(starts, rules, phase.curriculum, targets=targets, shards=run.shards)
+            starts = rules.complete()
+        curriculum = Curriculum(starts, rules, phase.curriculum, shards=run.shards)
         sampler = curriculum
-        if (phase.anywhere or phase.explored) and targets is None:
+        if phase.anywhere or phase.explored:
             exploration = Exploration(environment, solved, starts)
             sampler = BlendedStarts(
                 curriculum, solved, phase.anywhere, exploration=exploration, explored=phase.explored

@@ -45,11 +45,15 @@ class BestWeights:
             waiting: the patience begins later.
         """
         if waiting or success.succeeded > self.success.succeeded:
-            self._risen = progress
+            self.wait(progress)
         if self._weights and success.states and success.succeeded < self.success.succeeded:
             return
         self.success, self.step = success, step
         self._weights = {name: tensor.detach().clone() for name, tensor in policy.state_dict().items()}
+
+    def wait(self, progress: float) -> None:
+        """Begin the patience anew: another phase trains, which may lose at first what the one before has learned."""
+        self._risen = progress
 
     def over(self, progress: float) -> bool:
         """Return whether validation has not risen for so long that training ends; never before it is above zero."""

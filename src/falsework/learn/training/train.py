@@ -20,7 +20,7 @@ from falsework.errors import InputError
 from falsework.learn.algorithms.reward import Reward, environment_reward
 from falsework.learn.config.train import TrainSettings
 from falsework.learn.data.dataset import Dataset
-from falsework.learn.data.goal_dataset import SearchStates
+from falsework.learn.data.goal_dataset import GoalDataset
 from falsework.learn.networks.custom_policy import PolicyOrClass
 from falsework.learn.networks.factory import transfer
 from falsework.learn.networks.policy import Policy
@@ -53,7 +53,7 @@ def train(
     resume: bool = False,
     logs: Sequence[str] = ("tensorboard",),
     report: Report | None = None,
-    dataset: Dataset | SearchStates | None = None,
+    dataset: Dataset | GoalDataset | None = None,
 ) -> TrainResult:
     """Train a policy for one structure, and write a run that `load_run` reads.
 
@@ -68,7 +68,7 @@ def train(
             cannot import it needs it again; so with the reward and the learner.
         begin: folder of a run whose weights come in place of random ones, and whose network in place of that of the
             settings: of this structure, of another one if its network knows parts by their geometry, or of a policy for
-            any structure. Choose phases without imitation, such as `METHODS["fine-tuning"]`.
+            any structure. Choose phases without imitation, such as `phases_of(begun=True)`.
         reward: of each action, for PPO. Weights are chosen by success on the validation set all the same.
         learner: makes the learner in place of PPO.
         callbacks: called after each iteration; one that returns True ends the training.
@@ -78,7 +78,7 @@ def train(
         logs: `tensorboard` and `wandb`.
         report: called with progress messages; notebooks show them if not given.
         dataset: states to learn from and to test on, in place of those that searches would find; of a policy with goals
-            `SearchStates`.
+            a `GoalDataset`.
 
     Raises:
         DependencyError: a package is missing that the device or a log needs.

@@ -20,7 +20,7 @@ from falsework.learn.algorithms.learner import Learner
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.train import TrainSettings, to_dict
 from falsework.learn.data.dataset import Dataset
-from falsework.learn.data.goal_dataset import SearchStates
+from falsework.learn.data.goal_dataset import GoalDataset
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.autocast import Network
@@ -123,7 +123,7 @@ class Trainer:
             self.notes.append(f"load_run will need the policy handed over: {lost}")
 
     def run(
-        self, begun: float, *, resume: bool, logs: Sequence[str], dataset: Dataset | SearchStates | None
+        self, begun: float, *, resume: bool, logs: Sequence[str], dataset: Dataset | GoalDataset | None
     ) -> TrainResult:
         """Collect data, train in blocks, and return the result."""
         self.budget.before = time.perf_counter() - begun
@@ -276,6 +276,7 @@ class Trainer:
         learner.export_policy(self.exported)
         self._phase += 1
         self._phase_begun, self._phase_steps = progress, self.steps
+        self._best.wait(progress)
         following = self._learner()
         following.load_policy(self.exported)
         return following

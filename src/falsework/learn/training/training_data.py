@@ -53,7 +53,7 @@ def collect_training_data(
     run: RunContext,
     *,
     kept: bool = False,
-    dataset: Dataset | SearchStates | None = None,
+    dataset: Dataset | GoalDataset | None = None,
     enough: Callable[[], bool] | None = None,
 ) -> TrainingData:
     """Search for states, or read those that an earlier session found.
@@ -61,7 +61,7 @@ def collect_training_data(
     Args:
         run: training run; states are kept in its folder.
         kept: read them if they are there.
-        dataset: states to use instead; those of goals are `SearchStates`.
+        dataset: states to use instead; of a policy with goals a `GoalDataset`.
         enough: called between searches for goals; true if no time is left for more, alike in all processes.
 
     Raises:
@@ -71,20 +71,7 @@ def collect_training_data(
     assembly, settings, device = run.assembly, run.settings, run.device
     count, images = settings.evaluation_states, symmetries(assembly)
     if settings.policy.goal_conditioned:
-        path = None if run.folder is None else run.folder / SEARCHED
-        if kept and path is not None and path.exists():
-            searched = SearchStates.load(path, run.task)
-        elif isinstance(dataset, SearchStates):
-            searched = dataset
-        else:
-            searches = _target_searches(settings)
-            searched = SearchStates.find(
-                run.task, searches, run.oracle, device=device, shards=run.shards, report=run.report, enough=enough
-            )
-            _keep(run, path, lambda where: searched.save(where, run.task))
-            if searches.widths and not len(searched.more):
-                run.note("no time was left for searches beyond the protocol's, without which few unseen pairs succeed")
-        pairs = find_pairs(run, searched)
+        pairs = dataset if isinstance(dataset, GoalDataset) else find_pairs(run, _searched(run, kept, enough))
         held_out = symmetric_images(pairs.held_out, images)
         tasks: GoalSampler = RandomWalkGoals(pairs.wide, device=device, held_out=held_out)
         if len(images) > 1:
@@ -140,6 +127,21 @@ def collect_training_data(
         {"test": (sample(data.test, count), None)},
         time.perf_counter() - begun,
     )
+
+
+def _searched(run: RunContext, kept: bool, enough: Callable[[], bool] | None) -> SearchStates:
+    """Search for states of tasks with targets, or read those in the folder of the run."""
+    path = None if run.folder is None else run.folder / SEARCHED
+    if kept and path is not None and path.exists():
+        return SearchStates.load(path, run.task)
+    searches = _target_searches(run.settings)
+    searched = SearchStates.find(
+        run.task, searches, run.oracle, device=run.device, shards=run.shards, report=run.report, enough=enough
+    )
+    _keep(run, path, lambda where: searched.save(where, run.task))
+    if searches.widths and not len(searched.more):
+        run.note("no time was left for searches beyond the protocol's, without which few unseen pairs succeed")
+    return searched
 
 
 def find_pairs(run: RunContext, searched: SearchStates | None = None) -> GoalDataset:

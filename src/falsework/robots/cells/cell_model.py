@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from msgspec import Meta
+from scipy.spatial.transform import Rotation
 
 from falsework.errors import CellError
 from falsework.robots.model.cell import Margins, Signals
@@ -220,13 +221,8 @@ def pose_of(entry: PoseEntry, place: Place) -> Array:
     if entry.yaw is not None and entry.rpy is not None:
         raise place.fail("yaw", "is given beside rpy; give one of them")
     made = np.array(pose(entry.position or (0.0, 0.0, 0.0)))
-    roll, pitch, yaw = np.radians(entry.rpy or [0.0, 0.0, entry.yaw or 0.0])
-    cx, sx, cy, sy, cz, sz = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
-    made[:3, :3] = [
-        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-        [-sy, cy * sx, cy * cx],
-    ]
+    turns = entry.rpy or [0.0, 0.0, entry.yaw or 0.0]
+    made[:3, :3] = Rotation.from_euler("xyz", turns, degrees=True).as_matrix()
     return made
 
 

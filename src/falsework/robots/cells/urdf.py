@@ -26,9 +26,8 @@ from falsework.robots.cells.urdf_review import (
     soft_range,
     unused_text,
 )
-from falsework.robots.kernels.collision import Rules, make_work
+from falsework.robots.kernels.collision import Rules, check_many, make_query
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain, make_obstacles, self_pairs
-from falsework.robots.kernels.rrt_connect import check_many
 from falsework.robots.model.cell import CellRobot, Gripper
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
 from falsework.robots.model.shapes import Array, move, outer_hull
@@ -222,7 +221,7 @@ def always_touching(model: RobotModel) -> set[tuple[int, int]]:
     for a, b in sorted({(int(links[i]), int(links[j])) for i, j in pairs}):
         tried = np.array([(i, j) for i, j in pairs if (links[i], links[j]) == (a, b)], np.int64)
         rules = Rules(np.zeros((len(links), 0), bool), tried, -1e9, np.zeros(len(links), bool), 0.0)
-        check_many(configurations, chain, bodies, obstacles, rules, make_work(chain, bodies, obstacles, rules), hits)
+        check_many(configurations, make_query(chain, bodies, obstacles, rules), hits)
         if (hits >= 0).mean() >= ALWAYS_SHARE:
             found.add((a, b))
     return found

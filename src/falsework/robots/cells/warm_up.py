@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.robots.cells.validate import no_parts
-from falsework.robots.kernels import coordination, speed_profile
+from falsework.robots.kernels import coordination, rrt_connect, speed_profile
 from falsework.robots.kernels.collision import distance_between
 from falsework.robots.kinematics.forward import link_poses
 from falsework.robots.model.builtin_robots import builtin_robot
@@ -27,8 +27,14 @@ def compile_kernels() -> None:
     distance_between(fingers, fingers)
     link_poses(model, model.home)
     follow_line(view, model.home, (0.0, 0.0, 1.0), 0.01)
+    trees = np.stack([model.home, model.home + 0.01])[:, None].repeat(3, axis=1)
+    rrt_connect.grow(
+        *(trees, np.full((2, 3), -1, np.int64), np.array([1, 1, 0]), model.home, model.home, 1.0, 0, view.resolution),
+        *(np.zeros(1, np.uint64), view.arrays, np.zeros(2, np.int64)),
+    )
+    rrt_connect.shorten(trees[0].copy(), 3, 0, view.resolution, np.zeros(1, np.uint64), view.arrays)
     timed = time_path(model, np.stack([model.home, model.home + 0.01]))
     kept = np.empty(len(timed.times), np.int64)
     speed_profile.thin(timed.times, timed.positions, timed.velocities, model.acceleration * 1.0, 0.0, kept)
-    swept = coordination.sweep(model.home[None], np.zeros((1, model.joints)), view.chain, view.bodies)
+    swept = coordination.sweep(model.home[None], np.zeros((1, model.joints)), view.arrays.chain, view.arrays.bodies)
     coordination.conflicts((swept, swept), (swept, swept), 0.0)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from falsework.robots.checks.pinocchio_checker import import_pinocchio
 from falsework.robots.model.robot_model import RobotModel
@@ -182,6 +183,5 @@ def _moved(axis: Array, value: float, slides: bool) -> Array:
     if slides:
         made[:3, 3] = value * axis
         return made
-    cross = np.cross(np.eye(3), axis)
-    made[:3, :3] = np.eye(3) + np.sin(value) * cross + (1 - np.cos(value)) * (cross @ cross)
+    made[:3, :3] = Rotation.from_rotvec(value * axis).as_matrix()
     return made

@@ -94,19 +94,18 @@ def address_of(robot: CellRobot, name: str) -> str:
     return _text(robot.signals.address or f"{name}.local")
 
 
-def _identifier(text: str) -> str:
-    """Return a name for both languages: letters, digits and underscores, a letter first, short enough for suffixes."""
-    made = re.sub(r"\W", "_", text, flags=re.ASCII)
-    return (made if made[:1].isalpha() else f"r{made}")[:16]
+def program_names(plan: RobotPlan, size: int = 16) -> list[str]:
+    """Return distinct names of the robots of a plan: letters, digits and underscores, a letter first, of limited size.
 
-
-def program_names(plan: RobotPlan) -> list[str]:
-    """Return distinct names of the robots of a plan in programs; case does not count in RAPID."""
+    By default they are short enough for suffixes in both languages. Case does not count in RAPID.
+    """
     found: list[str] = []
-    for name in (_identifier(robot.name) for robot in plan.robots):
+    for robot in plan.robots:
+        name = re.sub(r"\W", "_", robot.name, flags=re.ASCII)
+        name = (name if name[:1].isalpha() else f"r{name}")[:size]
         chosen, number = name, 2
         while chosen.lower() in (entry.lower() for entry in found):
-            chosen, number = f"{name[:13]}_{number}", number + 1
+            chosen, number = f"{name[: size - 3]}_{number}", number + 1
         found.append(chosen)
     return found
 

@@ -3,9 +3,10 @@
 Topics, for each robot: `/NAME/joint_trajectory` (`trajectory_msgs/JointTrajectory`) and `/NAME/robot_trajectory`
 (`moveit_msgs/RobotTrajectory`), a message at the start of each motion; and `/planning_scene`
 (`moveit_msgs/PlanningScene`), a difference whenever a gripper picks up or puts down a part, as the planning
-scene monitor of MoveIt reads it. The first one, at the start, has the parts in place with their meshes, and a part that
-is picked up has its mesh in the frame of the flange; without the structure parts have only their names, and the
-reader's scene must have their shapes. A part put down in disassembly leaves the scene, unless its robot grips it again.
+scene monitor of MoveIt reads it. NAME has underscores for characters that no topic may have. The first scene, at the
+start, has the parts in place with their meshes, and a part that is picked up has its mesh in the frame of the flange;
+without the structure parts have only their names, and the reader's scene must have their shapes. A part put down in
+disassembly leaves the scene, unless its robot grips it again.
 Messages are CDR, with their definitions in the bag.
 """
 
@@ -23,7 +24,8 @@ import numpy as np
 from falsework.assembly.state import REMOVED
 from falsework.errors import DependencyError
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.robots.exports.ros2 import NANO, duration
+from falsework.robots.exports.controller import program_names
+from falsework.robots.exports.ros2 import NANO, duration, joint_names, joint_trajectory
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
@@ -32,11 +34,12 @@ from falsework.robots.plans.loads import Load, load_of, loads_at
 from falsework.robots.plans.robot_forces import TimedPress, flange_of
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import schedule_of
-from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.problem.task import Direction
 from falsework.utils.files.output_file import write_whole
 
 _ADD, _REMOVE = 0, 1
+_MOST_NAME = 200
+"""Most characters of the name of a robot in a topic; topics have 255 at most."""
 _WORLD = "world"
 """Frame of the parts in place."""
 _IDENTITY = {"orientation": {"w": 1.0}}
@@ -117,7 +120,7 @@ def write_bag(
         DependencyError: mcap or rosbags is missing.
         InputError: the file cannot be written.
     """
-    bag, graph = _Bag(), schedule_of(plan)
+    bag, graph, topics = _Bag(), schedule_of(plan), program_names(plan, _MOST_NAME)
     nodes, starts = graph.nodes, graph.starts()
 
     def scene(now: float, **fields: Any) -> None:
@@ -125,14 +128,14 @@ def write_bag(
 
     if placed is not None:
         present = np.flatnonzero(plan.states[0] != REMOVED).tolist()
-        names = [f"{robot.name}_{joint}" for robot in plan.robots for joint in robot.joint_names]
+        names = [joint for robot in range(len(plan.robots)) for joint in joint_names(plan, robot, "{robot}_")]
         things = [_part(plan, part, _ADD, _WORLD, 0.0, placed.shapes.meshes[part]) for part in present]
         scene(0.0, joints={"name": names, "position": np.concatenate(plan.keyframes[0].configurations)}, things=things)
     for robot, load in loads_at(plan, 0).items():
         scene(0.0, attached=_attached(plan, robot, load.part, 0.0, load, placed))
     for index in np.argsort(starts, kind="stable").tolist():
         node, now = nodes[index], float(starts[index])
-        step, name, robot = plan.steps[node.step], plan.robots[node.robot].name, node.robot
+        step, robot, topic = plan.steps[node.step], node.robot, topics[node.robot]
         if node.trajectory is None:
             continue
         carried = [plan.keyframes[node.step].load(robot), *(leg.part for leg in step.trajectories)]
@@ -141,10 +144,11 @@ def write_bag(
         if part is not None and carried[node.trajectory] is None:
             load = load_of(plan, node.step, node.trajectory)
             scene(now, attached=_attached(plan, robot, part, now, load, placed))
-        message = _trajectory(plan, robot, step.trajectories[node.trajectory], now)
-        whole = {"joint_trajectory": message, "multi_dof_joint_trajectory": {"header": _header(name, now)}}
-        bag.write(f"/{name}/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", message, now)
-        bag.write(f"/{name}/robot_trajectory", "moveit_msgs/msg/RobotTrajectory", whole, now)
+        message = joint_trajectory(plan, robot, step.trajectories[node.trajectory], "{robot}_")
+        message["header"] = _header(plan.robots[robot].name, now)
+        whole = {"joint_trajectory": message, "multi_dof_joint_trajectory": {"header": message["header"]}}
+        bag.write(f"/{topic}/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", message, now)
+        bag.write(f"/{topic}/robot_trajectory", "moveit_msgs/msg/RobotTrajectory", whole, now)
         if part is not None and carried[node.trajectory + 2] is None:
             end, last = now + node.seconds, node.trajectory + 1 == len(step.trajectories)
             # MoveIt leaves a detached part where it is, before it reads the world of the difference.
@@ -156,7 +160,7 @@ def write_bag(
         for moment, values in ((press.start, wrench), (press.end, np.zeros(6))):
             force, torque = (dict(zip("xyz", part, strict=True)) for part in values.reshape(2, 3).tolist())
             message = {"header": _header(f"{name}_tool0", moment), "wrench": {"force": force, "torque": torque}}
-            bag.write(f"/{name}/wrench_setpoint", "geometry_msgs/msg/WrenchStamped", message, moment)
+            bag.write(f"/{topics[press.robot]}/wrench_setpoint", "geometry_msgs/msg/WrenchStamped", message, moment)
     data = bag.finish()
     write_whole(path, lambda file: file.write(data))
     return bag.count
@@ -168,14 +172,6 @@ def _header(frame: str, now: float) -> dict[str, Any]:
 
 def _flange(plan: RobotPlan, robot: int) -> str:
     return f"{plan.robots[robot].name}_tool0"
-
-
-def _trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory, now: float) -> dict[str, Any]:
-    record = plan.robots[robot]
-    knots = zip(trajectory.times.tolist(), trajectory.positions, trajectory.velocities, strict=True)
-    points = [{"positions": at, "velocities": rates, "time_from_start": duration(time)} for time, at, rates in knots]
-    names = [f"{record.name}_{joint}" for joint in record.joint_names]
-    return {"header": _header(record.name, now), "joint_names": names, "points": points}
 
 
 def _attached(

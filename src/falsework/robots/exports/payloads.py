@@ -12,7 +12,6 @@ from falsework.robots.model.cell import Cell, Gripper
 from falsework.robots.model.shapes import Array, Pieces, inverse_pose, move
 from falsework.robots.plans.loads import load_of
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.utils.quantity import format_number
 
 _LEAST_MASS = 0.001
 """Mass of a tool without one, kg: that of `tool0`, since RAPID accepts no zero."""
@@ -64,7 +63,7 @@ def ur_payload(load: ToolLoad) -> str:
     """Return the URScript command that sets a load: kg, m, kg m2."""
     center = ", ".join(f"{round(value, 6) + 0.0:.6f}" for value in load.center)
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = load.inertia.tolist()
-    inertia = ", ".join(format_number(value, 6) for value in (xx, yy, zz, xy, xz, yz))
+    inertia = ", ".join(map(_plain, (xx, yy, zz, xy, xz, yz)))
     return f"set_target_payload({load.mass:.4f}, [{center}], [{inertia}])"
 
 

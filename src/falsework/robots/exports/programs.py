@@ -41,6 +41,8 @@ from falsework.utils.quantity import format_quantity
 
 MOST_COUNT = 65535
 """Largest 16-bit count."""
+UR_CYCLE = 0.002
+"""Time between two commands that a UR controller carries out, seconds."""
 _UR_LIMITS = (0.005, 0.005, 0.01, 0.05, 0.05, 0.05)
 """Largest deviation across a press, m and rad, and largest speed along it, m/s, in force mode."""
 
@@ -116,7 +118,7 @@ def rapid_modules(
                     zone = "fine" if knot == last else "z0"
                     body.append(f"    MoveAbsJ {target}, v1000\\T:={seconds:.3f}, {zone}, {name}_tool;")
         lines = [
-            f"MODULE {name}",
+            f"MODULE {name}_arm",  # a name alone could be a word of the language, or a module of the controller
             *(f"  ! {line}" for line in (_about(plan, robot), *controller_settings(plan, cell, robot, "rapid"))),
             f"  PERS tooldata {name}_tool := {_tooldata(record.tool, cell.robots[robot])};",
             *targets,
@@ -143,11 +145,18 @@ def ur_scripts(
 ) -> Iterator[tuple[str, str]]:
     """Yield file names and URScript programs, one for each arm, as `rapid_modules`.
 
-    Motions are positions at a fixed rate for `servoj`, with a `movej` to the last of each. An arm writes its count to
-    register 128 of its controller; others read it there over Modbus TCP, at the address in the first lines. An arm that
-    presses controls the force along its direction, from what the sensor measures before on, and keeps its position
-    across it; moments are not commanded.
+    Motions are positions at a fixed rate for `servoj`, in whole cycles of the controller, with a `movej` to the last of
+    each. An arm writes its count to register 128 of its controller; others read it there over Modbus TCP, at the
+    address in the first lines. An arm that presses controls the force along its direction, from what the sensor
+    measures before on, and keeps its position across it; moments are not commanded.
+
+    Raises:
+        InputError: an arm with another number of joints than 6, too many motions for 16 bits, an output that the
+            controller does not have, or a rate above that of its cycles.
     """
+    if rate * UR_CYCLE > 1:
+        raise InputError(f"UR controllers take {1 / UR_CYCLE:g} positions per second at most; give a rate up to that")
+    pause = UR_CYCLE * max(round(1 / (rate * UR_CYCLE)), 1)
     names = _names(plan, presses)
     for robot, name in enumerate(names):
         record, signals = plan.robots[robot], cell.robots[robot].signals
@@ -158,7 +167,7 @@ def ur_scripts(
         tool = tool_load(cell.robots[robot].gripper)
         own_load = carried = ur_payload(tool)
         about = (_about(plan, robot), *controller_settings(plan, cell, robot, "urscript"))
-        lines = [f"def {name}():", *(f"  # {line}" for line in about)]
+        lines = [f"def {name}_arm():", *(f"  # {line}" for line in about)]
         addresses = {names[k]: address_of(entry, names[k]) for k, entry in enumerate(cell.robots)}
         for other in others:
             lines += [
@@ -203,10 +212,9 @@ def ur_scripts(
                 if now != carried:
                     lines.append(f"  {now}")
                     carried = now
-                count = max(int(np.ceil(command.seconds * rate)), 1)
-                pause = command.seconds / count
-                for values in command.sample(np.linspace(pause, command.seconds, count)):
-                    lines.append(f"  servoj({_ur_joints(values)}, t={pause:.6f}, lookahead_time=0.1, gain=300)")
+                count = max(int(np.ceil(command.seconds / pause)), 1)
+                for values in command.sample(np.linspace(pause, count * pause, count)):
+                    lines.append(f"  servoj({_ur_joints(values)}, t={pause:.3f}, lookahead_time=0.1, gain=300)")
                 lines.append("  stopj(10)")
                 lines.append(f"  movej({_ur_joints(command.positions[-1])}, a=0.5, v=0.5)")
         yield f"{name}.script", "\n".join([*lines, "end", ""])

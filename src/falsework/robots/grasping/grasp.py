@@ -14,9 +14,8 @@ from falsework.assembly.model import Assembly
 from falsework.errors import StateError
 from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.robots.grasping.planar_faces import Face, faces_of
-from falsework.robots.kernels.collision import CLEAR, Bodies, Chain, Rules, make_work
+from falsework.robots.kernels.collision import CLEAR, Bodies, Chain, Rules, check_many, make_query
 from falsework.robots.kernels.kernel_arrays import bounds_of, make_obstacles
-from falsework.robots.kernels.rrt_connect import check_many
 from falsework.robots.model.cell import GRIP_TILT, CellRobot, Gripper
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import Array
@@ -275,13 +274,13 @@ def _free_approaches(parts: PartShapes, part: int, there: NDArray[np.bool_], gri
     pairs = np.ones((count, len(obstacles.low)), bool)
     rules = Rules(pairs, np.zeros((0, 2), np.int64), -1e9, np.zeros(count, bool), GRIPPER_MARGIN)
     chain = Chain(np.eye(4)[:3].copy(), _FREE_FLIGHT.copy(), np.arange(6) < 3)
-    work = make_work(chain, bodies, obstacles, rules)
+    query = make_query(chain, bodies, obstacles, rules)
     back = np.linalg.inv(gripper.tool)
 
     def clear(poses: Array, approach: Array, distance: float) -> NDArray[np.bool_]:
         at = poses[:, :3, 3] - distance * approach
         hits = np.empty(len(poses), np.int64)
-        check_many(np.hstack([at, _turns(poses[:, :3, :3])]), chain, bodies, obstacles, rules, work, hits)
+        check_many(np.hstack([at, _turns(poses[:, :3, :3])]), query, hits)
         return hits == CLEAR
 
     def test(grasps: Sequence[Grasp]) -> NDArray[np.bool_]:

@@ -75,7 +75,7 @@ class Rules(NamedTuple):
     """Distance to keep from obstacles and floor, metres."""
 
 
-class CollisionScratch(NamedTuple):
+class Scratch(NamedTuple):
     """Scratch memory of one caller: not to be shared between threads."""
 
     frames: Array
@@ -86,29 +86,40 @@ class CollisionScratch(NamedTuple):
     placed: NDArray[np.bool_]
     axis: Array
     self_axis: Array
-    scratch: Array
+    simplex: Array
     swept: Array
     """Bound on the motion of the points of every body along an edge, metres, shape (bodies,)."""
     self_swept: Array
     """Bound on the relative motion of the two bodies of every self pair, metres, shape (pairs,)."""
 
 
-def make_work(chain: Chain, bodies: Bodies, obstacles: Obstacles, rules: Rules) -> CollisionScratch:
-    """Return scratch for a query."""
-    joints, count = len(chain.origin), len(bodies.frame)
-    return CollisionScratch(
-        frames=np.empty((joints + 1, 3, 4)),
+class Query(NamedTuple):
+    """Arm among obstacles, as compiled functions take it; made by `make_query`."""
+
+    chain: Chain
+    bodies: Bodies
+    obstacles: Obstacles
+    rules: Rules
+    scratch: Scratch
+
+
+def make_query(chain: Chain, bodies: Bodies, obstacles: Obstacles, rules: Rules) -> Query:
+    """Return a query with scratch of its own."""
+    count, pairs = len(bodies.frame), len(rules.self_pairs)
+    scratch = Scratch(
+        frames=np.empty((len(chain.origin) + 1, 3, 4)),
         vertices=np.empty_like(bodies.vertices),
         center=np.empty((count, 3)),
         low=np.empty((count, 3)),
         high=np.empty((count, 3)),
         placed=np.empty(count, np.bool_),
         axis=np.zeros((count, len(obstacles.low), 3)),
-        self_axis=np.zeros((len(rules.self_pairs), 3)),
-        scratch=np.empty((6, 3)),
+        self_axis=np.zeros((pairs, 3)),
+        simplex=np.empty((6, 3)),
         swept=np.zeros(count),
-        self_swept=np.zeros(len(rules.self_pairs)),
+        self_swept=np.zeros(pairs),
     )
+    return Query(chain, bodies, obstacles, rules, scratch)
 
 
 @njit(**INNER)
@@ -161,18 +172,19 @@ def _outside(x, y, z, low, high, k):
 
 
 @njit(**INNER)
-def first_hit(values, share, chain, bodies, obstacles, rules, work):
+def first_hit(values, share, query):
     """Return the first pair that is not proven to keep its distance, or CLEAR.
 
     Args:
         values: joint values, shape (joints,).
-        share: share of `work.swept` and `work.self_swept` that is added to the margins; 0 checks `values` alone.
-        chain, bodies, obstacles, rules, work: the named tuples of this module.
+        share: share of `swept` and `self_swept` of the scratch that is added to the margins; 0 checks `values` alone.
+        query: the `Query`.
 
     Returns:
         With n obstacles and m bodies: `b n + o` for body b and obstacle o, `m n + b` for body b and the floor,
         `m n + m + k` for self pair k, or -1.
     """
+    chain, bodies, obstacles, rules, work = query
     place_frames(values, chain, work.frames)
     count, many = len(bodies.frame), len(obstacles.low)
     for b in range(count):
@@ -217,7 +229,7 @@ def first_hit(values, share, chain, bodies, obstacles, rules, work):
                     margin,
                     margin,
                     work.axis[b, o],
-                    work.scratch,
+                    work.simplex,
                 )
                 if found <= margin:
                     return b * many + o
@@ -246,11 +258,18 @@ def first_hit(values, share, chain, bodies, obstacles, rules, work):
             margin,
             margin,
             work.self_axis[k],
-            work.scratch,
+            work.simplex,
         )
         if found <= margin:
             return count * many + count + k
     return CLEAR
+
+
+@njit(**OUTER)
+def check_many(configurations, query, found):
+    """Write `first_hit` of a batch, shape (batch, joints), into `found`, shape (batch,)."""
+    for i in range(len(configurations)):
+        found[i] = first_hit(configurations[i], 0.0, query)
 
 
 @njit(**OUTER)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from falsework.geometry.paths.gjk import INNER, OUTER, gap
 from falsework.robots.kernels.collision import Bodies, Chain, place_frames
+from falsework.robots.kernels.kernel_arrays import bounds_of
 from falsework.utils.kernels import njit
 
 Array = NDArray[np.float64]
@@ -113,18 +114,9 @@ def sweep(values: Array, spread: Array, chain: Chain, bodies: Bodies) -> Swept:
 
 def still(pieces: tuple[Array, ...]) -> Swept:
     """Return fixed bodies, such as a part in place, as a single cell."""
-    vertices = np.concatenate(pieces)
-    middle = np.array([(piece.min(axis=0) + piece.max(axis=0)) / 2 for piece in pieces])
-    radius = [np.linalg.norm(piece - center, axis=1).max() for piece, center in zip(pieces, middle, strict=True)]
-    return Swept(
-        np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])]).astype(np.int64),
-        np.ascontiguousarray(vertices[None]),
-        middle[None].copy(),
-        np.array(radius),
-        np.zeros((1, len(pieces))),
-        vertices.min(axis=0)[None],
-        vertices.max(axis=0)[None],
-    )
+    start, vertices, center, radius = bounds_of(pieces)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return Swept(start, vertices[None], center[None], radius, np.zeros((1, len(pieces))), low[None], high[None])
 
 
 @njit(**INNER)

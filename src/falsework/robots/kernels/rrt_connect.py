@@ -20,16 +20,17 @@ INTERVALS = 4096
 
 
 @njit(**INNER)
-def edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, opened):
+def edge_free(a, b, resolution, query, values, opened):
     """Return whether the straight edge between two configurations keeps its distances everywhere; ends included.
 
     Args:
         a, b: configurations, shape (joints,).
         resolution: metres; an interval in which no point moves farther is not bisected again.
-        chain, bodies, obstacles, rules, work: as `first_hit` takes them.
+        query: as `first_hit` takes it.
         values: scratch, shape (joints,).
         opened: scratch, shape (2, INTERVALS).
     """
+    bodies, rules, work = query.bodies, query.rules, query.scratch
     count, joints = bodies.sweep.shape
     farthest = 0.0
     for body in range(count):
@@ -55,11 +56,11 @@ def edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, o
             t = (index + 0.5) / parts
             for j in range(joints):
                 values[j] = a[j] + t * (b[j] - a[j])
-            if first_hit(values, 0.5 / parts, chain, bodies, obstacles, rules, work) == CLEAR:
+            if first_hit(values, 0.5 / parts, query) == CLEAR:
                 continue
             if 0.5 * farthest / parts <= resolution:
                 return False
-            if first_hit(values, 0.0, chain, bodies, obstacles, rules, work) != CLEAR:
+            if first_hit(values, 0.0, query) != CLEAR:
                 return False
             if ahead + 2 > INTERVALS:
                 return False
@@ -70,12 +71,12 @@ def edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, o
     return True
 
 
-@njit(**INNER)
-def _edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened):
+@njit(**OUTER)
+def edges_free(path, resolution, query):
     """Return the number of leading edges of a path that are free, shape (points, joints)."""
-    values = np.empty(path.shape[1])
+    values, opened = np.empty(path.shape[1]), np.empty((2, INTERVALS), np.int64)
     for i in range(len(path) - 1):
-        if not edge_free(path[i], path[i + 1], resolution, chain, bodies, obstacles, rules, work, values, opened):
+        if not edge_free(path[i], path[i + 1], resolution, query, values, opened):
             return i
     return len(path) - 1
 
@@ -103,10 +104,8 @@ def _nearest(tree, size, target):
     return found, math.sqrt(best)
 
 
-@njit(**INNER)
-def _grow(
-    trees, parents, sizes, low, high, stride, rounds, resolution, seed, chain, bodies, obstacles, rules, work, opened
-):
+@njit(**OUTER)
+def grow(trees, parents, sizes, low, high, stride, rounds, resolution, seed, query, met):
     """Grow two trees towards each other for some rounds (RRT-Connect, Kuffner and LaValle 2000).
 
     Args:
@@ -117,15 +116,17 @@ def _grow(
         stride: longest edge, in joint space.
         rounds: samples to draw.
         seed: state of the generator, shape (1,).
+        query: as `first_hit` takes it.
+        met: out: the meeting nodes of the two trees, shape (2,).
 
     Returns:
-        1 and the meeting nodes of the two trees; 0: not connected yet; -1: no room for more nodes.
+        1: connected; 0: not yet; -1: no room for more nodes.
     """
-    joints = len(low)
+    joints, opened = len(low), np.empty((2, INTERVALS), np.int64)
     target, fresh, values = np.empty(joints), np.empty(joints), np.empty(joints)
     for _ in range(rounds):
         if max(sizes[0], sizes[1]) >= trees.shape[1] - 1:
-            return -1, 0, 0
+            return -1
         one = sizes[2]
         other = 1 - one
         sizes[2] = other
@@ -135,9 +136,9 @@ def _grow(
         share = min(1.0, stride / max(far, 1e-12))
         for j in range(joints):
             fresh[j] = trees[one, near, j] + share * (target[j] - trees[one, near, j])
-        if first_hit(fresh, 0.0, chain, bodies, obstacles, rules, work) != CLEAR:
+        if first_hit(fresh, 0.0, query) != CLEAR:
             continue
-        if not edge_free(trees[one, near], fresh, resolution, chain, bodies, obstacles, rules, work, values, opened):
+        if not edge_free(trees[one, near], fresh, resolution, query, values, opened):
             continue
         leaf = sizes[one]
         for j in range(joints):
@@ -149,36 +150,33 @@ def _grow(
             share = min(1.0, stride / max(far, 1e-12))
             for j in range(joints):
                 target[j] = trees[other, near, j] + share * (fresh[j] - trees[other, near, j])
-            if share < 1.0 and first_hit(target, 0.0, chain, bodies, obstacles, rules, work) != CLEAR:
+            if share < 1.0 and first_hit(target, 0.0, query) != CLEAR:
                 break
-            if not edge_free(
-                trees[other, near], target, resolution, chain, bodies, obstacles, rules, work, values, opened
-            ):
+            if not edge_free(trees[other, near], target, resolution, query, values, opened):
                 break
             if share >= 1.0:
-                if one == 0:
-                    return 1, leaf, near
-                return 1, near, leaf
+                met[one], met[other] = leaf, near
+                return 1
             if sizes[other] >= trees.shape[1]:
-                return -1, 0, 0
+                return -1
             for j in range(joints):
                 trees[other, sizes[other], j] = target[j]
             parents[other, sizes[other]] = near
             near = sizes[other]
             sizes[other] += 1
             far -= stride
-    return 0, 0, 0
+    return 0
 
 
-@njit(**INNER)
-def _shorten(path, size, tries, resolution, seed, chain, bodies, obstacles, rules, work, opened):
+@njit(**OUTER)
+def shorten(path, size, tries, resolution, seed, query):
     """Replace segments of a path by straight edges where those are free; return the number of points left.
 
     Args:
         path: points, overwritten, shape (room, joints), `size` of them in use; there must be room for two more.
         tries: number of pairs of points along the path to try.
     """
-    joints = path.shape[1]
+    joints, opened = path.shape[1], np.empty((2, INTERVALS), np.int64)
     a, b, values = np.empty(joints), np.empty(joints), np.empty(joints)
     along = np.empty(len(path))
     for _ in range(tries):
@@ -206,7 +204,7 @@ def _shorten(path, size, tries, resolution, seed, chain, bodies, obstacles, rule
         for j in range(joints):
             a[j] = path[i, j] + s * (path[i + 1, j] - path[i, j])
             b[j] = path[k, j] + t * (path[k + 1, j] - path[k, j])
-        if not edge_free(a, b, resolution, chain, bodies, obstacles, rules, work, values, opened):
+        if not edge_free(a, b, resolution, query, values, opened):
             continue
         # Points i + 1 to k are replaced by a and b.
         change = 2 - (k - i)
@@ -223,96 +221,3 @@ def _shorten(path, size, tries, resolution, seed, chain, bodies, obstacles, rule
             path[i + 2, j] = b[j]
         size += change
     return size
-
-
-CHECK, EDGES, GROW, SHORTEN = range(4)
-_NOTHING = np.zeros((0, 0))
-_NO_TREES, _NO_PARENTS = np.zeros((2, 0, 0)), np.zeros((2, 0), np.int64)
-_NO_LIMITS, _NO_INTEGERS, _NO_SEED = np.zeros(0), np.zeros(0, np.int64), np.zeros(1, np.uint64)
-_NOTHING_OPENED = np.zeros((2, 0), np.int64)
-
-
-@njit(**OUTER)
-def _run(
-    what,
-    path,
-    found,
-    count,
-    length,
-    trees,
-    parents,
-    sizes,
-    low,
-    high,
-    resolution,
-    seed,
-    chain,
-    bodies,
-    obstacles,
-    rules,
-    work,
-    opened,
-):
-    """Dispatch to the kernels: one entry point for Python, so that each is compiled once. `found` takes the result."""
-    if what == CHECK:
-        for i in range(len(path)):
-            found[i] = first_hit(path[i], 0.0, chain, bodies, obstacles, rules, work)
-    elif what == EDGES:
-        found[0] = _edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened)
-    elif what == GROW:
-        found[0], found[1], found[2] = _grow(
-            trees,
-            parents,
-            sizes,
-            low,
-            high,
-            length,
-            count,
-            resolution,
-            seed,
-            chain,
-            bodies,
-            obstacles,
-            rules,
-            work,
-            opened,
-        )
-    else:
-        found[0] = _shorten(path, sizes[0], count, resolution, seed, chain, bodies, obstacles, rules, work, opened)
-
-
-def check_many(configurations, chain, bodies, obstacles, rules, work, found) -> None:
-    """`first_hit` for a batch, shape (batch, joints), into `found`, shape (batch,)."""
-    arrays = (chain, bodies, obstacles, rules, work, _NOTHING_OPENED)
-    rest = (_NO_TREES, _NO_PARENTS, _NO_INTEGERS, _NO_LIMITS, _NO_LIMITS, 0.0, _NO_SEED)
-    _run(CHECK, configurations, found, 0, 0.0, *rest, *arrays)
-
-
-def edges_free(path, resolution, chain, bodies, obstacles, rules, work, opened) -> int:
-    """Return the number of leading edges of a path that are free, shape (points, joints)."""
-    arrays = (chain, bodies, obstacles, rules, work, opened)
-    rest = (_NO_TREES, _NO_PARENTS, _NO_INTEGERS, _NO_LIMITS, _NO_LIMITS, resolution, _NO_SEED)
-    found = np.zeros(1, np.int64)
-    _run(EDGES, path, found, 0, 0.0, *rest, *arrays)
-    return int(found[0])
-
-
-def grow(
-    trees, parents, sizes, low, high, stride, rounds, resolution, seed, chain, bodies, obstacles, rules, work, opened
-) -> tuple[int, int, int]:
-    """Grow two trees towards each other; see `_grow`."""
-    arrays = (chain, bodies, obstacles, rules, work, opened)
-    rest = (trees, parents, sizes, low, high, resolution, seed)
-    found = np.zeros(3, np.int64)
-    _run(GROW, _NOTHING, found, rounds, stride, *rest, *arrays)
-    met, one, other = found.tolist()
-    return met, one, other
-
-
-def shorten(path, size, tries, resolution, seed, chain, bodies, obstacles, rules, work, opened) -> int:
-    """Replace segments of a path by straight edges; see `_shorten`."""
-    arrays = (chain, bodies, obstacles, rules, work, opened)
-    rest = (_NO_TREES, _NO_PARENTS, np.array([size]), _NO_LIMITS, _NO_LIMITS, resolution, seed)
-    found = np.zeros(1, np.int64)
-    _run(SHORTEN, path, found, tries, 0.0, *rest, *arrays)
-    return int(found[0])

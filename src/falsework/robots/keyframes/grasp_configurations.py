@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
 from falsework.robots.grasping.grasp import Grasp, candidates, clear_grasps, grasp_fault
-from falsework.robots.kernels.coordination import Swept, sweep
-from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
 from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
@@ -76,12 +74,6 @@ class GraspConfigurations:
         values = np.array([grip.configuration for grip in grips])
         way = 0.1 * np.abs(values - here).max(axis=1)
         return _spread([grips[row] for row in np.argsort(way - room, kind="stable")], count)
-
-    def swept(self, robot: int, values: Array) -> Swept:
-        """Return the bodies of a robot without load in configurations, shape (n, joints), each of them a cell."""
-        entry = self.cell.robots[robot]
-        bodies, _, _ = make_bodies(entry, None, self.parts.names)
-        return sweep(values, np.zeros_like(values), make_chain(entry.model, entry.base), bodies)
 
     def _room(
         self, grips: list[GraspConfiguration], robot: int, configurations: Sequence[Array], held: tuple[int | None, ...]

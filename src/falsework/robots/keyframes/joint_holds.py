@@ -11,6 +11,7 @@ import numpy as np
 from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.robots.kernels.coordination import Swept, conflicts
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
+from falsework.robots.schedule.swept_bodies import SweptBodies
 from falsework.search.problem.oracle import Oracle
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.oracle import StabilityOracle
@@ -35,6 +36,7 @@ class JointHolds:
     def __init__(self, grips: GraspConfigurations, usable: Usable) -> None:
         """Compare only grasps that are usable: an arm can approach them, and the part leave with them later."""
         self.grips, self.cell, self._usable = grips, grips.cell, usable
+        self._bodies = SweptBodies(grips.cache.world)
         self.rivals: set[Group] = set()
         """Groups that could not be held at the same time."""
         self.excluded = 0
@@ -126,7 +128,7 @@ class JointHolds:
 
     def swept(self, grips: Sequence[GraspConfiguration]) -> Swept:
         """Return the bodies of an arm in configurations of it."""
-        return self.grips.swept(grips[0].robot, np.array([grip.configuration for grip in grips]))
+        return self._bodies.resting(grips[0].robot, np.array([grip.configuration for grip in grips]), None)
 
 
 class HoldingOracle(Oracle):

@@ -229,7 +229,7 @@ class PuttingDown:
 
     def _fixed(self, scene: Scene, robot: int) -> list[Array]:
         """Return the pieces of all that stays where it is while a robot moves, with the base of that robot."""
-        entry, obstacles = self.cell.robots[robot], self.cache.view(scene, robot).obstacles
+        entry, obstacles = self.cell.robots[robot], self.cache.view(scene, robot).arrays.obstacles
         rows = zip(obstacles.start[:-1], obstacles.start[1:], strict=True)
         return [obstacles.vertices[a:b] for a, b in rows] + [move(entry.base, p) for p in entry.model.pieces[0]]
 

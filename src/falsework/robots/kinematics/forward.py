@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.geometry.paths.gjk import OUTER
-from falsework.robots.kernels.collision import place_frames
+from falsework.robots.kernels.collision import Bodies, Chain, place_frames
 from falsework.robots.kernels.kernel_arrays import make_chain, turns
 from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel
@@ -43,6 +43,16 @@ def flange_pose(model: RobotModel, configurations: ArrayLike, base: Array | None
 def tool_pose(robot: CellRobot, configurations: ArrayLike) -> Array:
     """Return the pose of the tool frame of a robot of a cell in the world, shape (joints,) to (4, 4), or batched."""
     return flange_pose(robot.model, configurations, robot.base) @ robot.gripper.tool
+
+
+def placed_bodies(chain: Chain, bodies: Bodies, values: Array) -> list[Array]:
+    """Return the vertices of each piece of an arm in the world, at joint values of shape (joints,)."""
+    frames = np.empty((1, len(values) + 1, 3, 4))
+    place_many(values[None], chain, frames)
+    return [
+        bodies.vertices[bodies.start[k] : bodies.start[k + 1]] @ frames[0, frame, :, :3].T + frames[0, frame, :, 3]
+        for k, frame in enumerate(bodies.frame.tolist())
+    ]
 
 
 @njit(**OUTER)

@@ -34,12 +34,12 @@ def builtin_robot(name: str) -> RobotModel:
             f"no built-in robot {name!r}; there are {', '.join(sorted(BUILTIN))}, or give the path of a URDF"
         )
     arm = BUILTIN[name]
-    joints, speed = len(arm["offsets"]), np.radians(arm["velocity"])
+    joints, speed = len(arm["joints"]), np.radians(arm["velocity"])
     level = [0] * joints
     frames = zip(arm["offsets"], arm.get("yaws", level), arm.get("rolls", level), strict=True)
     return RobotModel(
         name=name,
-        joint_names=tuple(f"joint_{j + 1}" for j in range(joints)),
+        joint_names=tuple(arm["joints"]),
         link_names=("base_link", *(f"link_{j + 1}" for j in range(joints))),
         origins=np.stack([_frame(*given) for given in frames]),
         axes=np.array([np.eye(3)["xyz".index(axis)] for axis in arm["axes"]]),

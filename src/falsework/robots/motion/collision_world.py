@@ -9,19 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import InputError
-from falsework.robots.kernels.collision import (
-    CLEAR,
-    Bodies,
-    Chain,
-    CollisionScratch,
-    Obstacles,
-    Rules,
-    distance_between,
-    make_work,
-)
+from falsework.robots.kernels.collision import CLEAR, Bodies, Query, Rules, check_many, distance_between, make_query
 from falsework.robots.kernels.kernel_arrays import Carried, make_bodies, make_chain, make_obstacles, self_pairs
-from falsework.robots.kernels.rrt_connect import INTERVALS, check_many, edges_free
-from falsework.robots.kinematics.forward import link_poses
+from falsework.robots.kernels.rrt_connect import edges_free
+from falsework.robots.kinematics.forward import flange_pose, placed_bodies
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
@@ -144,17 +135,14 @@ class CollisionQuery:
     scene: Scene
     robot: int
     contact: Contact
-    chain: Chain
-    bodies: Bodies
-    obstacles: Obstacles
-    rules: Rules
+    arrays: Query = field(repr=False)
+    """What compiled functions take."""
     links: NDArray[np.int64]
     """Link of each body, joints + 1 for the gripper, joints + 2 for the part; shape (bodies,)."""
     owners: NDArray[np.int64]
     """Part of each obstacle, negative where it is none; shape (obstacles,)."""
     body_names: tuple[str, ...]
     obstacle_names: tuple[str, ...]
-    work: CollisionScratch = field(repr=False)
 
     @property
     def model(self):
@@ -164,12 +152,12 @@ class CollisionQuery:
     @property
     def margin(self) -> float:
         """Distance to keep, metres."""
-        return float(self.rules.margin)
+        return float(self.arrays.rules.margin)
 
     def under(self, contact: Contact, margin: float) -> CollisionQuery:
         """Return queries in the same scene under another contact rule and margin."""
         rules = self.world._rules(self.model, self.links, self.owners, contact, margin)
-        return replace(self, contact=contact, rules=rules)
+        return replace(self, contact=contact, arrays=self.arrays._replace(rules=rules))
 
     def hits(self, configurations: ArrayLike) -> NDArray[np.int64]:
         """Return the first pair that is too near for each configuration, or -1. Shape (batch, joints) to (batch,)."""
@@ -179,7 +167,7 @@ class CollisionQuery:
                 f"configurations have shape {values.shape}; {self.model.name} has {self.model.joints} joints"
             )
         found = np.empty(len(values), np.int64)
-        check_many(values, *self.arrays, found)
+        check_many(values, self.arrays, found)
         return found
 
     def collides(self, configurations: ArrayLike) -> NDArray[np.bool_]:
@@ -191,15 +179,9 @@ class CollisionQuery:
         """Motion of the farthest point in half an interval of an edge below which it counts as blocked, metres."""
         return max(BLOCKED_MARGIN_SHARE * self.margin, BLOCKED_LENGTH)
 
-    @property
-    def arrays(self) -> tuple[Chain, Bodies, Obstacles, Rules, CollisionScratch]:
-        """What compiled functions take."""
-        return self.chain, self.bodies, self.obstacles, self.rules, self.work
-
     def free_edges(self, path: Array) -> int:
         """Return the number of leading edges of a path that are proven free, shape (points, joints)."""
-        opened = np.empty((2, INTERVALS), np.int64)
-        return edges_free(np.ascontiguousarray(path), self.resolution, *self.arrays, opened)
+        return int(edges_free(np.ascontiguousarray(path), self.resolution, self.arrays))
 
     def is_free(self, path: Array) -> bool:
         """Return whether a path is proven free, shape (points, joints)."""
@@ -212,7 +194,7 @@ class CollisionQuery:
             return self.body_names[hit // many], self.obstacle_names[hit % many]
         if hit < count * many + count:
             return self.body_names[hit - count * many], "floor"
-        a, b = self.rules.self_pairs[hit - count * many - count]
+        a, b = self.arrays.rules.self_pairs[hit - count * many - count]
         return self.body_names[a], self.body_names[b]
 
     def explain(self, configuration: ArrayLike) -> tuple[str, str] | None:
@@ -273,25 +255,21 @@ class CollisionWorld:
         return self._placed[key]
 
     def _moving_pieces(self, robot: int, values: Array, scene: Scene) -> list[tuple[str, int, Array]]:
+        bodies, names, links = self._bodies(robot, scene)
+        placed = placed_bodies(self._chains[robot], bodies, values)
+        return [piece for piece in zip(names, links, placed, strict=True) if piece[1]]  # the base does not move
+
+    def _bodies(self, robot: int, scene: Scene) -> tuple[Bodies, tuple[str, ...], list[int]]:
+        """Return the bodies of a robot with its load, their names, and the link of each as of `make_bodies`."""
         entry = self.cell.robots[robot]
-        poses = link_poses(entry.model, values, entry.base)
-        found = []
-        for link in range(1, entry.model.joints + 1):
-            name = f"{entry.name} {entry.model.link_names[link]}"
-            found += [(name, link, move(poses[link], piece)) for piece in entry.model.pieces[link]]
-        flange = poses[-1] @ entry.model.flange
-        name = f"{entry.name} gripper"
-        found += [(name, entry.model.joints + 1, move(flange, piece)) for piece in entry.gripper.pieces]
-        held = self.carried(robot, scene)
-        if held is not None:
-            name = f"part {self.parts.names[held[0]]}"
-            found += [(name, entry.model.joints + 2, move(flange, piece)) for piece in held[1]]
-        return found
+        bodies, names, links = make_bodies(entry, self.carried(robot, scene), self.parts.names)
+        own = entry.model.joints + 1
+        return bodies, tuple(f"{entry.name} {n}" if k <= own else n for n, k in zip(names, links, strict=True)), links
 
     def grip_distance(self, robot: int, configuration: ArrayLike, part: int) -> float:
         """Return the distance between a gripper and a part in place, metres; 0 where they touch."""
         entry = self.cell.robots[robot]
-        flange = link_poses(entry.model, configuration, entry.base)[-1] @ entry.model.flange
+        flange = flange_pose(entry.model, configuration, entry.base)
         placed = [move(flange, piece) for piece in entry.gripper.pieces]
         return min((float(distance_between(a, b)) for a in placed for b in self.parts.pieces[part]), default=np.inf)
 
@@ -314,7 +292,7 @@ class CollisionWorld:
                 f"no robot {robot}; the cell has {self.cell.robot_count}, 0 to {self.cell.robot_count - 1}"
             )
         entry = self.cell.robots[robot]
-        bodies, names, kinds = make_bodies(entry, self.carried(robot, scene), self.parts.names)
+        bodies, names, kinds = self._bodies(robot, scene)
         stands: list[tuple[str, int, Pieces]] = []
         load = scene.attached[robot]
         supports = () if load is None else self._supports(load.part)
@@ -331,7 +309,6 @@ class CollisionWorld:
             pieces = tuple(move(pose, piece) for piece in self.parts.pieces[part])
             stands.append((f"part {self.parts.names[part]}", part, pieces))
         obstacles, owner = make_obstacles([pieces for _, _, pieces in stands])
-        chain = self._chains[robot]
         links, owners = np.array(kinds), np.array([part for _, part, _ in stands], np.int64)[owner]
         if margin is None:
             margin = self.cell.margins.free
@@ -341,18 +318,11 @@ class CollisionWorld:
             scene=scene,
             robot=robot,
             contact=contact,
-            chain=chain,
-            bodies=bodies,
-            obstacles=obstacles,
-            rules=rules,
+            arrays=make_query(self._chains[robot], bodies, obstacles, rules),
             links=links,
             owners=owners,
-            body_names=tuple(
-                f"{entry.name} {name}" if kind <= entry.model.joints + 1 else name
-                for name, kind in zip(names, kinds, strict=True)
-            ),
+            body_names=names,
             obstacle_names=tuple(stands[index][0] for index in owner),
-            work=make_work(chain, bodies, obstacles, rules),
         )
 
     def _rules(

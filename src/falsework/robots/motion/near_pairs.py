@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
 from falsework.robots.kernels.collision import distance_between
-from falsework.robots.kinematics.forward import place_many
+from falsework.robots.kinematics.forward import placed_bodies
 from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Scene
 from falsework.utils.quantity import format_quantity
@@ -47,8 +47,8 @@ def near_pairs(query: CollisionQuery, configuration: ArrayLike) -> list[NearPair
 
     Of two bodies with several pieces the nearest two pieces count.
     """
-    rules, bodies, obstacles = query.rules, query.bodies, query.obstacles
-    placed = _placed(query, np.asarray(configuration, dtype=np.float64))
+    _, bodies, obstacles, rules, _ = query.arrays
+    placed = placed_bodies(query.arrays.chain, bodies, np.asarray(configuration, dtype=np.float64))
     fixed = [obstacles.vertices[a:b] for a, b in zip(obstacles.start[:-1], obstacles.start[1:], strict=True)]
     found: dict[tuple[str, str], NearPair] = {}
 
@@ -72,7 +72,6 @@ def near_pairs(query: CollisionQuery, configuration: ArrayLike) -> list[NearPair
             and not (placed[b].min(axis=0) > placed[a].max(axis=0)).any()
         ):
             add(query.body_names[a], query.body_names[b], separation(placed[a], placed[b]), 0.0)
-    assert len(placed) == len(bodies.frame)
     return sorted(found.values(), key=lambda pair: pair.distance - pair.wanted)
 
 
@@ -107,14 +106,3 @@ def separation(a: Array, b: Array) -> float:
     except QhullError:  # of flat pieces
         return 0.0
     return min(0.0, float(planes[:, 3].max()))
-
-
-def _placed(query: CollisionQuery, values: Array) -> list[Array]:
-    """Return the vertices of all bodies of the arm in the world."""
-    bodies = query.bodies
-    frames = np.empty((1, len(values) + 1, 3, 4))
-    place_many(values[None], query.chain, frames)
-    return [
-        bodies.vertices[bodies.start[k] : bodies.start[k + 1]] @ frames[0, frame, :, :3].T + frames[0, frame, :, 3]
-        for k, frame in enumerate(bodies.frame.tolist())
-    ]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.errors import InputError
 from falsework.robots.kernels.collision import CLEAR
 from falsework.robots.kernels.numeric_ik import reach_poses
-from falsework.robots.kernels.rrt_connect import INTERVALS, grow, shorten
+from falsework.robots.kernels.rrt_connect import grow, shorten
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import tail_of
 from falsework.robots.model.shapes import Array
@@ -92,8 +92,7 @@ def plan_free(view: CollisionQuery, start: ArrayLike, goal: ArrayLike, *, seed: 
     direct = np.stack([a, b])
     if view.is_free(direct):
         return Motion("found", direct)
-    arrays, opened = view.arrays, np.empty((2, INTERVALS), np.int64)
-    trees = np.empty((2, nodes, model.joints))
+    trees, met = np.empty((2, nodes, model.joints)), np.zeros(2, np.int64)
     trees[0, 0], trees[1, 0] = a, b
     parents = np.full((2, nodes), -1, np.int64)
     sizes = np.array([1, 1, 0])
@@ -102,19 +101,19 @@ def plan_free(view: CollisionQuery, start: ArrayLike, goal: ArrayLike, *, seed: 
     high = np.maximum(np.minimum(model.upper, SAMPLED_TURN), np.maximum(a, b))
     drawn = 0
     while True:
-        met, one, other = grow(
-            trees, parents, sizes, low, high, LONGEST_EDGE, ROUNDS_PER_CALL, view.resolution, state, *arrays, opened
+        grown = grow(
+            trees, parents, sizes, low, high, LONGEST_EDGE, ROUNDS_PER_CALL, view.resolution, state, view.arrays, met
         )
         drawn += ROUNDS_PER_CALL
-        if met == 1:
+        if grown == 1:
             break
         size = int(sizes[0] + sizes[1])
-        if met == -1 or drawn >= 10 * nodes:
+        if grown == -1 or drawn >= 10 * nodes:
             return Motion("no connection", samples=size)
-    path = _branch(trees[0], parents[0], one)[::-1] + _branch(trees[1], parents[1], other)
+    path = _branch(trees[0], parents[0], int(met[0]))[::-1] + _branch(trees[1], parents[1], int(met[1]))
     room = np.empty((len(path) + 2 * SHORTCUTS + 2, model.joints))
     room[: len(path)] = path
-    count = shorten(room, len(path), SHORTCUTS, view.resolution, state, *arrays, opened)
+    count = shorten(room, len(path), SHORTCUTS, view.resolution, state, view.arrays)
     return Motion("found", room[:count].copy(), samples=int(sizes[0] + sizes[1]))
 
 
@@ -155,7 +154,9 @@ def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, di
         values = np.repeat(first[None], count + 1, axis=0)
         reached = np.zeros(count + 1, bool)
         tail = tail_of(view.model, robot.gripper.tool)
-        reach_poses(values, np.ascontiguousarray(targets), view.chain, tail, 20, 0.0, LINE_JOINT_STEP, True, reached)
+        reach_poses(
+            values, np.ascontiguousarray(targets), view.arrays.chain, tail, 20, 0.0, LINE_JOINT_STEP, True, reached
+        )
         good = int(np.argmin(reached)) if not reached.all() else count + 1
         path = values[:good]
         smooth = (np.abs(np.diff(path, axis=0)).max(axis=1, initial=0.0) <= LINE_JOINT_STEP).all()

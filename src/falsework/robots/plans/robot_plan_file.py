@@ -83,24 +83,11 @@ def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
 
 
 def _schedule_to_dict(graph: TemporalPlanGraph) -> dict[str, Any]:
+    starts = graph.starts().tolist()
     return {
-        "makespan": round(graph.makespan, DIGITS),
-        "sequential": round(graph.sequential, DIGITS),
-        "lower_bound": round(graph.lower_bound, DIGITS),
-        "motions": [
-            {
-                "robot": node.robot,
-                "step": node.step,
-                "trajectory": node.trajectory,
-                "start": round(start, DIGITS),
-                "seconds": round(node.seconds, DIGITS),
-            }
-            for node, start in zip(graph.nodes, graph.starts().tolist(), strict=True)
-        ],
-        "precedences": [
-            {"before": edge.before, "offset": round(edge.offset, DIGITS), "after": edge.after, "why": edge.why}
-            for edge in graph.edges
-        ],
+        **{key: getattr(graph, key) for key in ("makespan", "sequential", "lower_bound")},
+        "motions": [{**to_builtins(node), "start": start} for node, start in zip(graph.nodes, starts, strict=True)],
+        "precedences": to_builtins(graph.edges),
     }
 
 

@@ -90,7 +90,7 @@ class Trajectory:
     def dense(self, step: float) -> tuple[Array, Array]:
         """Return times, and positions of which no joint differs from the previous one by more than `step`, rad or m."""
         times = [np.zeros(1)]
-        reach = self._reach()
+        reach = self.travel(self.times).max(axis=1)
         for begin, end, far in zip(self.times[:-1], self.times[1:], reach, strict=True):
             count = max(int(np.ceil(far / step)), 1)
             times.append(begin + (end - begin) * np.arange(1, count + 1) / count)
@@ -111,15 +111,6 @@ class Trajectory:
             return (1 - s) * (1 - t) * ends[0][knot] + (s + t - 2 * s * t) * middle[knot] + s * t * ends[1][knot]
 
         return (b - a) * np.max([np.abs(polar(s, t)) for s, t in ((a, a), (a, b), (b, b))], axis=0)
-
-    def _reach(self) -> Array:
-        """Return between knots duration times the largest speed of a joint, a bound on motion. Shape (knots - 1,)."""
-        span = np.diff(self.times)
-        rise = np.diff(self.positions, axis=0)
-        # The speed of a cubic with these ends is a quadratic in Bernstein form with these three coefficients.
-        middle = 3 * rise - span[:, None] * (self.velocities[:-1] + self.velocities[1:])
-        ends = span[:, None] * np.maximum(np.abs(self.velocities[:-1]), np.abs(self.velocities[1:]))
-        return np.maximum(np.abs(middle), ends).max(axis=1)
 
     @cached_property
     def _cubics(self) -> Any:

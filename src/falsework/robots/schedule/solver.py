@@ -63,6 +63,12 @@ def solve(
     nodes: Sequence[MotionNode], fixed: Sequence[Precedence], choices: Sequence[Choice], robots: int
 ) -> TemporalPlanGraph:
     """Return the temporal plan graph of a schedule with the least makespan found, from the order of the plan on."""
+
+    def chosen(orders: Sequence[int], bound: float) -> TemporalPlanGraph:
+        edges = [*fixed, *(e for choice, k in zip(choices, orders, strict=True) for e in choice.orders[k] or ())]
+        graph = TemporalPlanGraph(tuple(nodes), tuple(_needed(edges)), robots, 0.0)
+        return replace(graph, lower_bound=min(bound, graph.makespan))
+
     cp = import_ortools()
     model = cp.CpModel()
     horizon = round(sum(node.seconds for node in nodes) * _TICKS) + len(nodes)
@@ -85,8 +91,8 @@ def solve(
                 ready = begin[edge.before] + max(round(edge.offset * _TICKS), 1)
                 model.add(begin[edge.after] >= ready).only_enforce_if(literal)
         model.add_hint(second, bool(choice.planned))
-    planned = _chosen(nodes, fixed, choices, [choice.planned for choice in choices], robots, 0.0)
-    for start, seconds in zip(begin, planned.starts().tolist(), strict=True):
+    planned = [choice.planned for choice in choices]
+    for start, seconds in zip(begin, chosen(planned, 0.0).starts().tolist(), strict=True):
         model.add_hint(start, round(seconds * _TICKS))
     model.minimize(makespan)
     solver = cp.CpSolver()
@@ -95,24 +101,8 @@ def solve(
     solver.parameters.random_seed = _SEED
     status = solver.solve(model)
     bound = max(solver.best_objective_bound / _TICKS, 0.0)
-    if status not in (cp.OPTIMAL, cp.FEASIBLE):
-        return _chosen(nodes, fixed, choices, [choice.planned for choice in choices], robots, bound)
-    return _chosen(nodes, fixed, choices, [int(solver.value(flag)) for flag in flags], robots, bound)
-
-
-def _chosen(
-    nodes: Sequence[MotionNode],
-    fixed: Sequence[Precedence],
-    choices: Sequence[Choice],
-    orders: Sequence[int],
-    robots: int,
-    bound: float,
-) -> TemporalPlanGraph:
-    edges = list(fixed)
-    for choice, order in zip(choices, orders, strict=True):
-        edges += choice.orders[order] or ()
-    graph = TemporalPlanGraph(tuple(nodes), tuple(_needed(edges)), robots, 0.0)
-    return TemporalPlanGraph(graph.nodes, graph.edges, robots, min(bound, graph.makespan))
+    found = status in (cp.OPTIMAL, cp.FEASIBLE)
+    return chosen([int(solver.value(flag)) for flag in flags] if found else planned, bound)
 
 
 def _needed(edges: Sequence[Precedence]) -> list[Precedence]:

@@ -36,9 +36,9 @@ class SweptBodies:
         return (coarse, fine), trajectory.seconds * np.arange(1, count + 1) / count
 
     def resting(self, robot: int, values: Array, load: Load | None) -> Swept:
-        """Return the bodies of an arm at rest as a single cell; its configuration has shape (joints,)."""
-        cell = np.asarray(values, dtype=np.float64)[None]
-        return self._swept(robot, cell, np.zeros_like(cell), load)
+        """Return the bodies of an arm at rest, a cell for each configuration, (joints,) or (cells, joints)."""
+        cells = np.atleast_2d(np.asarray(values, dtype=np.float64))
+        return self._swept(robot, cells, np.zeros_like(cells), load)
 
     def standing(self, part: int) -> Swept:
         """Return the body of a part in place."""

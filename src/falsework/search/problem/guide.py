@@ -101,7 +101,7 @@ class SupportGuide:
         return edge_rows(self._pairs, self._boundary)
 
     def _supports(self, states: States) -> NDArray[np.float32]:
-        """Return the shares of all parts; states mostly differ from the first of the call before in a few parts only."""
+        """Return the shares of all parts; states mostly differ from the first of the call before in a few parts."""
         batch, parts = states.shape
         present = np.zeros((batch, parts + 1), dtype=bool)
         present[:, :-1] = states != REMOVED

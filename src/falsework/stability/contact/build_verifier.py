@@ -30,8 +30,8 @@ from falsework.utils.quantity import format_quantity
 
 Array = NDArray[np.float64]
 
-_CLOSE = 1e-6
-"""Rounding that is allowed in movements and wrenches of robots, as a share of their limits."""
+_CLOSE = TEARS - 1.0
+"""Rounding that is allowed in movements and wrenches of robots, as a share of their limits: as in tensile strength."""
 
 
 class StepCertificate(NamedTuple):
@@ -207,6 +207,3 @@ class _Law:
         breaks = strength.tears & ~torn & (strength.pull > 0) & (trial[:, 0] < -TEARS * strength.pull)
         force = into_cone(trial[None], strength, self._cone)[0][0]
         return np.column_stack([trial[:, 0], force[:, 1:]]), not breaks.any()
-
-
-__all__ = ["BuildVerifier", "StepCertificate", "StepProof"]

@@ -126,6 +126,3 @@ def joined(parts: list[Replay], count: int) -> Replay:
         histories += replay.histories
     presses = tuple(history.presses for history in histories)
     return Replay(stands, moved, most, residual, parts[0].size, tuple(histories), presses)
-
-
-__all__ = ["History", "Presses", "Replay", "ReplaySettings", "joined"]

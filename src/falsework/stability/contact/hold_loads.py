@@ -86,6 +86,3 @@ def largest_load(loads: Iterable[Iterable[HoldLoad]]) -> tuple[float, float]:
     """Return the largest force, N, and the largest moment, N m; zero where nothing is held."""
     every = [load for state in loads for load in state]
     return max((load.force for load in every), default=0.0), max((load.moment for load in every), default=0.0)
-
-
-__all__ = ["CLOSE", "Loads", "larger_loads", "largest_load", "loads_in", "loads_of_build"]

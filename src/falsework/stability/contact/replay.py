@@ -19,7 +19,8 @@ from scipy.sparse import csr_array
 
 from falsework.assembly.joints import SET
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states
+from falsework.assembly.state import HELD, INSTALLED, States, as_states
+from falsework.stability.certificate import chunks
 from falsework.stability.contact.build_verifier import StepCertificate
 from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings, joined
 from falsework.stability.contact.hold_loads import Loads, loads_of_build
@@ -38,9 +39,6 @@ from falsework.stability.settings import StabilitySettings
 from falsework.stability.stiffness import structure_size
 
 Array = NDArray[np.float64]
-
-_TRACKED = 64
-"""Steps whose certificates are in memory at once."""
 
 
 class Replayer:
@@ -139,16 +137,16 @@ class Replayer:
             presses: of the steps that lead to each state.
         """
         batch = np.require(as_states(states, self.assembly.boundary), requirements=COMPILED_LAYOUT)
-        history, first = None, 0
-        while first < len(batch):
-            rows = slice(max(first - 1, 0), first + _TRACKED)
+        history = None
+        for some in chunks(np.arange(len(batch)), self.problem.points):
+            rows = slice(max(some[0] - 1, 0), some[-1] + 1)
             found = self._replay(batch[rows], history, presses[rows])
-            for kept in found.histories[first - rows.start :]:
+            for kept in found.histories[some[0] - rows.start :]:
                 assert kept.track is not None
                 yield StepCertificate(kept.track, kept.torn, kept.presses)
             if not found.good:
                 return
-            history, first = found.histories[-1], first + _TRACKED
+            history = found.histories[-1]
 
     def first_tipping(self, states: States, histories: Sequence[History]) -> int | None:
         """Return the first state that a small motion of parts near its change leaves, though it is at rest.
@@ -261,7 +259,7 @@ class Replayer:
             states: in assembly order, shape (states, parts).
             age: age in the first of them; without it, the joints present there have set.
         """
-        there = (states[:, self.problem.part_a] != REMOVED) & (states[:, self.problem.part_b] != REMOVED)
+        there = self.problem.geometry.present(states)
         ages = np.zeros(there.shape, np.int32)
         ages[0] = SET if age is None else age
         for row in range(1, len(states)):
@@ -278,6 +276,3 @@ class Replayer:
             size = replay.friction_noise * typical * rng.uniform(0, 1, self.problem.points)
             noise = np.stack([np.cos(angle), np.sin(angle)], axis=1) * (size / self.problem.force_scale)[:, None]
         return noise
-
-
-__all__ = ["Replayer"]

@@ -8,7 +8,7 @@ them, and presses are chosen so that it does.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -136,10 +136,20 @@ def _inexact(changes: Sequence[Change], presses: Presses) -> Presses:
     return presses
 
 
-def _replayed(replayer: AnyReplayer, change: Change, states: States, presses: Presses) -> Replay:
-    """Return the replay of a plan under one change."""
-    settings, varied, pressed = changed([change], replayer.settings, presses)
-    return replayer.vary(settings, varied).replay(states, presses=pressed)
+def _replays(
+    replayer: AnyReplayer, changes: Sequence[Change], states: States, presses: Presses
+) -> Iterator[tuple[Change, Replay]]:
+    """Yield each change with the replay of a plan under it; as many replays as there are cores go on ahead."""
+
+    def run(change: Change) -> Replay:
+        settings, varied, pressed = changed([change], replayer.settings, presses)
+        return replayer.vary(settings, varied).replay(states, presses=pressed)
+
+    workers = core_count()
+    with ThreadPoolExecutor(workers) as pool:
+        for first in range(0, len(changes), workers):
+            some = changes[first : first + workers]
+            yield from zip(some, pool.map(run, some), strict=True)
 
 
 def variations(settings: StabilitySettings, draws: int, presses: Presses = ()) -> list[Change]:
@@ -211,13 +221,8 @@ def replay_varied(
         draws: number of random initial friction states.
     """
     given: Presses = [()] * len(states) if presses is None else presses
-
-    def run(change: Change) -> Variation:
-        result = _replayed(replayer, change, states, given)
-        return Variation(change.name, result.good, result.falls_at)
-
-    with ThreadPoolExecutor(core_count()) as pool:
-        return list(pool.map(run, variations(replayer.settings, draws, given)))
+    found = _replays(replayer, variations(replayer.settings, draws, given), states, given)
+    return [Variation(change.name, replay.good, replay.falls_at) for change, replay in found]
 
 
 class AllVariations:
@@ -240,29 +245,8 @@ class AllVariations:
         """
         changes = variations(self._replayer.settings, DRAWS, presses)
         changes.sort(key=lambda change: self._first.index(change) if change in self._first else len(self._first))
-        workers = core_count()
-
-        def run(change: Change) -> int | None:
-            return _replayed(self._replayer, change, states, presses).falls_at
-
-        with ThreadPoolExecutor(workers) as pool:
-            for first in range(0, len(changes), workers):
-                some = changes[first : first + workers]
-                for change, row in zip(some, pool.map(run, some), strict=True):
-                    if row is not None:
-                        self._first = [change, *(other for other in self._first if other != change)]
-                        return row
+        for change, replay in _replays(self._replayer, changes, states, presses):
+            if replay.falls_at is not None:
+                self._first = [change, *(other for other in self._first if other != change)]
+                return replay.falls_at
         return None
-
-
-__all__ = [
-    "DRAWS",
-    "GROUPS",
-    "AllVariations",
-    "Change",
-    "EnsembleReplayer",
-    "Variation",
-    "changed",
-    "replay_varied",
-    "variations",
-]

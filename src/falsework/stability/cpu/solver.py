@@ -1,9 +1,10 @@
-"""CPU solver of the equilibrium problem: batches of states, one state per thread, no BLAS."""
+"""Criterion `equilibrium` on the CPU: batches of states, one state per thread, no BLAS."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,12 @@ from falsework.stability.cpu.termination import UNDECIDED, Options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.strength import SMOOTH
-from falsework.stability.verdict import Solver, Verdicts, proof_of
+from falsework.stability.verdict import Criterion, Solver, Verdicts, proof_of
 from falsework.utils.cores import core_count
 
-_TASK = 16
+Array = NDArray[np.float64]
+
+TASK = 16
 """States per task of a thread: few enough to balance the load, enough to hide the cost of a call."""
 
 
@@ -56,7 +59,7 @@ class Workers:
 
     def run(self, work: Callable[[slice], None], batch: int) -> None:
         """Call `work` on ranges of rows that cover a batch."""
-        task = batch if self._pool is None else min(_TASK, -(-batch // self._threads))
+        task = batch if self._pool is None else min(TASK, -(-batch // self._threads))
         rows = [slice(first, first + task) for first in range(0, batch, max(task, 1))]
         if self._pool is None or len(rows) < 2:
             for run in rows:
@@ -65,10 +68,30 @@ class Workers:
             list(self._pool.map(work, rows))
 
 
-class CpuSolver:
-    """Solver of a criterion, and what its proofs mean: forces in balance, which hold with further holds too.
+class Query(NamedTuple):
+    """States for the attempts of a solver."""
 
-    It decides batches of states of one structure with compiled code. Attempts follow each other in the order of their
+    states: States
+    """Shape (batch, parts)."""
+    origins: States
+    """The state near to each, or the state itself."""
+    start: Array | None
+    """In and out: guesses, and what is found; None if neither is given or wanted."""
+    known: NDArray[np.bool_]
+    """Which guesses are known, shape (batch,)."""
+    seeks: bool
+    """Whether mechanisms are sought near the differences."""
+    resolution: float
+    """Residual at which states count as stable."""
+
+
+class CpuSolver:
+    """Solver of `equilibrium`, and what its proofs mean: forces in balance, which hold with further holds too.
+
+    Base of the solver of the other criterion, `ContactSolver`. What differs between the criteria is in these two
+    classes, and in what `criteria.py` makes of them.
+
+    Batches of states of one structure are decided with compiled code. Attempts follow each other in the order of their
     work; each stops at the first proof. With a state near by: a mechanism near the difference (`neighbourhood.py`),
     then forces that change in a region that is extended to all that contacts join to it (`repair.py`). Then on these
     parts, and without a state near by on all, ADMM with one sparse factorisation per state, and an interior point
@@ -76,6 +99,7 @@ class CpuSolver:
     What they leave undecided is up to the exact solver.
     """
 
+    criterion: Criterion = "equilibrium"
     starts_from_guesses = True
     displaced = False
     """Whether displacements are part of the proof."""
@@ -93,11 +117,15 @@ class CpuSolver:
         self._interior = rough and not (strength.pull.any() or strength.stick.any())
         self._workers = Workers(settings.numerics.threads)
 
-    def no_guess(self, batch: int) -> NDArray[np.float64]:
+    def no_guess(self, batch: int) -> Array:
         """Return guesses for states of which nothing is known, shape (batch, points, 3) or (batch, parts, 6)."""
         return np.zeros((batch, self.problem.points, 3))
 
-    def guess_of(self, verdicts: Verdicts) -> NDArray[np.float64] | None:
+    def is_known(self, guess: Array) -> NDArray[np.bool_]:
+        """Return for which states guesses are known, shape (batch,)."""
+        return np.asarray(guess.any(axis=(1, 2)))
+
+    def guess_of(self, verdicts: Verdicts) -> Array | None:
         """Return what of the certificates of stable states starts solvers of states near by; None without any."""
         return verdicts.forces
 
@@ -135,60 +163,61 @@ class CpuSolver:
         *,
         certificates: bool = True,
         parents: States | None = None,
-        guess: NDArray[np.float64] | None = None,
+        guess: Array | None = None,
     ) -> Verdicts:
         """Check a batch of states.
 
         Args:
             states: checked states, shape (batch, parts).
-            certificates: return forces and velocity too; without parents, with residuals down to the resolution of
-                the settings.
+            certificates: return forces and velocity, and displacement where it is part of the proof; without parents,
+                with residuals down to the resolution of the settings.
             parents: for each state a stable one that differs in few parts, shape (batch, parts); a mechanism is
                 sought near the difference first, unless certificates are requested and there is a guess.
-            guess: contact forces in N to start from, shape (batch, points, 3), zero where not known; overwritten with
-                the forces that were found. With `parents`, those that balance them, which are repaired near the
-                difference first.
+            guess: what to start from, as `no_guess` where not known; overwritten with what was found. With `parents`,
+                what balances them, which is changed near the difference first.
 
         Returns:
             Verdicts; `UNDECIDED` where neither proof was found within the limits of the settings.
         """
         states = np.require(states, requirements=COMPILED_LAYOUT)
         origins = states if parents is None else np.require(parents, requirements=COMPILED_LAYOUT)
-        batch, problem = len(states), self.problem
-        verdicts = problem.undecided(batch, certificates=certificates)
-        forces = guess if guess is not None else verdicts.forces
-        if forces is None:
-            forces = np.zeros((0, problem.points, 3))
-        velocity = verdicts.velocity if verdicts.velocity is not None else np.zeros((0, problem.parts, 6))
-        fine = certificates and parents is None
-        options = self._options
-        options = options._replace(resolution=self.settings.resolution) if fine else options
-        known = np.zeros(batch, bool) if guess is None or parents is None else np.asarray(guess.any(axis=(1, 2)))
+        verdicts = self.problem.undecided(len(states), certificates=certificates, displaced=self.displaced)
+        kept, known = self.guess_of(verdicts), np.zeros(len(states), dtype=bool)
+        if guess is not None and parents is not None:
+            known = self.is_known(guess)
         # Proofs along a plan are requested for stable states.
-        falls = parents is not None and not (certificates and guess is not None)
+        seeks = parents is not None and not (certificates and guess is not None)
+        resolution = self.settings.resolution if certificates and parents is None else self._options.resolution
+        start = kept if guess is None else guess
+        found = self._attempt(Query(states, origins, start, known, seeks, resolution), verdicts)
+        if kept is not None and found is not kept:
+            kept[:] = found
+        verdicts.proof[:] = proof_of(verdicts.verdict, self.criterion)
+        verdicts.decided_by[:] = np.where(verdicts.undecided, Solver.NONE, Solver.CPU)
+        return verdicts
+
+    def _attempt(self, query: Query, verdicts: Verdicts) -> Array:
+        """Make the attempts, each on the states that those before leave undecided; return `query.start` or its like."""
+        forces = self.no_guess(0) if query.start is None else query.start
+        velocity = np.zeros((0, self.problem.parts, 6)) if verdicts.velocity is None else verdicts.velocity
+        options, seeks = self._options._replace(resolution=query.resolution), query.seeks
 
         def work(rows: slice) -> None:
             tail = verdicts.verdict[rows], verdicts.residual[rows], verdicts.iterations[rows]
-            chosen, motion, force = states[rows], velocity[rows], forces[rows]
-            if falls and not local_instability_range(self.structure, chosen, origins[rows], 1, options, motion, *tail):
+            near, known = (self.structure, query.states[rows], query.origins[rows]), query.known[rows]
+            motion, force = velocity[rows], forces[rows]
+            if seeks and not local_instability_range(*near, 1, options, motion, *tail):
                 return
-            if known[rows].any():
-                beside = origins[rows], known[rows], self.reach, self._interior
-                if not repair_range(self.structure, chosen, *beside, options, force, *tail):
-                    return
-            if falls and not local_instability_range(
-                self.structure, chosen, origins[rows], REACH, options, motion, *tail
-            ):
+            beside = self.reach, self._interior, options, force
+            if known.any() and not repair_range(*near, known, *beside, *tail):
                 return
-            apart = known[rows] & (verdicts.verdict[rows] == UNDECIDED)
-            if apart.any():
+            if seeks and not local_instability_range(*near, REACH, options, motion, *tail):
+                return
+            chosen, left = query.states[rows], known & (tail[0] == UNDECIDED)
+            if left.any():
                 chosen = chosen.copy()
-                chosen[apart] = problem.hold_apart(chosen[apart], origins[rows][apart])
+                chosen[left] = self.problem.hold_apart(chosen[left], query.origins[rows][left])
             solve_range(self.structure, chosen, options, force, motion, False, *tail)
 
-        self._workers.run(work, batch)
-        if verdicts.forces is not None and forces is not verdicts.forces:
-            verdicts.forces[:] = forces
-        verdicts.proof[:] = proof_of(verdicts.verdict)
-        verdicts.decided_by[:] = np.where(verdicts.verdict != 0, Solver.CPU, Solver.NONE)
-        return verdicts
+        self._workers.run(work, len(query.states))
+        return forces

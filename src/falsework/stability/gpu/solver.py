@@ -202,31 +202,25 @@ class GpuSolver:
         self, states: States, rows: slice, certificates: bool, guess: NDArray | None, verdicts: Verdicts
     ) -> None:
         """Check some rows of a batch in host memory."""
-        part = states[rows]
-        problem, driver = self.problem, self.driver
-        verdict = driver.zeros((len(part),), np.int8)
-        residual = driver.empty((len(part),), np.float64)
-        iterations = driver.zeros((len(part),), np.int32)
-        start = None if guess is None else driver.put(guess[rows])
-        wanted = certificates or guess is not None
-        forces = driver.empty((len(part), problem.points, 3), np.float64) if wanted else None
-        velocity = driver.empty((len(part), problem.parts, 6), np.float64) if certificates else None
-        shown = verdicts.displacement is not None
-        displacement = driver.zeros((len(part), problem.parts, 6), np.float64) if shown else None
-        self._run(driver.put(part), start, verdict, residual, iterations, forces, velocity, displacement)
-        verdicts.verdict[rows] = driver.get(verdict)
-        verdicts.residual[rows] = driver.get(residual)
-        verdicts.iterations[rows] = driver.get(iterations)
-        found = None if forces is None else driver.get(forces)
-        if verdicts.forces is not None and found is not None:
-            verdicts.forces[rows] = found
-        if verdicts.velocity is not None and velocity is not None:
-            verdicts.velocity[rows] = driver.get(velocity)
-        if guess is not None and found is not None:
-            guess[rows] = found
-        if verdicts.displacement is not None and displacement is not None:
-            known = verdicts.stable[rows] | verdicts.slides[rows]
-            verdicts.displacement[rows] = np.where(known[:, None, None], driver.get(displacement), np.nan)
+        part, problem, driver = states[rows], self.problem, self.driver
+        count, wanted, motion = len(part), certificates or guess is not None, (len(part), problem.parts, 6)
+        found: dict[str, Any] = {
+            "verdict": driver.zeros((count,), np.int8),
+            "residual": driver.empty((count,), np.float64),
+            "iterations": driver.zeros((count,), np.int32),
+            "forces": driver.empty((count, problem.points, 3), np.float64) if wanted else None,
+            "velocity": driver.empty(motion, np.float64) if certificates else None,
+            "displacement": None if verdicts.displacement is None else driver.zeros(motion, np.float64),
+        }
+        self._run(driver.put(part), None if guess is None else driver.put(guess[rows]), **found)
+        for name, array in found.items():
+            kept = getattr(verdicts, name)
+            if kept is not None and array is not None:
+                kept[rows] = driver.get(array)
+        if guess is not None:
+            guess[rows] = driver.get(found["forces"])
+        if verdicts.displacement is not None:
+            verdicts.displacement[rows][~(verdicts.stable[rows] | verdicts.slides[rows])] = np.nan
 
     def _chunk_size(self, left: int, certificates: bool) -> int:
         parts = self.problem.parts * 48 * (1 + self._contact)
@@ -321,19 +315,17 @@ class GpuSolver:
             large: list for states for which the interior point method needs more memory.
             far: list for states for which the Newton iterations need more memory.
         """
-        driver, layout, threads = self.driver, self.layout, self.driver.most_threads
-        largest = _aligned(layout.contact_bytes())
-        shared = min(_aligned(max(layout.interior_bytes(), largest + layout.contact_list_bytes())), self._shared_limit)
-        stages: list[_Stage] = []
-        if shared >= layout.index_bytes():
-            blocks = driver.blocks("contact_shared", threads, shared)
-            stage = _Stage("contact_shared", threads, shared, blocks, None, shared, takes=rest, large=large, rest=far)
-            stages.append(stage)
+        layout, threads = self.layout, self.driver.most_threads
+        largest, bytes_of_list = _aligned(layout.contact_bytes()), layout.contact_list_bytes()
+        stages = self._on_chip("contact_shared", threads, max(layout.interior_bytes(), largest + bytes_of_list))
+        if stages:
+            stages = [replace(stages[0], takes=rest, large=large, rest=far)]
             left, rest = large, far
-        if not stages or shared < layout.interior_bytes():
+        shared = stages[0].shared if stages else 0
+        if shared < layout.interior_bytes():
             stage = self._scratch_stage("interior_scratch", threads, layout.interior_bytes())
             stages.append(replace(stage, takes=left, rest=rest))
-        if not stages or shared < largest:
+        if shared < largest:
             near = _aligned(layout.contact_near_bytes())
             near = near if near <= self._shared_limit else 0
             stages.append(replace(self._scratch_stage("contact_scratch", threads, largest, near), takes=rest))
@@ -341,33 +333,31 @@ class GpuSolver:
 
     def _admm_stages(self, few: bool) -> list[_Stage]:
         """Return the ADMM stages with one thread per group of contact points, from typical states to the largest."""
-        driver, layout = self.driver, self.layout
+        layout, most = self.layout, self.driver.most_threads
         needed = -(-max(layout.groups, 1) // 32) * 32
         stages: list[_Stage] = []
         for share in (1.0,) if few else _ADMM_SHARES:
-            threads = min(driver.most_threads, -(-int(share * needed) // 32) * 32)
-            shared = min(_aligned(layout.admm_bytes(share)), self._shared_limit)
-            if shared >= layout.index_bytes():
-                blocks = driver.blocks("admm_shared", threads, shared)
-                stages = [stage for stage in stages if stage.threads < threads]
-                stages.append(_Stage("admm_shared", threads, shared, blocks, None, shared))
+            threads = min(most, -(-int(share * needed) // 32) * 32)
+            found = self._on_chip("admm_shared", threads, layout.admm_bytes(share))
+            stages = [stage for stage in stages if stage.threads < threads or not found] + found
         if not stages or layout.groups > stages[-1].threads or layout.admm_bytes() > stages[-1].shared:
-            threads = driver.most_threads
-            stages.append(self._scratch_stage("admm_scratch", threads, layout.admm_bytes(on_chip=False)))
+            stages.append(self._scratch_stage("admm_scratch", most, layout.admm_bytes(on_chip=False)))
         return stages
 
     def _interior_stages(self) -> list[_Stage]:
         """Return the single stage of the interior point method, on chip as far as it fits; few states need it."""
-        driver, layout, threads = self.driver, self.layout, self.driver.most_threads
-        largest = _aligned(layout.interior_bytes())
-        shared = min(largest, self._shared_limit)
-        stages = []
-        if shared >= layout.index_bytes():
-            blocks = driver.blocks("interior_shared", threads, shared)
-            stages.append(_Stage("interior_shared", threads, shared, blocks, None, shared))
-        if not stages or shared < largest:
+        largest, threads = self.layout.interior_bytes(), self.driver.most_threads
+        stages = self._on_chip("interior_shared", threads, largest)
+        if not stages or stages[0].shared < largest:
             stages.append(self._scratch_stage("interior_scratch", threads, largest))
         return stages
+
+    def _on_chip(self, kernel: str, threads: int, largest: int) -> list[_Stage]:
+        """Return the launch that processes on chip what fits there; none where not even all indices do."""
+        shared = min(_aligned(largest), self._shared_limit)
+        if shared < self.layout.index_bytes():
+            return []
+        return [_Stage(kernel, threads, shared, self.driver.blocks(kernel, threads, shared), None, shared)]
 
     def _scratch_stage(self, kernel: str, threads: int, largest: int, shared: int = 0) -> _Stage:
         largest = _aligned(largest)

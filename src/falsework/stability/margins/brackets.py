@@ -14,9 +14,9 @@ ACCURACY = 0.01
 """Share of a bound to which it is known: the largest width of a bracket; the distance at which a proof is sought where
 the outer end of a bracket could not be proven; and twice the share by which a family must be weaker than the weakest so
 far to be searched. Documented; all margins are claimed and checked to it."""
-FLOOR = 1e-4
-"""Width at which a bracket near zero is narrow enough, in units of the family: shares of gravity, factors, weights of a
-part and the largest settlement."""
+FLOOR = ACCURACY**2
+"""Width at which a bracket near zero is narrow enough, in units of the family (shares of gravity, factors, weights of a
+part and the largest settlement): that of a bound of `ACCURACY` units."""
 GROWTH = 4.0
 """Ratio of successive probes while only one end of a bracket is known; chosen by numbers of probes."""
 
@@ -53,10 +53,7 @@ def strides() -> Iterator[float]:
 
 
 class Interval:
-    """Bracket of the bound of one family while it is searched: outwards in strides until one fails, then by halves.
-
-    Failing probes are costly, so a value that fails is followed by one not far below it.
-    """
+    """Bracket of the bound of one family while it is searched: outwards in strides until one fails, then by halves."""
 
     def __init__(
         self,
@@ -85,11 +82,15 @@ class Interval:
         self._guess: float | None = guess
         self._cap, self._floor, self._cut = cap, floor, cut
         self._ratios: Iterator[float] = repeat(GROWTH)
-        self._cut_last = False
 
     def begin_near(self, bound: float) -> None:
-        """Begin at the bound of a nearby state, with short steps."""
-        self._guess, self._ratios = bound / (1.0 + ACCURACY), strides()
+        """Begin at the bound of a nearby state."""
+        self._guess = bound / (1.0 + ACCURACY)
+        self.step_shortly()
+
+    def step_shortly(self) -> None:
+        """Go on in steps that are short at first: the bound is likely near."""
+        self._ratios = strides()
 
     @property
     def unbounded(self) -> bool:
@@ -111,8 +112,6 @@ class Interval:
             return min(guess, self._cap)
         if self.high is None:
             return min(next(self._ratios) * self.low, self._cap)
-        if self._cut_last:
-            return self.high - 0.25 * self._width(self.high)
         if self.low < self.high / GROWTH:
             return max(self.high / next(self._ratios), float(np.sqrt(self.low * self.high)))
         return 0.5 * (self.low + self.high)
@@ -120,19 +119,16 @@ class Interval:
     def record(self, value: float, answer: Answer) -> bool:
         """Keep the answer at a value; return whether it is stable."""
         if answer.stands:
-            self.low, self.stands, self._cut_last = value, answer, False
-            return True
-        before, proven = self.high, value if self._cut is None else min(self._cut(answer), value)
-        # Successive cuts may take ever shorter steps; then bisection takes over.
-        slow = self._cut_last and before is not None and before - proven < 0.5 * (before - self.low)
-        self._cut_last = self.low < proven < value and not slow
-        self.high, self.fails = max(proven, self.low * (1.0 + 1e-9)), answer
-        return False
+            self.low, self.stands = value, answer
+        else:
+            proven = value if self._cut is None else min(self._cut(answer), value)
+            self.high, self.fails = max(proven, self.low * (1.0 + 1e-9)), answer
+        return answer.stands
 
     def reopen(self, value: float, answer: Answer) -> None:
-        """Go on from a stable answer at or beyond the outer end, in short steps at first."""
+        """Go on from a stable answer at or beyond the outer end."""
         self.low, self.stands, self.high, self.fails = value, answer, None, None
-        self._ratios = strides()
+        self.step_shortly()
 
     def bracket(self, *, finished: bool = True) -> Bracket:
         """Return the bracket as it is."""

@@ -45,7 +45,7 @@ class MarginClaims:
                 answer = prober.ask(state, condition, near)
                 if not answer.stands and near is not start:
                     answer = prober.ask(state, condition, start)
-                if not answer.stands and prober.contact:
+                if not answer.stands and not prober.convex:
                     answer = self._continuation(state, condition, start)
                 if answer.stands:
                     near = answer

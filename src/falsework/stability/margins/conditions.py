@@ -30,6 +30,10 @@ class Condition:
     extra: Array
     """N and Nm about the centres of mass, shape (parts, 6)."""
 
+    def at_friction(self, friction: float) -> Condition:
+        """Return the condition with another coefficient of friction."""
+        return replace(self, friction=friction)
+
     def applied_to(self, assembly: Assembly) -> Assembly:
         """Return the structure under this condition, in the form that the certificate checker takes."""
         own = assembly.loads or Loads.from_arrays(assembly.part_count)

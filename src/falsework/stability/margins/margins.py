@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.state import INSTALLED, REMOVED, States, as_states
 from falsework.errors import InputError
+from falsework.stability.cpu.solver import TASK
 from falsework.stability.margins.brackets import ACCURACY, GROWTH, Bracket, Interval, largest
 from falsework.stability.margins.conditions import Answer, Condition, OutOfTime
 from falsework.stability.margins.prober import Prober
@@ -38,8 +39,6 @@ LARGEST_SHARE = 10.0
 tilt of 84 degrees."""
 LARGEST_FACTOR = 100.0
 """Factor on a weight beyond which there is no bound."""
-_RUN = 8
-"""Consecutive states, such as those of a plan, over which each search starts at the bound of the state before."""
 
 
 class MarginFinder:
@@ -69,7 +68,7 @@ class MarginFinder:
         for kind in kinds:
             if kind not in KINDS:
                 raise InputError(f"unknown margin {kind!r}; choose among {', '.join(KINDS)}")
-        if "settlement" in kinds and not self.prober.contact:
+        if "settlement" in kinds and not self.prober.displaced:
             raise InputError("the criterion equilibrium has no displacements; compute settlement under contact")
         if deadline is not None and not deadline > 0:
             raise InputError(f"a deadline of {deadline:g} s leaves no time; give more than 0")
@@ -88,12 +87,12 @@ class MarginFinder:
             found = [StateMargins(start.stands, tuple(kinds)) for start in starts]
 
             def run(job: tuple[int, str]) -> list[StateMargins]:
-                """Compute one margin of consecutive states, one after another."""
+                """Compute one margin of consecutive states: each search starts at the bound of the state before."""
                 near: Near = {}
-                rows = range(job[0], min(job[0] + _RUN, len(batch)))
+                rows = range(job[0], min(job[0] + TASK, len(batch)))
                 return [self._in_time(batch[row], starts[row], job[1], kinds, near) for row in rows]
 
-            jobs = [(first, kind) for first in range(0, len(batch), _RUN) for kind in kinds]
+            jobs = [(first, kind) for first in range(0, len(batch), TASK) for kind in kinds]
             for (first, _), parts in zip(jobs, pool.map(run, jobs), strict=True):
                 for row, part in enumerate(parts, first):
                     given = {name: value for name, value in vars(part).items() if value is not None and np.size(value)}
@@ -114,26 +113,20 @@ class MarginFinder:
         """Return one margin of a state, and those that come with it; `near` has the bounds of the state before."""
         if not start.stands:
             return self._fallen(state, kinds) if kind == kinds[0] else StateMargins(False)
-        if kind == "friction":
-            return StateMargins(True, friction=self._friction(state, start, near))
-        if kind == "horizontal" or (kind == "tilt" and "horizontal" not in kinds):
-            tilt, horizontal = self._sideways(state, start, kinds, near)
-            return StateMargins(True, tilt=tilt, horizontal=horizontal)
-        if kind == "load_factor":
-            return StateMargins(
-                True,
-                load_factor=self._load_factor(state, start, near),
-                total_load_factor=self._total_factor(state, start),
-            )
-        if kind == "push":
-            return StateMargins(True, push=self._push(state, start, near))
-        if kind == "held":
-            return StateMargins(True, held=held_loads(self.prober, state, start))
-        if kind == "polygon":
-            return StateMargins(True, polygon=self._polygon(state, start))
-        if kind == "settlement":
-            return StateMargins(True, settlement=settlements(self.prober, state, start))
-        return StateMargins(True)
+        compute: dict[str, Callable[[], dict[str, Any]]] = {
+            "friction": lambda: {"friction": self._friction(state, start, near)},
+            "tilt": lambda: {} if "horizontal" in kinds else self._sideways(state, start, kinds, near),
+            "horizontal": lambda: self._sideways(state, start, kinds, near),
+            "load_factor": lambda: {
+                "load_factor": self._load_factor(state, start, near),
+                "total_load_factor": self._total_factor(state, start),
+            },
+            "push": lambda: {"push": self._push(state, start, near)},
+            "held": lambda: {"held": held_loads(self.prober, state, start)},
+            "polygon": lambda: {"polygon": self._polygon(state, start)},
+            "settlement": lambda: {"settlement": settlements(self.prober, state, start)},
+        }
+        return StateMargins(True, **compute[kind]())
 
     def _fallen(self, state: States, kinds: Sequence[str]) -> StateMargins:
         """Return the least friction of a state that is not stable, if more friction helps, and no other margins."""
@@ -156,28 +149,26 @@ class MarginFinder:
         cap = 1.0 / max(low.condition.friction, SMOOTH)
         found = largest(ask, Interval(answer, guess=1.0 / high, low=1.0 / high, cap=cap, known=(cap, low)))
         turned = replace(found, inside=1.0 / found.inside, outside=(found.fails or low).condition.friction)
-        return StateMargins(False, friction=self._bound(state, turned, self._rough(start.condition), always=True))
+        return StateMargins(False, friction=self._bound(state, turned, start.condition.at_friction, always=True))
 
     def _friction(self, state: States, start: Answer, near: Near) -> Bound | None:
         bracket = friction_bracket(self.prober, state, start, near)
-        return None if bracket is None else self._bound(state, bracket, self._rough(start.condition), always=True)
+        return None if bracket is None else self._bound(state, bracket, start.condition.at_friction, always=True)
 
-    def _sideways(
-        self, state: States, start: Answer, kinds: Sequence[str], near: Near
-    ) -> tuple[Bound | None, Bound | None]:
+    def _sideways(self, state: States, start: Answer, kinds: Sequence[str], near: Near) -> dict[str, Bound]:
         """Return the largest tilt and the largest horizontal acceleration in the worst direction, where requested."""
         order = sorted(range(DIRECTIONS), key=lambda row: (row % 9 != 0) + (row % 3 != 0))
         loads = self.weights[None, :, None] * np.pad(self.directions, ((0, 0), (0, 3)))[:, None, :]
         guess = max(self._assembly.friction, 0.1)
-        row, bracket = self._weakest(
-            state, start, loads, order, lambda _: guess, LARGEST_SHARE, near=near, around=DIRECTIONS // 3
-        )
+        row, bracket = self._weakest(state, start, loads, order, lambda _: guess, LARGEST_SHARE, near=near)
         direction = triple(self.directions[row])
-        tilt = horizontal = None
+        found: dict[str, Bound] = {}
         if "horizontal" in kinds:
-            horizontal = self._bound(state, bracket, self._times(start.condition, loads[row]), direction=direction)
+            found["horizontal"] = self._bound(
+                state, bracket, self._times(start.condition, loads[row]), direction=direction
+            )
         if "tilt" in kinds and (self._assembly.loads is not None or self._assembly.joints is not None):
-            tilt = self._tilt(state, start, order)
+            found["tilt"] = self._tilt(state, start, order)
         elif "tilt" in kinds:
             # Weight with a horizontal acceleration `a g` is the weight on ground tilted by atan(a), times a factor;
             # forces, displacements and velocities that prove one prove the other after scaling by that factor.
@@ -189,8 +180,8 @@ class MarginFinder:
                 bracket.monotone,
                 bracket.finished,
             )
-            tilt = self._bound(state, tilted, self._tilts(start.condition, row), direction=direction)
-        return tilt, horizontal
+            found["tilt"] = self._bound(state, tilted, self._tilts(start.condition, row), direction=direction)
+        return found
 
     def tilt_load(self, row: int, angle: float) -> Array:
         """Return the wrenches that a tilt adds to the weights, N, shape (parts, 6)."""
@@ -218,7 +209,6 @@ class MarginFinder:
             order,
             guess=lambda _: guess,
             cap=cap,
-            around=DIRECTIONS // 3,
         )
         assert found is not None  # there are directions
         row, bracket = found
@@ -312,10 +302,6 @@ class MarginFinder:
     def _unbounded(self, state: States, start: Answer) -> Bound:
         """Return a margin without bound for want of loads, with the proof of the unmodified state."""
         return self._bound(state, Bracket(0.0, start, None, None), lambda _: start.condition)
-
-    @staticmethod
-    def _rough(condition: Condition) -> Callable[[float], Condition]:
-        return lambda friction: Condition(friction, condition.extra)
 
     @staticmethod
     def _times(condition: Condition, load: Array) -> Callable[[float], Condition]:

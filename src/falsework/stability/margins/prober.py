@@ -1,4 +1,4 @@
-"""Stability of single states of one structure under modified friction and additional loads."""
+"""Equilibrium of single states of one structure under modified friction and additional loads."""
 
 from __future__ import annotations
 
@@ -12,16 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.stability.certificate import (
-    forces_of_displacement,
     residual_bound_of_velocity,
-    residual_of_displacement,
     resistance_to_velocity,
     verify_certificates,
 )
-from falsework.stability.contact.kernel import rest_under
-from falsework.stability.contact.layout import ContactOptions, StepSchedule
-from falsework.stability.contact.newton import MOVES_AWAY, OPEN, RESTS
-from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import KernelArrays, strength_arrays
 from falsework.stability.cpu.solver import CpuSolver, kernel_options
@@ -34,12 +28,9 @@ from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
-    from falsework.stability.settings import StabilitySettings
 
 Array = NDArray[np.float64]
 
-_SCHEDULE = StepSchedule(growth=4.0, patience=0, late_growth=4.0, growth_after_rise=2.0, memory=1.0)
-"""Rules by which time steps grow: where iterations alternate between two residuals, these mostly end that."""
 _ABOVE = 2.0
 """Multiple of the tolerance that the proof of a velocity must exceed to cut off a load: so it also proves a tilt, which
 is the same load made smaller. The bound moves by less than a thousandth."""
@@ -48,28 +39,20 @@ _MANY, _RARELY = 4000, 20
 
 
 class Prober:
-    """Solver of single states under conditions; it may be used from several threads."""
+    """Solver of single states under conditions; it may be used from several threads.
 
-    def __init__(self, assembly: Assembly, settings: StabilitySettings, solver: CpuSolver) -> None:
-        """Share the layout of a solver for a structure.
+    Of the criterion `equilibrium`, and base of that of the other one, `ContactProber`.
+    """
 
-        Args:
-            settings: criterion, cone and tolerances.
-            solver: of the criterion, with the same settings.
-        """
-        self.assembly, self.settings, self.problem = assembly, settings, solver.problem
-        self.contact = settings.criterion == "contact"
+    convex = True
+    """Whether a state that is stable at two values of a family is stable between them."""
+
+    def __init__(self, assembly: Assembly, solver: CpuSolver) -> None:
+        """Share settings and layout of a solver of the structure."""
+        self.assembly, self.settings, self.problem = assembly, solver.settings, solver.problem
+        self.criterion, self.displaced = solver.criterion, solver.displaced
         self._structure = solver.structure
         self._options = kernel_options(self.settings)
-        self._contact = solver.contact_structure if isinstance(solver, ContactSolver) else None
-        if isinstance(solver, ContactSolver):
-            self.contact_options = solver.contact_options
-            # No state is loaded from rest in the search for a bound. Iterations at the outer end of a bracket are
-            # continued by twice as many, until parts are seen to move away.
-            quick = self.contact_options.steps // 4
-            self._quick_options = self.contact_options._replace(warm_steps=quick, steps=0, schedule=_SCHEDULE)
-            self.further_options = self._quick_options._replace(warm_steps=2 * quick)
-        self._no_motion = np.zeros((0, 3))
         self._end = np.inf
 
     def until(self, end: float) -> Prober:
@@ -77,6 +60,11 @@ class Prober:
         prober = copy(self)
         prober._end = end
         return prober
+
+    def check_time(self) -> None:
+        """Raise `OutOfTime` if the time of this prober is over."""
+        if time.perf_counter() > self._end:
+            raise OutOfTime
 
     @property
     def limited(self) -> bool:
@@ -102,22 +90,13 @@ class Prober:
             state: shape (parts,).
             condition: friction and loads.
             near: the answer under a nearby condition, for a warm start.
-            moved: under `contact`, prescribed displacements of fixed parts, shape (parts, 6), m and rad.
-            coarse: under `contact`, only iterate from the nearby answer; if that fails, it may rest nonetheless.
+            moved: where displacements are part of the proof, those of fixed parts, shape (parts, 6), m and rad.
+            coarse: whether states that rest need not be found if iterations from the nearby answer do not end there.
 
         Raises:
             OutOfTime: the time of this prober is over.
         """
-        if time.perf_counter() > self._end:
-            raise OutOfTime
-        if self.contact:
-            known = near is not None and near.displacement is not None
-            options = self._quick_options if coarse and known else self.contact_options
-            (answer,) = self._ask_contact(state, [condition], [near if known else None], [-1], moved, options)
-            if answer.reached is not None and not answer.coarse:
-                # What the rules of verdicts leave undecided, the other ones often decide.
-                return self.refine(state, answer)
-            return answer
+        self.check_time()
         if some_idle(self.assembly, condition.friction):
             return self._exactly(state, condition)
         answer = self.balance(state, condition, near)
@@ -191,97 +170,34 @@ class Prober:
         stands, fails = bool(verdict[0] == STABLE), bool(verdict[0] == UNSTABLE)
         return Answer(condition, stands, forces=forces[0] if stands else None, velocity=velocity[0] if fails else None)
 
-    def ask_each(self, state: States, conditions: Sequence[Condition], near: Sequence[Answer | int]) -> list[Answer]:
-        """Check a state under conditions with the same friction, until it fails under one; quickly under `contact`.
+    def ask_each(self, state: States, conditions: Sequence[Condition], near: Sequence[Answer]) -> list[Answer]:
+        """Check a state under conditions with the same friction, until it fails under one; not from rest.
 
         Args:
             state: shape (parts,).
             conditions: friction and loads.
-            near: for each the stable answer under a nearby condition, or the index of an earlier one of these.
+            near: for each the stable answer under a nearby condition.
         """
-        if not self.contact:
-            answers: list[Answer] = []
-            for condition, start in zip(conditions, near, strict=True):
-                answers.append(self.ask(state, condition, answers[start] if isinstance(start, int) else start))
-                if not answers[-1].stands:
-                    break
-            return answers
-        if time.perf_counter() > self._end:
-            raise OutOfTime
-        known = [answer if isinstance(answer, Answer) else None for answer in near]
-        after = [answer if isinstance(answer, int) else -1 for answer in near]
-        return self._ask_contact(state, conditions, known, after, None, self._quick_options)
-
-    def _ask_contact(
-        self,
-        state: States,
-        conditions: Sequence[Condition],
-        near: Sequence[Answer | None],
-        after: Sequence[int],
-        moved: Array | None,
-        options: ContactOptions,
-    ) -> list[Answer]:
-        count = len(conditions)
-        displacement = np.zeros((count, self.problem.parts, 6))
-        for row, answer in enumerate(near):
-            if answer is not None and answer.displacement is not None:
-                displacement[row] = answer.displacement
-        warm = near[0] is not None
-        result = np.zeros(count, np.int8)
-        law, structure = self._contact, self._under(conditions[0].friction)
-        assert law is not None
-        tried = rest_under(
-            law if structure is law.structure else law._replace(structure=structure),
-            np.array(state),
-            self.problem.gravity_wrench + np.array([condition.extra for condition in conditions]),
-            self._no_motion if moved is None else self._offsets(moved),
-            options,
-            displacement,
-            warm,
-            np.array(after, np.int64),
-            result,
-        )
-        if some_idle(self.assembly, conditions[0].friction):
-            for row in np.flatnonzero(result == RESTS).tolist():
-                changed, claim = conditions[row].applied_to(self.assembly), self.settings.claim
-                left = residual_of_displacement(changed, state[None], displacement[row : row + 1], claim)[0]
-                # Of displaced supports the checker knows nothing.
-                result[row] = RESTS if left <= claim.tolerance and moved is None else OPEN
-        coarse = options.steps == 0
-        return [
-            Answer(
-                condition,
-                bool(result[row] == RESTS),
-                moves_away=bool(result[row] == MOVES_AWAY),
-                coarse=coarse,
-                displacement=displacement[row] if result[row] == RESTS else None,
-                reached=displacement[row] if result[row] == OPEN else None,
-            )
-            for row, condition in enumerate(conditions[:tried])
-        ]
+        answers: list[Answer] = []
+        for condition, start in zip(conditions, near, strict=True):
+            answers.append(self.ask(state, condition, start))
+            if not answers[-1].stands:
+                break
+        return answers
 
     def refine(self, state: States, answer: Answer) -> Answer:
-        """Continue the iterations of an answer from where they ended undecided, if they did; under `contact`."""
-        if answer.reached is None:
-            return answer
-        if time.perf_counter() > self._end:
-            raise OutOfTime
-        guess, options = replace(answer, displacement=answer.reached), self.further_options
-        (found,) = self._ask_contact(state, [answer.condition], [guess], [-1], None, options)
-        return replace(found, coarse=answer.coarse)
+        """Continue the iterations of an answer from where they ended undecided, if they did."""
+        return answer
 
     def contact_wrench(self, state: States, forces: Array) -> Array:
         """Return the wrenches of contact forces, N, shape (points, 3), on all parts, N and Nm, shape (parts, 6)."""
         active = self.problem.active(state[None])[0]
-        return (self.problem.wrench @ np.where(active[:, None], forces, 0.0).ravel()).reshape(-1, 6)
+        return self.problem.geometry.wrenches(np.where(active[:, None], forces, 0.0)[None])[0]
 
     def forces(self, state: States, answer: Answer) -> Array:
         """Return the contact forces of a stable answer, N, shape (points, 3)."""
-        if answer.displacement is None:
-            assert answer.forces is not None
-            return answer.forces
-        changed = answer.condition.applied_to(self.assembly)
-        return forces_of_displacement(changed, state[None], answer.displacement[None], self.settings.claim)[0]
+        assert answer.forces is not None
+        return answer.forces
 
     def cut(self, state: States, answer: Answer, direction: Array) -> float:
         """Return the largest multiple of a load not ruled out by the velocity of an answer; infinity without a limit.
@@ -306,32 +222,38 @@ class Prober:
     def certify(self, state: States, answer: Answer, near: Verdicts | None = None) -> Verdicts:
         """Return the verdict of an answer with a proof that the certificate checker accepts, else undecided.
 
-        Under `contact` a state that fails is unstable if a velocity proves it; else it slides if parts were seen to
-        move away, and comes with forces in equilibrium.
+        A state that fails is unstable if a velocity proves it. Else, where displacements are part of the proof, it
+        slides if parts were seen to move away, and comes with forces in equilibrium.
 
         Args:
             state: shape (parts,).
             answer: the answer to prove.
             near: verdict under a nearby condition, whose forces are a first guess.
         """
-        verdicts = self.problem.undecided(1, displaced=self.contact)
+        verdicts = self.problem.undecided(1, displaced=self.displaced)
         assert verdicts.forces is not None
-        assert verdicts.velocity is not None
-        changed, claim = answer.condition.applied_to(self.assembly), self.settings.claim
         verdicts.decided_by[:] = Solver.CPU
-        if answer.stands and answer.displacement is not None:
-            assert verdicts.displacement is not None
-            verdicts.displacement[0] = answer.displacement
-            verdicts.forces[:] = forces_of_displacement(changed, state[None], answer.displacement[None], claim)
-            verdicts.verdict[0] = Verdict.STABLE
-        elif answer.stands and answer.forces is not None:
-            verdicts.forces[0], verdicts.verdict[0] = answer.forces, Verdict.STABLE
-        elif self._certify_failure(state, answer, near, verdicts):
-            return verdicts
-        verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)
-        if not verify_certificates(changed, state[None], verdicts, claim)[0]:
+        if answer.stands:
+            verdicts.forces[0], verdicts.verdict[0] = self.forces(state, answer), Verdict.STABLE
+            if verdicts.displacement is not None:
+                verdicts.displacement[0] = answer.displacement
+        else:
+            failed = answer
+            if failed.velocity is None:
+                forces = None if near is None or near.forces is None else near.forces[0]
+                failed = self.balance(state, answer.condition, replace(answer, forces=forces))
+            if failed.velocity is not None and verdicts.velocity is not None:
+                verdicts.velocity[0], verdicts.verdict[0] = failed.velocity, Verdict.UNSTABLE
+            elif failed.forces is not None and self.displaced:
+                verdicts.forces[0] = failed.forces
+                if not answer.moves_away:
+                    return verdicts
+                verdicts.verdict[0] = Verdict.SLIDES
+        verdicts.proof[:] = proof_of(verdicts.verdict, self.criterion)
+        changed = answer.condition.applied_to(self.assembly)
+        if not verify_certificates(changed, state[None], verdicts, self.settings.claim)[0]:
             exact = self.exact(state, answer.condition)
-            if exact.unstable[0] or not self.contact:
+            if exact.unstable[0] or not self.displaced:
                 verdicts.put(np.array([0]), exact)
             else:
                 verdicts.verdict[0] = Verdict.UNDECIDED
@@ -341,23 +263,6 @@ class Prober:
         """Return the verdict of the exact solver on a state under a condition."""
         settings = replace(self.settings, criterion="equilibrium", cone=self.settings.friction_cone)
         return ExactSolver(condition.applied_to(self.assembly), settings).check(state)
-
-    def _certify_failure(self, state: States, answer: Answer, near: Verdicts | None, verdicts: Verdicts) -> bool:
-        """Write the proof of a state that is not stable; return whether it stays undecided although in equilibrium."""
-        assert verdicts.forces is not None
-        assert verdicts.velocity is not None
-        velocity = answer.velocity
-        if velocity is None:
-            forces = None if near is None or near.forces is None else near.forces[0]
-            balanced = self.balance(state, answer.condition, replace(answer, forces=forces))
-            velocity = balanced.velocity
-            if self.contact and balanced.forces is not None:
-                verdicts.forces[0] = balanced.forces
-                verdicts.verdict[0] = Verdict.SLIDES if answer.moves_away else Verdict.UNDECIDED
-                return not answer.moves_away
-        if velocity is not None:
-            verdicts.velocity[0], verdicts.verdict[0] = velocity, Verdict.UNSTABLE
-        return False
 
     def _under(self, friction: float) -> KernelArrays:
         """Return the structure with another coefficient of friction, each point's own changed as by `at_friction`."""
@@ -373,12 +278,3 @@ class Prober:
     def _whitened(self, extra: Array) -> Array:
         """Return the weights with additional wrenches, shape (parts, 6), as the kernels of equilibrium have them."""
         return np.einsum("prc,pc->pr", self.problem.whitening, self.problem.gravity_wrench + extra, order="C")
-
-    def _offsets(self, moved: Array) -> Array:
-        """Return the scaled spring forces that displaced fixed parts cause at contact points, shape (points, 3)."""
-        problem, law = self.problem, self._contact
-        assert law is not None
-        relative = (problem.wrench.T @ moved.ravel()).reshape(-1, 3)
-        stiffness = np.stack([law.normal, law.tangential, law.tangential], axis=1)
-        # Scaled springs act on relative displacements times `force_scale`, in units of `scale`.
-        return -stiffness * relative * (problem.force_scale / law.scale)[:, None]

@@ -16,9 +16,7 @@ Array = NDArray[np.float64]
 _FLAT = np.cos(np.radians(15.0))
 """Cosine of the largest angle between the triangles of a face and its largest triangle."""
 _SMALLEST = 0.01
-"""Faces below this share of the largest face of their part are left out ..."""
-_MOST = 12
-"""... and all but this many of the largest."""
+"""Faces below this share of the largest face of their part are left out."""
 _COVERED = 0.5
 """Share of a face in contact above which a gripper has no room on it."""
 
@@ -80,7 +78,7 @@ def _faces(mesh: TriangleMesh) -> list[tuple[Array, Array, float]]:
         middle = twice[members] @ middles[members] / twice[members].sum()
         found.append((total / np.linalg.norm(total), middle, float(np.linalg.norm(total)) / 2))
     found.sort(key=lambda face: -face[2])
-    return [face for face in found if face[2] >= _SMALLEST * found[0][2]][:_MOST]
+    return [face for face in found if face[2] >= _SMALLEST * found[0][2]]
 
 
 def _cover(assembly: Assembly, part: NDArray[np.int32], inward: Array, areas: Array) -> Array:

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, States
-from falsework.stability.certificate import forces_of_displacement, residual_of_forces
+from falsework.stability.certificate import residual_of_forces
 from falsework.stability.margins.brackets import FLOOR, Interval, largest
 from falsework.stability.margins.conditions import Answer, OutOfTime
 from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.state_margins import HeldLoad, triple
+from falsework.stability.second_order.springs import springs_of_displacement
 from falsework.stability.stiffness import MOVEMENT, structure_size
 
 Array = NDArray[np.float64]
@@ -53,10 +54,10 @@ def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int
         OutOfTime: the time of the prober is over.
     """
     assembly, problem, claim, depths = prober.assembly, prober.problem, prober.settings.claim, []
-    active = problem.active(state[None])[0]
+    active, geometry = problem.active(state[None])[0], problem.geometry
     cap = _DEEPEST * MOVEMENT * structure_size(assembly)
     for part in np.flatnonzero(assembly.boundary).tolist():
-        if not (active & ((problem.part_a == part) | (problem.part_b == part))).any():
+        if not (active & ((geometry.part_a == part) | (geometry.part_b == part))).any():
             continue
         sunk = np.zeros((problem.parts, 6))
         sunk[part, 2] = -1.0
@@ -65,8 +66,8 @@ def settlements(prober: Prober, state: States, start: Answer) -> tuple[tuple[int
             answer = prober.ask(state, start.condition, near, moved=depth * sunk)
             if answer.displacement is None:
                 return answer
-            forces = forces_of_displacement(assembly, state[None], (answer.displacement + depth * sunk)[None], claim)
-            left = residual_of_forces(assembly, state[None], forces, claim)[0]
+            springs = springs_of_displacement(assembly, state[None], (answer.displacement + depth * sunk)[None], claim)
+            left = residual_of_forces(assembly, state[None], springs.forces, claim)[0]
             return answer if left <= claim.tolerance else replace(answer, stands=False)
 
         bracket = largest(probe, Interval(start, guess=0.5 * cap, cap=cap, floor=FLOOR * cap))

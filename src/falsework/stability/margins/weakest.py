@@ -19,19 +19,15 @@ Array = NDArray[np.float64]
 Near = dict[str, tuple[int, float]]
 """Bounds of a nearby state: the number of the weakest load, and its bound."""
 
-_COARSE = float(np.sqrt(GROWTH))
-"""Ratio of the ends of a bracket, split once, at which the other families are tested before it is narrowed further, and
-of two values up to which a probe under one may start from another family's rest under the other."""
-Probe = Callable[[Sequence[int], float, Sequence[Answer | int]], list[Answer]]
-"""Answers of families at a value by quick probes, until the first that fails. Each is warm-started from an answer, or
-from that of an earlier family in the list, given by its index."""
+Probe = Callable[[Sequence[int], float, Sequence[Answer]], list[Answer]]
+"""Answers of families at a value by quick probes, until the first that fails, each warm-started from an answer."""
 
 
 class Weakest:
     """Brackets of the bounds of families, of which only the least one is narrowed.
 
-    A family that is stable at the least bound so far is not weaker. So all families are tested at the inner end of a
-    coarse bracket first; then the bracket of the weakest is narrowed, and the others are tested at its inner end again.
+    A family that is stable at the least bound so far is not weaker. So the bracket of the first family, likely the
+    weakest, is narrowed, and the others are tested at its inner end; one that fails takes its place.
     """
 
     def __init__(
@@ -44,7 +40,6 @@ class Weakest:
         cap: float,
         low: float = 0.0,
         floor: Callable[[int], float],
-        around: int = 0,
         hurry: bool = False,
         cut: Callable[[int, Answer], float] | None = None,
         near: float | None = None,
@@ -59,8 +54,6 @@ class Weakest:
             cap: value beyond which there is no bound.
             low: value at which all are known to be stable.
             floor: absolute width at which the bracket of a family is narrow enough.
-            around: where families are numbered around a circle, of how many the weakest is narrowed before the others
-                are tested; a probe then starts from the rest of a family nearby.
             hurry: whether the time is limited, so that what all families bear is found first, if roughly.
             cut: as for `Interval`, of each family.
             near: bound of the first family in a nearby state.
@@ -80,11 +73,7 @@ class Weakest:
         if near is not None and self._families:
             self._searches[self._families[0]].begin_near(near)
         self._first = max(min(map(guess, families), default=0.0) / (2.0 * GROWTH), (1.0 + 2.0 * ACCURACY) * low)
-        self._distance = _distances(len(self._families)) if around else None
-        self._beyond = True
-        """Whether families are tested beyond the least bound: until one fails, since failures are costly."""
-        self._batch = 1 if hurry else max(len(self._families), 1)  # the time is looked at between two calls
-        self._sample, self._hurry = self._families[: around or None], hurry
+        self._batch, self._hurry = 1 if hurry else max(len(self._families), 1), hurry  # one call is not cut short
 
     def search(self, confirm: Callable[[int, float, Answer], tuple[float, Answer]]) -> tuple[int, Bracket] | None:
         """Return the weakest family and its bracket, without an outer end where none has a bound; None without any.
@@ -94,7 +83,20 @@ class Weakest:
                 a larger value.
         """
         try:
-            return self._search(confirm)
+            if self._hurry:
+                self._raise_all(self._first)
+            while (best := self._weakest()) is not None:
+                search = self._searches[best]
+                assert search.high is not None
+                if search.fails is None:
+                    return best, search.bracket()
+                value, answer = confirm(best, search.high, search.fails)
+                if not answer.stands:
+                    search.high, search.fails = value, answer
+                    return best, search.bracket()
+                search.reopen(value, answer)
+            row = next(iter(self._families), None)
+            return None if row is None else (row, self._searches[row].bracket())
         except OutOfTime:
             searches = self._searches.values()
             least = min(self._families, key=lambda row: self._searches[row].low)
@@ -102,105 +104,56 @@ class Weakest:
             outside, fails = min(failing, key=lambda known: known[0], default=(None, None))
             return least, replace(self._searches[least].bracket(finished=False), outside=outside, fails=fails)
 
-    def _search(self, confirm: Callable[[int, float, Answer], tuple[float, Answer]]) -> tuple[int, Bracket] | None:
-        confirmed: dict[int, float] = {}
-        last = None
-        if self._hurry:
-            self._raise_all(self._first)
-        while True:
-            bounded = {row: search.high for row, search in self._searches.items() if search.high is not None}
-            if not bounded:
-                rows = [row for row in self._families if not self._searches[row].unbounded]
-                if not rows:
-                    row = next(iter(self._families), None)
-                    return None if row is None else (row, self._searches[row].bracket())
-                self._raise(last if last in rows else rows[0])
-                continue
-            best = last = min(bounded, key=lambda row: self._searches[row].low)
-            search, high = self._searches[best], bounded[best]
-            if not search.narrow and high > _COARSE * search.low:
-                self._ask(best, search.next_value())
-                continue
-            value = (1.0 - ACCURACY / 2) * search.low
-            least = (1.0 - ACCURACY / 2) * value  # the least bound may rise so far without a new test of the others
-            rows, demand = (self._families, least) if search.narrow else (self._sample, value / _COARSE)
-            left = [row for row in rows if row != best and self._searches[row].low < demand]
-            if left:
-                self._test(best, left, value, high)
-            elif not search.narrow:
-                self._ask(best, search.next_value())
-            elif confirmed.get(best) == high or search.fails is None:
-                return best, search.bracket()
+    def _weakest(self) -> int | None:
+        """Return the family with the least bound, with a narrow bracket; None where none has a bound."""
+        best, left = None, list(self._families)
+        while left:
+            if best is None:
+                row = left.pop(0)
+                self._raise(row)
+                if self._searches[row].unbounded:
+                    continue
             else:
-                value, answer = confirm(best, high, search.fails)
-                confirmed[best] = high
-                if answer.stands:
-                    search.reopen(value, answer)
+                value = (1.0 - ACCURACY / 2) * self._searches[best].low
+                least = (1.0 - ACCURACY / 2) * value  # the least bound may rise so far without a new test
+                left = [row for row in left if self._searches[row].low < least]
+                row = next((row for row in left if (self._searches[row].high or np.inf) <= value), -1)
+                if row >= 0:
+                    left.remove(row)
                 else:
-                    search.high, search.fails = value, answer
+                    some = left[: self._batch]
+                    answers = self._probe_all(some, value) if some else []
+                    del left[: len(answers)]
+                    if not answers or answers[-1].stands:
+                        continue
+                    row = some[len(answers) - 1]
+                    self._searches[row].step_shortly()
+            while not self._searches[row].narrow:
+                self._probe_all([row], self._searches[row].next_value())
+            best = row
+        return best
 
     def _raise_all(self, value: float) -> None:
         """Raise the loads of all families together until one fails or the cap is reached."""
         while value < self._cap:
             for first in range(0, len(self._families), self._batch):
-                if not self._probe_all(self._families[first : first + self._batch], value):
+                if not self._probe_all(self._families[first : first + self._batch], value)[-1].stands:
                     return
             value *= 2.0
 
     def _raise(self, row: int) -> None:
         """Raise a load until it fails or reaches the cap, at once where others have reached it."""
         search = self._searches[row]
-        if self._beyond and any(other.unbounded for other in self._searches.values()):
-            self._beyond = self._ask(row, self._cap)
-            return
-        while self._ask(row, search.next_value()) and not search.unbounded:
-            pass
+        while search.high is None and not search.unbounded:
+            beyond = any(other.unbounded for other in self._searches.values())
+            self._probe_all([row], self._cap if beyond else search.next_value())
 
-    def _test(self, best: int, left: Sequence[int], value: float, high: float) -> None:
-        """Test families at a value below which they are known to be stable, or beyond the bound, to do so only once."""
-        distance = self._distance
-        if distance is None:
-            self._beyond &= self._probe_all(left[: self._batch], high if self._beyond else value)
-            return
-        sampled = [row for row in left if row in self._sample]
-        rows = sampled or sorted(left, key=distance[best].__getitem__)
-        self._probe_all(rows[: self._batch], value)
-
-    def _probe_all(self, rows: Sequence[int], value: float) -> bool:
-        """Probe families at a value until one fails; return whether none does."""
-        answers = self._probe(rows, value, self._origins(rows, value))
+    def _probe_all(self, rows: Sequence[int], value: float) -> list[Answer]:
+        """Probe families at a value, each from its last rest, until one fails."""
+        answers = self._probe(rows, value, [self._searches[row].stands for row in rows])
         for row, answer in zip(rows, answers, strict=False):
             self._searches[row].record(value, answer)
-        return answers[-1].stands
-
-    def _origins(self, rows: Sequence[int], value: float) -> list[Answer | int]:
-        """Return where to start the probe of each family: its last rest, or that of a neighbour or one before it."""
-        searches, distance = self._searches, self._distance
-        if distance is None:
-            return [searches[row].stands for row in rows]
-        known = [row for row in self._families if value / _COARSE <= searches[row].low <= _COARSE * value]
-        kin, origins = np.array([*known, *rows]), list[Answer | int]()
-        for place, row in enumerate(rows):
-            near = kin[: len(known) + place]
-            first = int(distance[row, near].argmin()) if len(near) else -1
-            if first >= len(known):
-                origins.append(first - len(known))
-                continue
-            own = searches[row]
-            other = searches[known[first]] if first >= 0 else own
-            origins.append((other if abs(other.low - value) < abs(own.low - value) else own).stands)
-        return origins
-
-    def _ask(self, row: int, value: float) -> bool:
-        """Probe a family and keep the answer; return whether it is stable."""
-        (answer,) = self._probe([row], value, [self._searches[row].stands])
-        return self._searches[row].record(value, answer)
-
-
-def _distances(count: int) -> NDArray[np.intp]:
-    """Return the distances of points on a circle, in steps, shape (count, count)."""
-    turns = np.subtract.outer(np.arange(count), np.arange(count)) % count
-    return np.minimum(turns, count - turns)
+        return answers
 
 
 def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -> Bracket | None:
@@ -253,7 +206,6 @@ def weakest_load(
     name: str = "load",
     numbers: Sequence[int] | None = None,
     loads: Array | None = None,
-    around: int = 0,
 ) -> tuple[int, Bracket] | None:
     """Return the family of loads with the least bound, and its bracket; None without families.
 
@@ -271,13 +223,12 @@ def weakest_load(
         name: under which it is in `near`.
         numbers: identifier of each family, the same in all states; its index by default.
         loads: where values are multiples of loads, these, N and Nm, shape (families, parts, 6).
-        around: as for `Weakest`.
     """
     names, near = range(max(order, default=-1) + 1) if numbers is None else numbers, {} if near is None else near
     weak, value = near.get(name, (-1, 0.0))
     order = sorted(order, key=lambda row: names[row] != weak)
 
-    def probe(rows: Sequence[int], value: float, nearby: Sequence[Answer | int]) -> list[Answer]:
+    def probe(rows: Sequence[int], value: float, nearby: Sequence[Answer]) -> list[Answer]:
         return prober.ask_each(state, [under(row, value) for row in rows], nearby)
 
     def confirm(row: int, value: float, failed: Answer) -> tuple[float, Answer]:
@@ -296,16 +247,15 @@ def weakest_load(
         cap=cap,
         low=low,
         floor=lambda row: FLOOR * guess(row),
-        around=around,
         hurry=prober.limited,
-        cut=None if loads is None or prober.contact else lambda row, failed: prober.cut(state, failed, loads[row]),
+        cut=None if loads is None else lambda row, failed: prober.cut(state, failed, loads[row]),
         near=value if order and names[order[0]] == weak else None,
     )
     found = race.search(confirm)
     if found is None:
         return None
     row, bracket = found
-    if prober.contact and bracket.finished and bracket.fails is not None:
+    if not prober.convex and bracket.finished and bracket.fails is not None:
 
         def ask(value: float, nearby: Answer | None) -> Answer:
             return prober.ask(state, under(row, value), nearby, coarse=True)
