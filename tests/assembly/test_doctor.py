@@ -71,10 +71,10 @@ def test_faces_that_touch_without_being_parallel(column: Path, capsys: pytest.Ca
         warnings.simplefilter("error", ContactWarning)
         found = doctor(column)
     (finding,) = found.remarks
-    assert "of parts 0 and 1 (2 degrees): contacts bear what both" in finding
+    assert "of parts 0 and 1 (2 deg): contacts bear what both" in finding
     assert main(["doctor", str(column)]) == 0
     assert finding in capsys.readouterr().out
-    with pytest.warns(ContactWarning, match="inclined to each other by 2 degrees at least, more than friction of 0.01"):
+    with pytest.warns(ContactWarning, match="inclined to each other by 2 deg at least, more than friction of 0.01"):
         load_structure(column, friction=0.01)
 
 

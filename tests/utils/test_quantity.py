@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import math
+import re
+from pathlib import Path
 
 import pytest
 
-from falsework.utils.quantity import counted, format_quantity, parse_quantity
+import falsework
+from falsework.utils.quantity import counted, format_number, format_quantity, parse_quantity
 
 
 @pytest.mark.parametrize(
@@ -29,6 +33,11 @@ from falsework.utils.quantity import counted, format_quantity, parse_quantity
         (math.radians(2.4789), "angle", "2.48 deg"),
         (0.0831, "share of gravity", "0.0831 g"),
         (1.25, "factor", "1.25"),
+        (8.7e-6, "share", "8.7 ppm"),
+        (0.00077, "share", "770 ppm"),
+        (0.12, "share", "12 %"),
+        (3e-4, "area", "3 cm2"),
+        (127.0, "factor", "127"),
         (math.inf, "force", "unlimited"),
     ],
 )
@@ -50,3 +59,34 @@ def test_what_is_written_is_read(kind: str) -> None:
 @pytest.mark.parametrize(("number", "text"), [(0, "0 states"), (1, "1 state"), (2, "2 states")])
 def test_counts_agree_with_their_nouns(number: int, text: str) -> None:
     assert counted(number, "state") == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(1.27e-7, "0.000000127"), (250.0, "250"), (1.27e7, "12700000"), (-0.5, "-0.5"), (0.0, "0")]
+)
+def test_numbers_to_type_have_no_exponent(value: float, text: str) -> None:
+    assert format_number(value) == text
+    assert float(text) == value
+
+
+def test_no_text_of_the_package_has_a_number_with_an_exponent() -> None:
+    """Formats that write exponents are for numbers that are rounded by them, and for files of USD."""
+    root = Path(falsework.__file__).parent
+    found = []
+    for file in sorted(root.rglob("*.py")):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        rounded = {
+            id(value)
+            for call in ast.walk(tree)
+            if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "float"
+            for text in call.args
+            for value in ast.walk(text)
+        }
+        found += [
+            f"{file.relative_to(root)}:{value.lineno}"
+            for value in ast.walk(tree)
+            if isinstance(value, ast.FormattedValue) and value.format_spec is not None and id(value) not in rounded
+            if re.search(r"\.[^.]*[eg]'?$", ast.unparse(value.format_spec).removesuffix("'").removesuffix('"'))
+        ]
+    allowed = {"utils/quantity.py", "interop/usd.py"}
+    assert [place for place in found if place.split(":")[0] not in allowed] == []

@@ -10,11 +10,13 @@ import pytest
 from falsework import Action, Assembly, Direction, Plan
 from falsework.robots import Cell, RobotPlan
 from falsework.robots.kinematics.forward import link_poses
+from falsework.robots.model.cell import Placement
 from falsework.robots.model.shapes import pose
 from falsework.robots.plans.robot_plan_file import save_robot_plan
 from falsework.viewer import Timeline
 from falsework.viewer.appearance import appearance_at, bounds_of
 from falsework.viewer.arms import ArmPoses, Arms, appearance_with_arms, bounds_with_arms, solids_of_arms, wxyz_of
+from falsework.viewer.page.page_text import legend_text
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.timeline import NO_ROBOT
 
@@ -131,3 +133,18 @@ def test_from_a_file(
 def test_quaternions() -> None:
     np.testing.assert_allclose(wxyz_of(np.eye(3)), (1, 0, 0, 0))
     np.testing.assert_allclose(wxyz_of(pose(yaw=np.pi / 2)[:3, :3]), (np.sqrt(0.5), 0, 0, np.sqrt(0.5)), atol=1e-12)
+
+
+def test_the_page_says_where_the_cell_builds_another_size(
+    robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]
+) -> None:
+    def legend(placement: Placement) -> str:
+        arms = Arms(robot_plan, replace(cell, placement=placement), Direction.ASSEMBLY)
+        model = ViewerState(Timeline.from_plan(robot_plan.plan, arch[0]), plan=robot_plan.plan, arms=arms)
+        assert "as modelled" not in legend_text(model, {})  # no force or mass is shown
+        model.selected = 0
+        return legend_text(model, {})
+
+    assert "as modelled" not in legend(Placement())
+    text = legend(Placement(scale=0.1, density=700.0))
+    assert "the cell builds it at 0.1 of its size with 700 kg/m3." in text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -73,3 +74,21 @@ def test_a_robot_plan_needs_its_cell(robot_plan: Any, model: ViewerState, tmp_pa
     fw.save(robot_plan, tmp_path / "robot.json")
     with pytest.raises(FalseworkError, match="a robot plan; the page opens it where"):
         opened("robot.json", (tmp_path / "robot.json").read_bytes(), model)
+
+
+def test_a_page_tells_that_its_file_has_changed(tmp_path: Path) -> None:
+    pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
+    plan = fw.find_plans("stack:blocks=2").plans[0]
+    fw.save(plan, tmp_path / "plan.json")
+    page = fw.view(tmp_path / "plan.json", wait=False, browser=False, port=0)
+    said: Any = page.site.answer
+    try:
+        assert said.content == ""
+        (tmp_path / "plan.json").write_text("{", encoding="utf-8")
+        end = time.monotonic() + 10
+        while "plan.json has changed" not in said.content.replace("\\", ""):
+            assert time.monotonic() < end, "the change is not told"
+            time.sleep(0.05)
+        assert len(page.model.timeline) == len(plan)
+    finally:
+        page.close()

@@ -17,10 +17,12 @@ from falsework.viewer.palette import (
     RAMP,
     ROBOTS,
     SELECTED,
+    ink_on,
     mix,
     ramp,
     ramp_in_steps,
     rgb,
+    unit_rgb,
 )
 
 # Linear RGB as seen without medium-wave or without long-wave cones, severity 1.
@@ -106,3 +108,17 @@ def test_few_colours_are_near_the_many() -> None:
 
 def test_mixing() -> None:
     assert mix("#000000", "#ffffff", 0.5) == "#808080"
+
+
+@pytest.mark.parametrize("alpha", [0.3, 1.0])
+def test_letters_on_the_colours_of_robots_can_be_read(alpha: float) -> None:
+    """A contrast of 3, as WCAG 2 asks of graphics."""
+
+    def luminance(color: str, alpha: float = 1.0) -> float:
+        channels = np.array(unit_rgb(color)) * alpha + 1 - alpha
+        linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]
+        return float(np.dot(linear, (0.2126, 0.7152, 0.0722)))
+
+    for color in ROBOTS:
+        levels = sorted((luminance(color, alpha), luminance(ink_on(color, alpha))))
+        assert (levels[1] + 0.05) / (levels[0] + 0.05) >= 3, color

@@ -18,7 +18,7 @@ from falsework.errors import AssemblyError, ReadWarning
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.contact.patches import frames_of
 from falsework.utils.models import plain, read_model
-from falsework.utils.quantity import listed
+from falsework.utils.quantity import format_quantity, listed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -132,7 +132,7 @@ def _place(at: Array, assembly: Assembly, pair: tuple[int, int], names: str) -> 
         away = float(np.linalg.norm(np.maximum(np.maximum(low - at, at - high), 0.0)))
         if away > float(np.linalg.norm(high - low)):
             raise AssemblyError(
-                f"{names} is {away:.3g} m away from part {assembly.names[part]}; "
+                f"{names} is {format_quantity(away, 'length')} away from part {assembly.names[part]}; "
                 "give its place in metres, within the parts"
             )
     return at

@@ -13,7 +13,7 @@ from falsework.assembly.touching import inclinations
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.read import UNITS
-from falsework.utils.quantity import listed
+from falsework.utils.quantity import format_quantity, listed
 
 _SIZES = (0.02, 5.0)
 """Smallest and largest size of a typical part that raises no finding about the unit, metres."""
@@ -65,7 +65,11 @@ def inclination_findings(names: Sequence[str], contacts: Contacts | None) -> lis
     worst = [row for row in np.argsort(-angles, kind="stable").tolist() if angles[row] > _INCLINED]
     if not worst:
         return []
-    said = [f"{names[a]} and {names[b]} ({angles[row]:.2g} degrees)" for row in worst for a, b in [pairs[row]]]
+    said = [
+        f"{names[a]} and {names[b]} ({format_quantity(np.radians(angles[row]), 'angle', 2)})"
+        for row in worst
+        for a, b in [pairs[row]]
+    ]
     return [
         f"faces that touch are inclined to each other, of parts {listed(said, noun='pairs')}: contacts bear what both "
         "faces would, so that half of the angle is lost to friction"

@@ -15,7 +15,7 @@ from falsework.geometry.contact.interfaces import Contacts, ContactSettings
 from falsework.geometry.contact.patches import frames_of
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.geometry.mesh.polygon import newell_normal
-from falsework.utils.quantity import listed
+from falsework.utils.quantity import format_quantity, listed
 
 Array = NDArray[np.float64]
 
@@ -189,7 +189,8 @@ def _check_fit(meshes: Sequence[TriangleMesh], interfaces: Sequence[StoredInterf
         number, part, far = where
         a, b = (meshes[index].name for index in interfaces[number].parts)
         raise AssemblyError(
-            f"stored interfaces do not fit the parts: that of {a} and {b} is {1000 * far:.3g} mm away from "
+            f"stored interfaces do not fit the parts: that of {a} and {b} is {format_quantity(far, 'length')} "
+            f"away from "
             f"part {meshes[part].name}; find them instead (--interfaces found)"
         )
 

@@ -13,6 +13,7 @@ from falsework.geometry.contact.interfaces import Contacts, ContactSettings, def
 from falsework.geometry.contact.near import near_points
 from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.utils.quantity import format_number, format_quantity
 
 _FIT = 1 / 20
 """Largest clearance of a fit, as a share of the thickness of the thinnest part."""
@@ -59,14 +60,16 @@ def contact_warnings(
     for number in np.flatnonzero(~carries & ~boundary[pairs].all(axis=1)).tolist():
         a, b = (names[part] for part in pairs[number].tolist())
         lines.append(
-            f"faces of parts {a} and {b} are inclined to each other by {least[number]:.2g} degrees at least, more than "
+            f"faces of parts {a} and {b} are inclined to each other by "
+            f"{format_quantity(np.radians(least[number]), 'angle', 2)} at least, more than "
             f"friction of {friction:g} holds on both: nothing is carried there"
         )
     for number in np.flatnonzero((width < narrow) & ~boundary[pairs].all(axis=1)).tolist():
         a, b = (names[part] for part in pairs[number].tolist())
         if widest[number] == 2:
             lines.append(
-                f"parts {a} and {b} touch on a strip {1000 * width[number]:.2g} mm wide: verdicts may depend on it"
+                f"parts {a} and {b} touch on a strip {format_quantity(width[number], 'length', 2)} wide: verdicts "
+                f"may depend on it"
             )
             continue
         count = int(np.sum(pair.ravel() == number))
@@ -91,10 +94,11 @@ def clearance_hint(meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], 
         return ""
     widest = int(near.gaps.argmax())
     a, b = (meshes[part].name for part in near.parts[widest].tolist())
-    gap = 1000 * float(near.gaps[widest])
+    gap = float(near.gaps[widest])
     return (
-        f"parts {a} and {b} face each other {gap:.2g} mm apart, and parts can settle into such clearance before they "
-        f"are judged: --settle {2 * gap:.2g}"
+        f"parts {a} and {b} face each other {format_quantity(gap, 'length', 2)} apart, and parts can settle into "
+        f"such clearance before they "
+        f"are judged: --settle {format_number(2000 * gap, 2)}"
     )
 
 
@@ -135,18 +139,20 @@ def check_touching(
         touches = f"part {meshes[part].name} touches no other part"
         if other < 0:
             raise AssemblyError(f"{touches}, and there is none; add the parts that carry it")
-        where = f"{touches}; part {meshes[other].name} is nearest, {1000 * gap:.3g} mm away"
+        where = f"{touches}; part {meshes[other].name} is nearest, {format_quantity(gap, 'length')} away"
         allowed = settings.lengths(meshes)[0]
         if gap <= allowed:
             raise AssemblyError(
-                f"{where}, within the gap of {1000 * allowed:.3g} mm that is allowed, but no faces look at each other "
+                f"{where}, within the gap of {format_quantity(allowed, 'length')} that is allowed, but no faces "
+                f"look at each other "
                 f"there to within {settings.angle:g} degrees; move it into place, or raise that angle "
                 '("contact": {"angle": degrees} in assembly.json)'
             )
         farther = 1000 * float(_above(gap)) if settled is None else 2000 * settled
         how = "let parts settle" if settled is None else "let parts settle farther"
         raise UntouchedPartError(
-            f"{where}, and {1000 * allowed:.3g} mm is allowed; move it into place, {how} (--settle {farther:.2g}), or "
+            f"{where}, and {format_quantity(allowed, 'length')} is allowed; move it into place, {how} (--settle "
+            f"{format_number(farther, 2)}), or "
             f'allow the gap if it is meant to be filled ("contact": {{"gap": {_above(gap)}}} in assembly.json)'
         )
 
@@ -154,4 +160,4 @@ def check_touching(
 def _above(length: float) -> str:
     """Return a length with two digits, rounded up by 2 to 12 percent."""
     digits = int(np.floor(np.log10(length))) - 1
-    return f"{(np.ceil(1.02 * length / 10.0**digits)) * 10.0**digits:.2g}"
+    return format_number(np.ceil(1.02 * length / 10.0**digits) * 10.0**digits, 2)

@@ -177,14 +177,16 @@ class CheckPlan(JudgingCommand):
         )
         if self.steps:
             for step in plan.in_order(Direction(self.order)):
-                borne = describe_loads(found.loads[step.number], plan.part_names) if found.loads else ""
+                loads = found.loads[step.number] if found.loads else ()
+                borne = describe_loads(loads, plan.part_names, plan.holders[step.number])
                 output.say("; ".join(filter(None, (f"{step.number:4d}  {step}", borne))))
         if found.good:
             claim = found.claim
             output.say(
                 f"{self.plan}: all {found.states} states are stable by the criterion {claim.criterion} ({claim.cone} "
-                f"cone, tolerance {claim.tolerance:g}, gravity {claim.gravity:g} m/s2, force bound "
-                f"{claim.force_bound:g}); residual at most {found.residual:.1e} of gravity"
+                f"cone, tolerance {format_quantity(claim.tolerance, 'share')}, gravity {claim.gravity:g} m/s2, "
+                f"force bound "
+                f"{claim.force_bound:g}); largest residual {format_quantity(found.residual, 'share')} of gravity"
             )
             demanded = self.margin or (plan.margins and str(plan.margins.demands))
             if demanded:
@@ -269,7 +271,8 @@ class CheckPlan(JudgingCommand):
         record |= {"part": assembly.names[part] if part >= 0 else None, "share_of_part": moved / size}
         output.row("steps", record)
         mover = (
-            f"{assembly.names[part]} moved {format_quantity(moved, 'length')}, {moved / size:.1e} of its size"
+            f"{assembly.names[part]} moved {format_quantity(moved, 'length')}, "
+            f"{format_quantity(moved / size, 'share')} of its size"
             if part >= 0
             else ""
         )

@@ -68,8 +68,8 @@ Example:
   falsework plan vault --robots 2 --out plan.json
   falsework check plan.json
 
-Exit codes: 0 done, 1 the answer is no, 2 wrong input, 3 yes on conditions that the input sets itself,
-4 out of memory."""
+Exit codes: 0 done, 1 the answer is no, 2 wrong input,
+3 yes on conditions that the input sets itself, 4 out of memory."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -65,7 +65,7 @@ def times_record(plan: RobotPlan) -> dict[str, Any]:
 def found_texts(plan: RobotPlan, name: str, statistics: dict[str, Any]) -> list[str]:
     """Return what is known of a plan that was found, in sentences."""
     found = [
-        f"{name}: {counted(len(plan), 'step')} for {counted(len(plan.robots), 'robot')}, {plan.seconds:.0f} s of "
+        f"{name}: {counted(plan.executed, 'step')} for {counted(len(plan.robots), 'robot')}, {plan.seconds:.0f} s of "
         f"motion, every state proven stable (criterion {plan.plan.claim.criterion}, {statistics['seconds']:.1f} s)"
     ]
     done = len(plan.done_by)
@@ -166,7 +166,7 @@ def scope_record(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) ->
         "not_at_home": elsewhere,
         "criterion": plan.plan.claim.criterion,
         "direction": plan.direction.value,
-        "steps": len(plan),
+        "steps": plan.executed,
         "start": "".join(map(str, states[0].tolist())),
         "end": "".join(map(str, states[-1].tolist())),
     }
@@ -178,7 +178,8 @@ def scope_text(plan: RobotPlan, assembly: Assembly, cell: Cell, place: str) -> s
     first, last = (int((state != 0).sum()) for state in plan.states[[0, -1]])
     starts = f"; {' and '.join(record['not_at_home'])} not at home at the start" if record["not_at_home"] else ""
     return (
-        f"{plan.direction.value} of {assembly.name} ({assembly.identity[:12]}) in {counted(len(plan), 'step')} from "
+        f"{plan.direction.value} of {assembly.name} ({assembly.identity[:12]}) in "
+        f"{counted(plan.executed, 'step')} from "
         f"{first} to {last} parts, in cell {cell.name} of {place} ({plan.cell_identity[:12]}) with "
         f"{', '.join(record['robots'])}, criterion {record['criterion']}{starts}"
     )

@@ -243,7 +243,7 @@ class PlanRobots(Command):
             output.file(self.out)
             output.record(
                 {
-                    "steps": len(saved),
+                    "steps": saved.executed,
                     "motion_s": round(saved.seconds, 3),
                     **result.statistics,
                     **times_record(saved),

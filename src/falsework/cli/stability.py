@@ -16,6 +16,7 @@ from falsework.cli.command import (
     settlement_record,
 )
 from falsework.cli.exit_code import Exit
+from falsework.utils.quantity import format_quantity
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -81,7 +82,8 @@ class CheckStability(JudgingCommand):
                 subject += f" with {', '.join(part_name(assembly, int(part)) for part in held)} held"
             near = "; the verdict depends on the tolerance" if verdicts.on_tolerance[index] else ""
             line = (
-                f"{subject}: {verdict.name.lower()} (proof: {proof.name.lower()}, residual {residual:.1e} of gravity)"
+                f"{subject}: {verdict.name.lower()} (proof: {proof.name.lower()}, residual "
+                f"{format_quantity(residual, 'share')} of gravity)"
                 f"{near}"
             )
             output.say(f"{line}; {describe(assembly, moving)}" if moving else line)

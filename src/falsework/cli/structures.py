@@ -21,6 +21,7 @@ class Structures(Command):
     def run(self, output: Output) -> Exit:
         """Print one row per structure."""
         from falsework.assembly.library import structures
+        from falsework.utils.quantity import format_number
 
         rows: list[tuple[str, str]] = []
         for entry in structures():
@@ -28,7 +29,11 @@ class Structures(Command):
             output.row("structures", {"name": entry.name, "description": entry.description, "parameters": parameters})
             rows.append((entry.name, entry.description))
             for detail in entry.details:
-                about = f"{detail.meaning}, {detail.minimum:g} to {detail.maximum:g} {detail.unit}".rstrip()
-                rows.append((f"  {detail.name}={detail.default:g}", f"  {about}"))
+                low, high, default = (
+                    format_number(value, 10) for value in (detail.minimum, detail.maximum, detail.default)
+                )
+                rows.append(
+                    (f"  {detail.name}={default}", f"  {detail.meaning}, {low} to {high} {detail.unit}".rstrip())
+                )
         output.table(("name and parameters", "what it is"), rows, dim="  ")
         return Exit.DONE

@@ -22,6 +22,7 @@ from falsework import __version__
 from falsework.errors import InputError
 from falsework.interop.tracks import Track, Tracks, tracks_of
 from falsework.search.plans.steps import NO_ROBOT
+from falsework.stability.holds import robot_number
 from falsework.utils.files.formats import Exporter, writer_of
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
 
@@ -118,7 +119,7 @@ class _Document:
         looks = sorted({robot for _, robot in track.holder})
         children = []
         for robot in looks:
-            how = "by itself" if robot == NO_ROBOT else f"held by robot {robot + 1}"
+            how = "by itself" if robot == NO_ROBOT else f"held by {robot_number(robot)}"
             name = f"{self._assembly.names[part]} {how}"
             child = self._add("nodes", {"name": name, "mesh": self._mesh(part, robot, name)})
             children.append(child)

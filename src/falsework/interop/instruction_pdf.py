@@ -160,7 +160,7 @@ def _stock(canvas: Canvas, sheet: AssemblyInstructions, lines: list[tuple[int, i
 def _mass(sheet: AssemblyInstructions, *parts: int) -> str:
     """Return the mass of parts in kg, in full."""
     mass = float(sheet.assembly.mass.mass[list(parts)].sum())
-    return f"{mass:,.0f}" if mass >= 1000 else f"{mass:.4g}" if mass >= 1 else f"{mass:.3f}"
+    return f"{mass:,.0f}" if mass >= 1000 else f"{mass:.2f}" if mass >= 1 else f"{mass:.3f}"
 
 
 def _center(sheet: AssemblyInstructions, part: int) -> str:
@@ -207,8 +207,8 @@ def _head(canvas: Canvas, sheet: AssemblyInstructions) -> float:
     facts = f"{counted(len(placed), 'part')} to place, {mass:,.0f} kg; {work}"
     write_line(canvas, left, y - 16, facts, REGULAR, 10.5)
     lines = [
-        "A support is a robot, a prop or a pair of hands that keeps a part exactly where it is. Keep to the order.",
-        "Never release a part before the sheet says so: the states between steps were proved to stand, no others.",
+        "A support is a robot (support 1 is R1), a prop or a pair of hands that keeps a part exactly where it is.",
+        "Keep to the order. Release no part before the sheet says so: the states of the steps were proved to stand.",
         f"The proofs hold for friction of at least {assembly.friction:g} and parts of the masses given, at rest, "
         "where the model has them.",
         "Arrows show how a part comes in. Dark parts are fixed. Pictures show the state in which the part is held.",

@@ -23,7 +23,7 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import NO_ROBOT, Action, name_together
 from falsework.stability.holds import Press
 from falsework.utils.files.formats import Exporter, writer_of
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import format_number, format_quantity
 from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
@@ -220,13 +220,13 @@ def _rows(sheet: AssemblyInstructions) -> Iterator[dict[str, Any]]:
             "do": step.verb,
             "part": "; ".join(map(str, step.parts)),
             "name": _harmless("; ".join(assembly.names[part] for part in step.parts)),
-            "mass_kg": f"{mass.sum():.6g}",
+            "mass_kg": format_number(mass.sum(), 6),
             "support": "; ".join(str(support + 1) for support in step.supports),
             "hold": hold,
             "press": "; ".join(map(" ".join, sheet.pressing(step))),
             "way": sheet.comes_in(step),
             **dict(zip(("way_x", "way_y", "way_z"), way, strict=True)),
-            **{f"center_{axis}": f"{center[i]:.6g}" for i, axis in enumerate("xyz")},
+            **{f"center_{axis}": format_number(center[i], 6) for i, axis in enumerate("xyz")},
             "placed": step.placed,
             "needed": "yes" if step.needed else "",
             "margins": step.margins,

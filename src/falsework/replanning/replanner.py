@@ -235,7 +235,7 @@ def replan(
     plan, assembly = _subject(subject, structure)
     if since:
         if plan is None or step is None:
-            raise InputError("since: what was done after a step of a plan; give the plan and its step")
+            raise InputError("steps done since (since) follow a step of a plan; give plan and step")
         plan, assembly = since.after(plan, step, assembly, options.get("robots"))
         step = len(plan)
     if plan is not None:

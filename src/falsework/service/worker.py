@@ -324,7 +324,7 @@ def _on_site(given: Mapping[str, Any], assembly: Assembly) -> tuple[Assembly, di
     payload: dict[str, Any] = {name: value for name, value in given.items() if name != "since"}
     if payload.get("plan") is None:
         if since:
-            raise InputError("since: what was done after a step of a plan; give the plan and its step too")
+            raise InputError("since: these steps follow a step of a plan; give plan and step too")
         return assembly, payload
     try:
         plan, wide = read_plan(payload["plan"], assembly)
@@ -334,7 +334,7 @@ def _on_site(given: Mapping[str, Any], assembly: Assembly) -> tuple[Assembly, di
     payload = {**defaults, **payload, "plan": plan}
     if since:
         if payload["step"] is None:
-            raise InputError("since: what was done after a step of the plan; give the step too")
+            raise InputError("since: these steps follow a step of the plan; give step too")
         check_identity(plan, wide)
         try:
             plan, wide = since.after(plan, payload["step"], wide, payload["robots"])

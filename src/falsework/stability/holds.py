@@ -10,7 +10,7 @@ where it is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
@@ -26,6 +26,8 @@ from falsework.utils.models import FileModel
 from falsework.utils.quantity import format_quantity
 
 Array = NDArray[np.float64]
+RobotNames = Callable[[int], str]
+"""From the number of a robot, from 0, to its name."""
 
 PRESS_STIFFNESS = 1e6
 """Largest stiffness of a robot while it presses, N/m: a stiffer one would turn errors of position into errors of force.
@@ -163,15 +165,26 @@ def limits_of(assembly: Assembly, settings: HoldSettings, gravity: float = 9.81)
     return HoldLimits(np.full(parts, force or np.inf), np.full(parts, moment or np.inf))
 
 
-def describe_presses(presses: Sequence[Press], names: Sequence[str]) -> str:
-    """Describe presses, such as `robot presses block-25 with 3.9 kN`; empty if there are none."""
-    forces = [(names[press.part], format_quantity(press.force, "force")) for press in presses]
-    return ", ".join(f"robot presses {name} with {force}" for name, force in forces)
+def robot_number(robot: int) -> str:
+    """Return the name of a robot that has none, such as `R2`; robots are counted from 0."""
+    return f"R{robot + 1}"
 
 
-def describe_loads(loads: Sequence[HoldLoad], names: Sequence[str]) -> str:
-    """Describe what robots bear in a state, such as `robot bears 1.2 kN for block-25`; empty if they hold nothing."""
-    return ", ".join(f"robot bears {format_quantity(load.force, 'force')} for {names[load.part]}" for load in loads)
+def describe_loads(
+    loads: Sequence[HoldLoad], parts: Sequence[str], who: NDArray[np.int64], robots: RobotNames = robot_number
+) -> str:
+    """Describe what robots bear in a state, such as `R1 bears 1.2 kN for block-25`; empty if they hold nothing.
+
+    Args:
+        loads: in the state.
+        parts: names of the parts.
+        who: robot that holds each part, shape (parts,).
+        robots: names of the robots.
+    """
+    return ", ".join(
+        f"{robots(int(who[load.part]))} bears {format_quantity(load.force, 'force')} for {parts[load.part]}"
+        for load in loads
+    )
 
 
 def pack_presses(presses: Sequence[Sequence[Press]]) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:

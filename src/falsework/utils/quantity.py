@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from decimal import Decimal
 
 from falsework.errors import InputError
 
@@ -64,11 +65,13 @@ _SCALES: dict[str, tuple[tuple[float, str], ...]] = {
     "mass": ((1.0, "kg"), (1e3, "t")),
     "force": ((1.0, "N"), (1e3, "kN")),
     "moment": ((1.0, "Nm"), (1e3, "kNm")),
+    "area": ((1e-6, "mm2"), (1e-4, "cm2"), (1.0, "m2")),
     "volume": ((1e-6, "cm3"), (1e-3, "dm3"), (1.0, "m3")),
     "stiffness": ((1.0, "N/m"), (1e3, "kN/m"), (1e6, "MN/m")),
     "angle": ((math.pi / 180, "deg"),),
     "duration": ((1.0, "s"),),
     "share of gravity": ((1.0, "g"),),
+    "share": ((1e-6, "ppm"), (1e-2, "%")),
     "factor": ((1.0, ""),),
 }
 """Units in which each kind of quantity is written, and their size in SI units, the smallest first."""
@@ -78,29 +81,36 @@ _LEAST = 1e-3
 """Least share of the smallest unit that is written in digits."""
 
 
-def format_quantity(value: float, kind: str) -> str:
-    """Write a quantity as people do: in the unit that suits its size, with three digits and without an exponent.
+def format_quantity(value: float, kind: str, digits: int = _DIGITS) -> str:
+    """Write a quantity as people do: in the unit that suits its size, without an exponent.
 
     Args:
         value: in SI units.
-        kind: length, mass, force, moment, volume, stiffness, angle, duration, share of gravity or factor.
+        kind: length, mass, force, moment, area, volume, stiffness, angle, duration, share of gravity, share or factor.
+        digits: how many are significant.
     """
+    value = float(value)
     size = abs(value)
     if not math.isfinite(value):
         return "no number" if math.isnan(value) else f"{'-' * (value < 0)}unlimited"
     scales = _SCALES[kind]
-    scale, unit = next((entry for entry in reversed(scales) if _rounded(size / entry[0]) >= 1.0), scales[0])
-    number = _rounded(size / scale)
+    scale, unit = next((entry for entry in reversed(scales) if _rounded(size / entry[0], digits) >= 1.0), scales[0])
+    number = _rounded(size / scale, digits)
     if 0 < number < _LEAST:
         return f"less than {_LEAST:g} {unit}".rstrip()
-    whole = number >= 10**_DIGITS
-    text = f"{number:,.0f}" if whole else f"{number:.{_DIGITS}g}"
+    whole = number >= 10**digits
+    text = f"{number:,.0f}" if whole else f"{number:.{digits}g}"
     return f"{'-' * (value < 0 and number > 0)}{text} {unit}".rstrip()
 
 
-def _rounded(value: float) -> float:
+def format_number(value: float, digits: int = _DIGITS) -> str:
+    """Write a number as options and files take it: without a unit, an exponent, or commas."""
+    return f"{Decimal(f'{float(value) + 0.0:.{digits}g}'):f}"
+
+
+def _rounded(value: float, digits: int) -> float:
     """Round to the digits that are written."""
-    return float(f"{value:.{_DIGITS}g}")
+    return float(f"{value:.{digits}g}")
 
 
 def check_seed(seed: int) -> None:

@@ -95,6 +95,15 @@ class Arms:
         """The plan in the order shown."""
         return self._plan
 
+    @property
+    def differs(self) -> str:
+        """What the cell changes of the structure that forces and masses are shown of; empty if nothing."""
+        placement = self.cell.placement
+        changes = [f"at {placement.scale:g} of its size"] if placement.scale != 1 else []
+        changes += [f"with {placement.density:g} kg/m3"] if placement.density is not None else []
+        what = "Forces and masses are of the structure as modelled; the cell builds it"
+        return f"{what} {' '.join(changes)}." if changes else ""
+
     def turned(self, direction: Direction) -> Arms:
         """Return the same in the other order."""
         return self if direction is self.direction else Arms(self._plan, self.cell, direction)

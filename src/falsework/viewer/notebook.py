@@ -44,11 +44,11 @@ def html_of(thing: object) -> str | None:
 
 @html_of.register
 def _(thing: Assembly) -> str:
-    size = " x ".join(f"{length:.3g}" for length in np.ptp(bounds_of(thing), axis=0))
+    size = " x ".join(format_quantity(float(length), "length") for length in np.ptp(bounds_of(thing), axis=0))
     facts = {
         "structure": thing.name,
         "parts": f"{thing.part_count}, {int(thing.boundary.sum())} of them boundary",
-        "size": f"{size} m",
+        "size": size,
         "mass without boundary": format_quantity(float(thing.mass.mass[~thing.boundary].sum()), "mass"),
         "contacts": f"{len(thing.contacts)}, friction {thing.friction:g}",
     }
@@ -68,7 +68,7 @@ def _(thing: Plan) -> str:
     try:
         assembly = structure_of_plan(thing)
     except FalseworkError as error:
-        rows = ((step.number, "" if step.robot is None else f"R{step.robot + 1}", step.words) for step in thing)
+        rows = ((step.number, step.by(), step.words) for step in thing)
         listed = _folded(counted(len(thing), "step"), _table(("step", "robot", "action"), rows))
         return _page([_remark(error)], facts) + listed
     drawn = _picture(lambda: picture(thing, None, assembly, frames=6, columns=3, width=260))
@@ -122,9 +122,9 @@ def _(thing: Verdicts) -> str:
     for row in range(min(len(thing), _ROWS)):
         verdict, residual = Verdict(int(thing.verdict[row])), float(thing.residual[row])
         proof = Proof(int(thing.proof[row])).name.lower()
-        rows.append((row, verdict.name.lower(), proof, f"{residual:.2g}"))
+        rows.append((row, verdict.name.lower(), proof, format_quantity(residual, "share")))
     left = len(thing) - len(rows)
-    table = _table(("state", "verdict", "proof", "residual, share of gravity"), rows)
+    table = _table(("state", "verdict", "proof", "residual of gravity"), rows)
     counts = {kind.name.lower(): str(int((thing.verdict == kind).sum())) for kind in reversed(Verdict)}
     facts = {name: count for name, count in counts.items() if count != "0"}
     drawn = []

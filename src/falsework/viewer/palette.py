@@ -33,6 +33,9 @@ SLIDING = "#48d8f0"
 RAMP = ("#dccdb2", "#d98aa5", "#a34a8f", "#5f2276", "#2a0845")
 """From probability 0 to 1 of an action; lightness decreases monotonically."""
 
+_EQUAL = 0.218
+"""Relative luminance at which `INK` and white have the same contrast, after WCAG 2."""
+
 STEPS = 16
 """Number of steps of the colour scale of parts."""
 
@@ -51,6 +54,13 @@ def unit_rgb(color: str) -> tuple[float, float, float]:
     """Return red, green, blue from 0 to 1."""
     red, green, blue = rgb(color)
     return red / 255, green / 255, blue / 255
+
+
+def ink_on(color: str, alpha: float = 1.0) -> str:
+    """Return the colour of letters on a colour over white: dark, or white where that has more contrast."""
+    channels = np.array(unit_rgb(color)) * alpha + 1 - alpha
+    linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+    return INK if linear @ (0.2126, 0.7152, 0.0722) > _EQUAL else "#ffffff"
 
 
 def bytes_of(color: Sequence[float]) -> tuple[int, int, int]:

@@ -22,7 +22,7 @@ from falsework.stability.motion import motion_of
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
-from falsework.utils.quantity import listed
+from falsework.utils.quantity import format_quantity, listed
 from falsework.viewer.arrows import Arrows, arrows_of_forces, arrows_of_motion, moved_parts
 from falsework.viewer.palette import MOTION, SLIDING
 
@@ -140,7 +140,8 @@ class BuildProofs:
                 return
             proof = self._verifier.step(self._states[self._reached], certificate)
             if not proof.residual <= self._tolerance:
-                self._ended = f" ({proof.reason or f'forces leave {proof.residual:.3g} of gravity'})"
+                why = proof.reason or f"forces leave {format_quantity(proof.residual, 'share')} of gravity"
+                self._ended = f" ({why})"
                 return
             self._forces[np.array([self._reached])] = proof.forces[None]
             self._reached += 1

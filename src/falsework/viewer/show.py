@@ -15,7 +15,6 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, check_robots
 from falsework.errors import InputError
 from falsework.search.problem.deadline import check_deadline
-from falsework.stability.holds import describe_loads, describe_presses
 from falsework.stability.margins.nearness import nearness_to_limit
 from falsework.stability.verdict import Criterion
 from falsework.utils.display.notebook import in_notebook
@@ -36,7 +35,7 @@ from falsework.viewer.pictures.render import Camera
 from falsework.viewer.pictures.video import frame_places, frame_times, write_film
 from falsework.viewer.proof import StateProof
 from falsework.viewer.timeline import interesting
-from falsework.viewer.viewable import Showable, Viewable, viewable_of
+from falsework.viewer.viewable import Showable, Viewable, open_file, viewable_of
 
 if TYPE_CHECKING:
     from falsework.learn.networks.policy import Policy
@@ -88,10 +87,12 @@ def view(
     from falsework.viewer.web.served_page import serve
 
     check_view(robots, host, port, deadline)
-    shown = viewable_of(subject, structure, robots=robots, **options).with_policy(policy)
-    page = Page(
-        _model(shown, criterion=criterion, deadline=deadline), host=host, port=port, allowed_hosts=allowed_hosts
-    )
+    options = {"robots": robots, **options}
+    is_file = isinstance(subject, (str, Path))
+    shown = open_file(subject, structure, **options) if is_file else viewable_of(subject, structure, **options)
+    shown = shown.with_policy(policy)
+    model = _model(shown, criterion=criterion, deadline=deadline)
+    page = Page(model, file=shown.file, host=host, port=port, allowed_hosts=allowed_hosts)
     if not in_notebook() if browser is None else browser:
         webbrowser.open(page.address)
     if not (in_notebook() or hasattr(sys, "ps1")) if wait is None else wait:
@@ -204,7 +205,7 @@ def picture(
         content = svg_of(lines)
     elif single is not None:
         proof = proofs.get(single)
-        borne = describe_loads(timeline.loads_at(single), shown.assembly.names)
+        borne = timeline.loads_text(single)
         image = one_state(
             timeline,
             single,
@@ -214,6 +215,7 @@ def picture(
             words=title or "; ".join(filter(None, (caption(timeline, single, proof), borne if proof else ""))),
             marks=None if proof is None else proof.marks,
             arms=shown.arms,
+            travelling=False,
             action_probabilities=shares,
             share_of="the limit" if limits else "",
         )
@@ -224,9 +226,7 @@ def picture(
         content = png_of(sheet)
     shows = f"{len(places)} of {len(timeline) + 1} states" if len(timeline) else f"{shown.assembly.name}"
     if single is not None:
-        names = shown.assembly.names
-        said = describe_presses(timeline.presses_at(single), names), describe_loads(timeline.loads_at(single), names)
-        shows = "; ".join(filter(None, (shows, *said)))
+        shows = "; ".join(filter(None, (timeline.label(single), timeline.loads_text(single))))
     fallen = _unstable(proofs) if proofs else None
     if fallen is not None:
         shows += f"; {proofs[single].words if single is not None else f'{len(fallen)} of them are not stable'}"

@@ -16,7 +16,7 @@ from falsework.search.plans.plan_check import check_identity
 from falsework.search.plans.steps import NO_ROBOT, PlanStep, holders, moved_parts, steps_of, undone
 from falsework.search.problem.task import Direction
 from falsework.stability.contact.hold_loads import Loads
-from falsework.stability.holds import HoldLoad, Press
+from falsework.stability.holds import HoldLoad, Press, describe_loads, robot_number
 from falsework.stability.verdict import Verdict
 
 if TYPE_CHECKING:
@@ -59,6 +59,8 @@ class Timeline:
     """What robots bear in each state; empty where it is not known."""
     exit_paths: tuple[ExitPath, ...] = ()
     """As `Plan.exit_paths`."""
+    robot_names: tuple[str, ...] = ()
+    """Of the arms of a cell; empty where robots have numbers alone."""
 
     @classmethod
     def from_plan(
@@ -67,6 +69,7 @@ class Timeline:
         assembly: Assembly,
         direction: Direction = Direction.ASSEMBLY,
         who: NDArray[np.int64] | None = None,
+        robot_names: tuple[str, ...] = (),
     ) -> Timeline:
         """Return the timeline of a plan.
 
@@ -75,6 +78,7 @@ class Timeline:
             assembly: its structure.
             direction: order in which it is shown.
             who: robot that holds each part in each state; as in `Plan.holders` if not given.
+            robot_names: of the arms, if any.
 
         Raises:
             PlanError: the plan is for another structure.
@@ -82,7 +86,7 @@ class Timeline:
         check_identity(plan, assembly)
         who = plan.holders if who is None else who
         presses, loads = plan.presses, plan.loads
-        more = presses, plan.verdicts, loads, plan.exit_paths
+        more = presses, plan.verdicts, loads, plan.exit_paths, robot_names
         return cls(assembly, plan.states, plan.actions, who, direction, plan.robots, *more)
 
     @classmethod
@@ -157,9 +161,17 @@ class Timeline:
     def _whole(self, position: float, rounded: np.ufunc) -> int:
         return int(rounded(min(max(float(position), 0.0), float(len(self)))))
 
+    def robot_name(self, robot: int) -> str:
+        """Return the name of a robot, counted from 0: that of the cell, or such as `R1`."""
+        return self.robot_names[robot] if robot < len(self.robot_names) else robot_number(robot)
+
     def loads_at(self, place: int) -> tuple[HoldLoad, ...]:
         """Return what robots bear in the state at a place; empty where it is not known."""
         return self.loads[self.row(place)] if self.loads else ()
+
+    def loads_text(self, place: int) -> str:
+        """Describe what robots bear in the state at a place; empty where it is not known."""
+        return describe_loads(self.loads_at(place), self.assembly.names, self.holders[self.row(place)], self.robot_name)
 
     @cached_property
     def steps(self) -> tuple[PlanStep, ...]:
@@ -178,7 +190,7 @@ class Timeline:
         step = self.step_to(place)
         if step is None:
             return f"step 0 of {len(self)}" if self.direction is Direction.ASSEMBLY else f"all {len(self)} steps done"
-        return f"step {step.number} of {len(self)}: {step}"
+        return f"step {step.number} of {len(self)}: {step.told(self.robot_name)}"
 
     def presses_at(self, place: int) -> tuple[Press, ...]:
         """Return the presses of the step that leads to a place; robots press in assembly alone."""

@@ -47,6 +47,8 @@ class Viewable:
     graph: StateGraph | None = None
     arms: Arms | None = None
     """Robots of a robot plan."""
+    file: Path | None = None
+    """What it was read from, if it was."""
 
     def with_policy(self, policy: Policy | Path | str | None) -> Viewable:
         """Add a policy, or that of a run in a folder; None leaves everything as it is."""
@@ -87,7 +89,7 @@ def open_file(path: str | Path, structure: AnyStructure | None = None, **options
         InputError: nothing that can be shown.
         DependencyError: a run without torch.
     """
-    return viewable_of(path, structure, **options)
+    return replace(viewable_of(path, structure, **options), file=Path(path))
 
 
 def viewable_of(
@@ -123,7 +125,9 @@ def viewable_of(
     if isinstance(known, RobotPlan):
         assembly = structure_of_plan(known.plan, file, structure, **options)
         arms = Arms(known, _cell_of(known, file, cell, assembly), direction)
-        timeline = Timeline.from_plan(known.plan, assembly, direction, arms.holders())
+        timeline = Timeline.from_plan(
+            known.plan, assembly, direction, arms.holders(), tuple(robot.name for robot in known.robots)
+        )
         return Viewable("robot plan", assembly, timeline, known.plan, arms=arms)
     if isinstance(known, StateGraph):
         return _graph(known, str(file or "the graph"), structure, direction, options)

@@ -336,7 +336,7 @@ def test_wrong_starts(column: Assembly, cell: Cell, oracle: StabilityOracle) -> 
     with pytest.raises(InputError, match=r"away from part .*, which it should hold"):
         plan_robots(column, cell, task=task, held=(1, None), oracle=oracle, settings=APART)
     down = np.array([0.0, 1.4, 0.3, 0.0, 0.0, 0.0])
-    with pytest.raises(InputError, match=r"at the start bodies are too near: .* m?c?m into each other; move arm"):
+    with pytest.raises(InputError, match=r"at the start bodies are too near: .* m?m into each other; move arm"):
         plan_robots(column, cell, configurations=[down, cell.homes[1]], oracle=oracle, settings=APART)
     with pytest.raises(InputError, match="leaves no time"):
         plan_robots(column, cell, oracle=oracle, deadline=0.0)

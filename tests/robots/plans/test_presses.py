@@ -234,7 +234,7 @@ def test_a_module_moves_the_set_point(pressed: RobotPlan, column: Assembly, cell
     text = paths[1].read_text()
     assert {"MoveL", "RelTool", "CalcRobT"} <= Rapid(text).called
     (press,) = timed_presses(pressed, column, cell, schedule_of(pressed))
-    assert "! press block-2 with 13.0 N, (-12.0, 3.0, 4.0) N in the cell, at 1e+06 N/m" in text
+    assert "! press block-2 with 13.0 N, (-12.0, 3.0, 4.0) N in the cell, at 1 MN/m" in text
     numbers = r"(-?\d+\.\d+)"
     form = rf"MoveL RelTool\(CalcRobT\((\w+), arm_2_tool\), {', '.join([numbers] * 3)}"
     form += "".join(rf"\\R{axis}:={numbers}" for axis in "xyz") + r"\), v5, fine, arm_2_tool;"

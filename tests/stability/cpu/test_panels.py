@@ -90,3 +90,21 @@ def test_factors_agree_with_dense_algebra(structure: KernelArrays, symmetric: bo
         panels.lower[:] = np.nan
         solve_panels(panels, again, True)
         np.testing.assert_allclose(again, x, atol=1e-12)
+
+
+def test_the_pattern_has_every_pair_of_ten_thousand_parts() -> None:
+    """Entries of factors fall with the fill until they are no numbers any more; the pattern must not depend on them."""
+    number = np.arange(10_000).reshape(100, 100)
+    pairs = np.concatenate(
+        [
+            np.stack([some.ravel(), others.ravel()], axis=1)
+            for some, others in ((number[1:], number[:-1]), (number[:, 1:], number[:, :-1]))
+        ]
+    )
+    grid: Any = SimpleNamespace(boundary=np.zeros(number.size, dtype=bool), parts=number.size, pair_parts=pairs)
+    found = eliminate(grid)
+    ends = np.sort(found.position[pairs], axis=1)
+    for one, other in ends.tolist():
+        supernode = found.supernode[one]
+        rows = found.row[found.row_start[supernode] : found.row_start[supernode + 1]]
+        assert other < found.start[supernode + 1] or other in rows

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from falsework.assembly.library.blocks import Blocks, Solid, box, gather, prism
 from falsework.assembly.library.catalogue import Range, structure
 from falsework.errors import InputError
+from falsework.utils.quantity import format_quantity
 
 Array = NDArray[np.float64]
 
@@ -68,7 +69,10 @@ def catenary(
     shape = root_scalar(lambda u: (np.cosh(u) - 1.0) / u - rise / half, bracket=(1e-6, 20.0), xtol=1e-15).root
     scale = half / shape
     if thickness >= scale:
-        raise InputError(f"thickness {thickness:g} m is too much for the curve at the crown; give below {scale:.3g} m")
+        raise InputError(
+            f"thickness {thickness:g} m is too much for the curve at the crown; give below "
+            f"{format_quantity(scale, 'length')}"
+        )
     steepness = np.linspace(-np.sinh(shape), np.sinh(shape), blocks + 1)  # equal steps along the chain
     x = scale * np.arcsinh(steepness)
     middle = np.column_stack([x, rise - scale * (np.cosh(x / scale) - 1.0)])

@@ -14,6 +14,7 @@ from falsework.geometry.contact.overlap import Overlaps, coarse_depth, depth, ve
 from falsework.geometry.contact.patches import Faces, Patches, intersect_faces, opposed_faces
 from falsework.geometry.mesh.collision import inside, interpenetrate
 from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.utils.quantity import format_quantity
 
 Array = NDArray[np.float64]
 
@@ -69,7 +70,7 @@ class JointReport:
 
         def worst(values: NDArray[np.float64]) -> str:
             a, b = self.parts[values.argmax()].tolist()
-            return f"{1000 * values.max():.3g} mm (parts {names[a]} and {names[b]})"
+            return f"{format_quantity(float(values.max()), 'length')} (parts {names[a]} and {names[b]})"
 
         count = f"{len(self)} joints have" if len(self) > 1 else "1 joint has"
         return (
@@ -248,8 +249,9 @@ def refuse_deep(meshes: Sequence[TriangleMesh], overlaps: Overlaps) -> None:
         deep = coarse_depth(meshes[a], meshes[b], allowed)
         if deep > allowed:
             raise AssemblyError(
-                f"parts {meshes[a].name} and {meshes[b].name} pass through each other by {1000 * deep:.3g} mm, and at "
-                f"most {1000 * allowed:.3g} mm is allowed to parts that are so thin; move them apart"
+                f"parts {meshes[a].name} and {meshes[b].name} pass through each other by "
+                f"{format_quantity(deep, 'length')}, and at "
+                f"most {format_quantity(allowed, 'length')} is allowed to parts that are so thin; move them apart"
             )
 
 
@@ -288,6 +290,7 @@ def check_joints(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Arra
         deep = vertex_depth(meshes[a], meshes[b])
         if deep > allowed:
             raise AssemblyError(
-                f"{names} pass through each other by {1000 * deep:.3g} mm, and {1000 * allowed:.3g} mm is allowed, "
+                f"{names} pass through each other by {format_quantity(deep, 'length')}, and "
+                f"{format_quantity(allowed, 'length')} is allowed, "
                 "a third of the smaller part; move them apart"
             )

@@ -13,6 +13,7 @@ from falsework.geometry.contact.patches import Faces, intersect_faces, opposed_f
 from falsework.geometry.mesh.boxes import box_pairs
 from falsework.geometry.mesh.collision import LESS, MORE, Body, inside, interpenetrate, nested, outwards
 from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.utils.quantity import format_quantity
 
 Array = NDArray[np.float64]
 
@@ -52,8 +53,10 @@ class Overlaps:
             deep = depth(meshes[a], meshes[b])
             if deep > limit:
                 raise AssemblyError(
-                    f"parts {meshes[a].name} and {meshes[b].name} pass through each other by {1000 * deep:.3g} mm, "
-                    f"and {1000 * limit:.3g} mm is allowed where they have no joint; move them apart, or raise the "
+                    f"parts {meshes[a].name} and {meshes[b].name} pass through each other by "
+                    f"{format_quantity(deep, 'length')}, "
+                    f"and {format_quantity(limit, 'length')} is allowed where they have no joint; move them "
+                    f"apart, or raise the "
                     'tolerance ("contact": {"overlap": metres} in assembly.json)'
                 )
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import MeshError
+from falsework.utils.quantity import format_quantity
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +128,10 @@ def mass_properties(meshes: Sequence[TriangleMesh], density: NDArray[np.float64]
     volume = np.add.reduceat(six_volumes, first) / 6.0
     if not (volume > 0).all():
         part = int(np.argmin(volume > 0))
-        raise MeshError(f"part {meshes[part].name} has volume {volume[part]:.3g} m3; it must enclose a positive volume")
+        raise MeshError(
+            f"part {meshes[part].name} has volume {format_quantity(volume[part], 'volume')}; it must enclose a "
+            f"positive volume"
+        )
     offset = np.add.reduceat(six_volumes[:, None] * corner_sum, first) / 24.0 / volume[:, None]
     second = np.add.reduceat(six_volumes[:, None, None] * products, first) / 120.0
     second -= volume[:, None, None] * offset[:, :, None] * offset[:, None, :]

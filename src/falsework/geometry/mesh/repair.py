@@ -15,6 +15,7 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
 from falsework.geometry.mesh.sheets import is_sheet, plane_normal, thickened
 from falsework.geometry.mesh.shells import Shells
+from falsework.utils.quantity import format_quantity
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -60,7 +61,7 @@ def thicken_supports(
         most = max(most, thickness)
     warnings.warn(
         f"supports modelled as open surfaces ({len(sheets)}, the first is part {solids[sheets[0]][0]}) "
-        f"were given a thickness of up to {1000 * most:.3g} mm behind them",
+        f"were given a thickness of up to {format_quantity(most, 'length')} behind them",
         RepairWarning,
         stacklevel=3,
     )
@@ -98,7 +99,8 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
     extent = float(np.ptp(points, axis=0).max())
     if not SMALLEST <= extent <= LARGEST:
         raise MeshError(
-            f"part {name} is {extent:.3g} m long; parts must be 0.1 mm to 1 km, so give the unit of the file (unit mm?)"
+            f"part {name} is {format_quantity(extent, 'length')} long; parts must be 0.1 mm to 1 km, so give the "
+            f"unit of the file (unit mm?)"
         )
     done: list[str] = []
     if not is_closed(corners):
@@ -111,7 +113,9 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
         done.append("turned surfaces inside out")
     if shells.overlap():
         points, turned, twice = shells.unite(name)
-        done.append(f"united surfaces that overlapped, whose {twice:.3g} m3 in common counted twice")
+        done.append(
+            f"united surfaces that overlapped, whose {format_quantity(twice, 'volume')} in common counted twice"
+        )
     elif shells.count > 1:
         warnings.warn(
             f"part {name} consists of {shells.count} separate solids, which count as one rigid body; "

@@ -8,6 +8,7 @@ import torch
 
 from falsework.errors import InputError
 from falsework.learn.env.rollout import Move
+from falsework.utils.quantity import format_quantity
 
 Reward = Callable[[Move], torch.Tensor]
 """Reward of one action of every rollout that goes on, shape (going,).
@@ -65,7 +66,8 @@ def returns_of(moves: Sequence[Move], rewards: Sequence[torch.Tensor], rollouts:
         largest = torch.maximum(largest, following.abs().max())
     if float(largest) > 1.0 + _TOLERANCE:
         raise InputError(
-            f"the rewards that follow a state add up to {float(largest):.3g} in size; scale the reward, so that their "
+            f"the rewards that follow a state add up to {format_quantity(float(largest), 'factor')} in size; "
+            f"scale the reward, so that their "
             "sum is between -1 and 1, as values are"
         )
     return total

@@ -22,6 +22,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.learn.config.import_path import import_by_path, import_path_of
 from falsework.learn.config.policy import PolicySettings
+from falsework.utils.quantity import format_quantity
 
 PolicyOrClass = nn.Module | type[nn.Module] | partial[nn.Module]
 """A module, or a class that is called with the assembly, alone or as a `functools.partial` with its options."""
@@ -119,4 +120,7 @@ def _check(policy: nn.Module, settings: PolicySettings, assembly: Assembly, devi
             raise InputError(f"{name} returned {what} that are no finite floating-point numbers; check its layers")
     largest = float(found[1].abs().max())
     if largest > 1.0:
-        raise InputError(f"{name} returned a value of size {largest:.3g}; keep values in [-1, 1], for instance by tanh")
+        raise InputError(
+            f"{name} returned a value of size {format_quantity(largest, 'factor')}; keep values in [-1, 1], for "
+            f"instance by tanh"
+        )

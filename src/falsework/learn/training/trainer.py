@@ -44,6 +44,7 @@ from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.collectives import decided, same_weights
 from falsework.utils.distributed import ProcessGroup
+from falsework.utils.quantity import format_quantity
 from falsework.utils.tensors import below, put
 
 Report = Callable[[float, str], None]
@@ -200,7 +201,8 @@ class Trainer:
         if not self.steps and not self._ended:
             self.notes.append(
                 f"nothing was trained: the start took {prepared:.1f} s, the search for data "
-                f"{self.data_seconds:.1f} s of them, and the run has {60 * settings.minutes:.3g} s; give more minutes"
+                f"{self.data_seconds:.1f} s of them, and the run has "
+                f"{format_quantity(60 * settings.minutes, 'duration')}; give more minutes"
             )
         self._best.write(self.exported)
         success |= self.succeeded({"train": self.data.curve["train"], **self.data.test})

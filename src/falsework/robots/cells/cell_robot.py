@@ -18,6 +18,7 @@ from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
 from falsework.robots.model.cell import CellRobot, Gripper, Signals
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
 from falsework.robots.model.shapes import Array, looking_down
+from falsework.utils.quantity import format_number
 
 PLACE_TURNS = 8
 """Rotations about the vertical in which a part may be put down at a drop-off pose."""
@@ -141,7 +142,8 @@ def _home(given: list[float] | dict[str, float] | str | None, place: Place, mode
         unit = "m" if model.prismatic[joint] else "degrees"
         raise place.fail(
             "home",
-            f"cannot be reached: {model.joint_names[joint]} is {value:.4g} {unit}, outside its limits {low:.4g} to "
-            f"{high:.4g}",
+            f"cannot be reached: {model.joint_names[joint]} is {format_number(value, 4)} {unit}, outside its "
+            f"limits {format_number(low, 4)} to "
+            f"{format_number(high, 4)}",
         )
     return np.array(values)

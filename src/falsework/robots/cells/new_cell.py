@@ -22,6 +22,7 @@ from falsework.robots.model.builtin_robots import BUILTIN
 from falsework.robots.model.cell import Cell, CellRobot, maker_of
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.model.shapes import looking_down
+from falsework.utils.quantity import format_number
 
 GripperKind = Literal["suction", "jaw"]
 
@@ -141,7 +142,9 @@ def _of_robot(cell: Cell, number: int) -> list[str]:
     lines.append('# signals = { grip = "..." }         # output that closes the gripper, for programs')
     places = _places(robot)
     if places:
-        shown = ", ".join(f"{{ position = [{x:.3g}, {y:.3g}, {z:.3g}] }}" for x, y, z in places)
+        shown = ", ".join(
+            f"{{ position = [{format_number(x)}, {format_number(y)}, {format_number(z)}] }}" for x, y, z in places
+        )
         lines.append(f"places = [{shown}]  # in the frame of the base")
     else:
         lines.append("# places = [{ position = [...] }]   # where parts are picked up, in the frame of the base")

@@ -17,7 +17,8 @@ from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Array, Pieces, looking_down, move
 from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Scene
-from falsework.robots.motion.near_pairs import NearPair, millimetres, near_pairs, separation
+from falsework.robots.motion.near_pairs import NearPair, near_pairs, separation
+from falsework.utils.quantity import format_quantity
 
 _SAMPLES = 4000
 """Random configurations that are tried."""
@@ -183,13 +184,14 @@ def check_bases(cell: Cell, parts: PartShapes | None = None) -> None:
             if depth is not None:
                 raise CellError(
                     f"{cell.name}: the base of robot {robot.name} is inside {name} by "
-                    f"{millimetres(depth + BASE_DEPTH)}; move one of them"
+                    f"{format_quantity(depth + BASE_DEPTH, 'length')}; move one of them"
                 )
         lowest = min((float(piece[:, 2].min()) for piece in base), default=np.inf) - BASE_DEPTH
         if cell.floor is not None and cell.floor - lowest > BASE_DEPTH and not _stands_on(robot, cell.floor):
             depth = cell.floor - lowest
             raise CellError(
-                f"{cell.name}: the base of robot {robot.name} is {millimetres(depth)} below the floor; raise it to "
+                f"{cell.name}: the base of robot {robot.name} is {format_quantity(depth, 'length')} below the "
+                f"floor; raise it to "
                 f"z = {round(robot.base[2, 3] + depth, 4) + 0.0:g}, or set floor to {round(lowest, 4):g}"
             )
 
@@ -223,8 +225,9 @@ def _check_payload(cell: Cell, parts: PartShapes) -> None:
         part = int(np.argmax(np.where(heavy, parts.mass, 0)))
         strongest = max(cell.robots, key=lambda robot: robot.payload)
         raise CellError(
-            f"{cell.name}: part {parts.names[part]} weighs {parts.mass[part]:.3g} kg and the payload of "
-            f"{strongest.name} is {strongest.payload:.3g} kg; "
+            f"{cell.name}: part {parts.names[part]} weighs {format_quantity(parts.mass[part], 'mass')} and the "
+            f"payload of "
+            f"{strongest.name} is {format_quantity(strongest.payload, 'mass')}; "
             "use a stronger arm or gripper, or set density or scale of [structure]"
         )
 

@@ -31,6 +31,7 @@ from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.trajectory import OUTSIDE, Trajectory, check_limits
 from falsework.search.plans.plan_report import PlanReport
 from falsework.search.problem.task import Direction
+from falsework.utils.quantity import format_number
 
 Progress = Callable[[int, int], None]
 
@@ -233,7 +234,7 @@ class _Checker:
         far = float(np.abs(here - there).max())
         self.largest_join = max(self.largest_join, far)
         if far > _SAME_JOINT:
-            self.say(index, robot, f"it jumps by {far:.4g} rad between two motions")
+            self.say(index, robot, f"it jumps by {format_number(far, 4)} rad between two motions")
         return end
 
     def _collisions(

@@ -13,6 +13,7 @@ from falsework.robots.checks.pinocchio_checker import import_pinocchio
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Array
 from falsework.utils.files.xml_text import read_xml_text
+from falsework.utils.quantity import format_number
 
 _SAMPLES = 8
 """Random configurations in which the frames of both readings are compared."""
@@ -62,10 +63,16 @@ def _joint_fault(model: RobotModel, read: Any, file: Path) -> str:
         if joint.nq == 1:
             low, high = (float(limits[joint.idx_q]) for limits in (read.lowerPositionLimit, read.upperPositionLimit))
             if model.lower[number] < low - _SAME or model.upper[number] > high + _SAME:
-                return f"{file.name}: joint {name} has the range {low:.4g} to {high:.4g}, it is planned with more"
+                return (
+                    f"{file.name}: joint {name} has the range {format_number(low, 4)} to "
+                    f"{format_number(high, 4)}, it is planned with more"
+                )
         fastest = float(read.upperVelocityLimit[joint.idx_v])
         if model.velocity[number] > fastest + _SAME:
-            return f"{file.name}: joint {name} is limited to {fastest:.4g} rad/s or m/s, it is planned with more"
+            return (
+                f"{file.name}: joint {name} is limited to {format_number(fastest, 4)} rad/s or m/s, it is "
+                f"planned with more"
+            )
     return ""
 
 

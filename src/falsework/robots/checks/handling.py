@@ -20,6 +20,7 @@ from falsework.robots.plans.loads import Load, load_of, lying_motions
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.trajectory import line_fault
 from falsework.search.problem.task import Direction
+from falsework.utils.quantity import format_quantity
 
 _PLACE_DISTANCE = 0.001
 """Largest distance of a tool frame from a place of the cell, metres."""
@@ -102,7 +103,10 @@ class HandlingChecker:
         robot = self.cell.robots[self.plan.steps[index].robot]
         if part is None or self.mass[part] <= robot.payload * (1 + _HEAVIER):
             return []
-        return [f"{self.names[part]} weighs {self.mass[part]:.4g} kg, the payload is {robot.payload:.4g} kg"]
+        return [
+            f"{self.names[part]} weighs {format_quantity(self.mass[part], 'mass', 4)}, the payload is "
+            f"{format_quantity(robot.payload, 'mass', 4)}"
+        ]
 
     def _lines(self, index: int) -> list[str]:
         """Return which motions are called lines and are not, or are where no line may be."""

@@ -37,6 +37,7 @@ from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import nodes_of
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.stability.holds import HoldMode
+from falsework.utils.quantity import format_quantity
 
 MOST_COUNT = 65535
 """Largest 16-bit count."""
@@ -244,7 +245,10 @@ def _describe_press(plan: RobotPlan, command: Pressing) -> str:
         return f"stay where the press of {part} has ended"
     force = ", ".join(f"{value:.1f}" for value in press.wrench[:3])
     along = " along it" if press.mode is HoldMode.HYBRID else ""
-    return f"press {part} with {press.force:.1f} N, ({force}) N in the cell, at {press.stiffness:.4g} N/m{along}"
+    return (
+        f"press {part} with {press.force:.1f} N, ({force}) N in the cell, at "
+        f"{format_quantity(press.stiffness, 'stiffness')}{along}"
+    )
 
 
 def _shift(offset: Array) -> str:

@@ -19,6 +19,7 @@ from falsework.robots.kernels.kernel_arrays import bounds_of, make_obstacles
 from falsework.robots.model.cell import GRIP_TILT, CellRobot, Gripper
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import Array
+from falsework.utils.quantity import format_quantity
 
 SUCTION_TURNS = 8
 """Rotations about the normal of a face at which a suction grasp is tried."""
@@ -111,8 +112,8 @@ def grasp_fault(parts: PartShapes, part: int, gripper: Gripper, *, blocked: bool
     if gripper.kind == "suction":
         largest = max((_radius(face) for face in faces), default=0.0)
         return (
-            f"{what}: its cup has a radius of {1000 * gripper.cup:.3g} mm, the largest face takes one of "
-            f"{1000 * largest:.3g} mm"
+            f"{what}: its cup has a radius of {format_quantity(gripper.cup, 'length')}, the largest face takes one of "
+            f"{format_quantity(largest, 'length')}"
         )
     widths = [
         width
@@ -120,8 +121,15 @@ def grasp_fault(parts: PartShapes, part: int, gripper: Gripper, *, blocked: bool
         for other in faces[first + 1 :]
         if face.normal @ other.normal <= _OPPOSITE and (width := _width(face, other)) > 0
     ]
-    narrow = f"the part is at least {1000 * min(widths):.3g} mm wide" if widths else "the part has no opposite faces"
-    jaws = f"its jaws open to {1000 * gripper.opening:.3g} mm and are {1000 * gripper.depth:.3g} mm deep"
+    narrow = (
+        f"the part is at least {format_quantity(min(widths), 'length')} wide"
+        if widths
+        else "the part has no opposite faces"
+    )
+    jaws = (
+        f"its jaws open to {format_quantity(gripper.opening, 'length')} and are "
+        f"{format_quantity(gripper.depth, 'length')} deep"
+    )
     return f"{what}: {jaws}, {narrow}"
 
 

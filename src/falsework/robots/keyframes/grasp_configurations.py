@@ -18,6 +18,7 @@ from falsework.robots.model.cell import Gripper
 from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import Scene, grasp_contact
 from falsework.robots.motion.path_planner import MotionCache
+from falsework.utils.quantity import format_quantity
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +101,10 @@ class GraspConfigurations:
         entry = self.cell.robots[robot]
         name = self.parts.names[part]
         if self.parts.mass[part] > entry.payload:
-            what = f"{name} weighs {self.parts.mass[part]:.3g} kg, more than the payload of {entry.payload:.3g} kg"
+            what = (
+                f"{name} weighs {format_quantity(self.parts.mass[part], 'mass')}, more than the payload of "
+                f"{format_quantity(entry.payload, 'mass')}"
+            )
             self.reasons.add("hold", part, robot, what)
             return []
         found = self._grasps(part, present, entry.gripper)

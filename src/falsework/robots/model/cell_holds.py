@@ -10,6 +10,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import CellError
 from falsework.robots.model.cell import Cell
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.quantity import format_quantity
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,9 @@ def stability_in(cell: Cell, assembly: Assembly, settings: StabilitySettings) ->
     weakest = min(cell.robots, key=lambda robot: robot.gripper.force)
     if weakest.gripper.force < weight[heaviest]:
         raise CellError(
-            f"the gripper of {weakest.name} bears {weakest.gripper.force:.4g} N, less than part "
-            f"{assembly.names[heaviest]} weighs in {cell.name}, {weight[heaviest]:.4g} N; take a stronger gripper"
+            f"the gripper of {weakest.name} bears {format_quantity(weakest.gripper.force, 'force', 4)}, less than part "
+            f"{assembly.names[heaviest]} weighs in {cell.name}, {format_quantity(weight[heaviest], 'force', 4)}; "
+            f"take a stronger gripper"
         )
     if settings.criterion == "equilibrium":  # in which robots hold with any force
         return settings

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.model.shapes import Array, Pieces
+from falsework.utils.quantity import format_number
 
 ACCELERATION_TIME = 0.5
 """Time in which a joint reaches full speed if its description gives no acceleration limit, s."""
@@ -98,7 +99,7 @@ class RobotModel:
         if outside.any():
             joint = int(np.argmax(outside))
             raise InputError(
-                f"{what}: {self.joint_names[joint]} is {found[joint]:.4g}, outside its limits "
-                f"{self.lower[joint]:.4g} to {self.upper[joint]:.4g}"
+                f"{what}: {self.joint_names[joint]} is {format_number(found[joint], 4)}, outside its limits "
+                f"{format_number(self.lower[joint], 4)} to {format_number(self.upper[joint], 4)}"
             )
         return found

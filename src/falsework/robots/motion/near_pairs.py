@@ -12,6 +12,7 @@ from falsework.robots.kernels.collision import distance_between
 from falsework.robots.kinematics.forward import placed_bodies
 from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Scene
+from falsework.utils.quantity import format_quantity
 
 
 @dataclass(frozen=True)
@@ -35,18 +36,10 @@ class NearPair:
     @property
     def words(self) -> str:
         """Description such as `left gripper and floor, 12 mm into each other`."""
+        distance = format_quantity(abs(self.distance), "length")
         if self.collides:
-            return f"{self.first} and {self.second}, {millimetres(-self.distance)} into each other"
-        return (
-            f"{self.first} and {self.second}, {millimetres(self.distance)} apart instead of {millimetres(self.wanted)}"
-        )
-
-
-def millimetres(length: float) -> str:
-    """Return a length in metres as text with a unit that reads well, such as `3.2 mm` or `5.8 cm`."""
-    if abs(length) < 0.01:
-        return f"{1000 * length:.2g} mm"
-    return f"{100 * length:.1f} cm" if abs(length) < 1 else f"{length:.2f} m"
+            return f"{self.first} and {self.second}, {distance} into each other"
+        return f"{self.first} and {self.second}, {distance} apart instead of {format_quantity(self.wanted, 'length')}"
 
 
 def near_pairs(query: CollisionQuery, configuration: ArrayLike) -> list[NearPair]:

@@ -18,6 +18,7 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.model.shapes import Array, inverse_pose
 from falsework.robots.motion.collision_world import Attached
 from falsework.search.problem.task import STAGE, Task
+from falsework.utils.quantity import format_quantity
 
 
 def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitDirections) -> Task:
@@ -107,7 +108,7 @@ def _check_grip(graph: KeyframeGraph, robot: int, part: int, values: Array) -> N
     far = graph.world.grip_distance(robot, values, part)
     if far > graph.cell.robots[robot].gripper.grip_distance:
         raise InputError(
-            f"the gripper of {graph.cell.robots[robot].name} is {far:.3g} m away from part "
+            f"the gripper of {graph.cell.robots[robot].name} is {format_quantity(far, 'length')} away from part "
             f"{graph.assembly.names[part]}, which it should hold; give the configuration in which it holds the part"
         )
 

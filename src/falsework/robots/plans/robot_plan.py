@@ -19,6 +19,7 @@ from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
 from falsework.utils.display.notebook import Displayed
+from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -164,7 +165,7 @@ class RobotPlan(Displayed):
 
     def __repr__(self) -> str:
         by = ", ".join(robot.name for robot in self.robots)
-        what = f"{self.direction.value} in {len(self)} steps by {by}, {self.makespan:.1f} s"
+        what = f"{self.direction.value} in {counted(self.executed, 'step')} by {by}, {self.makespan:.1f} s"
         return f"<RobotPlan of {self.plan.name} in {self.cell_name}: {what}>"
 
     @cached_property
@@ -176,6 +177,11 @@ class RobotPlan(Displayed):
     def done(self) -> NDArray[np.int64]:
         """Number of actions executed before each keyframe, shape (keyframes,)."""
         return np.cumsum([len(self.done_by), *(acts(step) for step in self.steps)])
+
+    @property
+    def executed(self) -> int:
+        """Number of steps of the plan that it executes; `len` counts changes of grip and transits too."""
+        return int(self.done[-1] - self.done[0])
 
     @property
     def done_by(self) -> tuple[int, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Array
+from falsework.utils.quantity import format_quantity
 
 STRAIGHT = 0.001
 """Largest distance of the tool from a straight line, metres."""
@@ -149,7 +150,10 @@ def check_limits(trajectory: Trajectory, model: RobotModel, speed: float) -> Lim
     faults: list[str] = []
     longest = longest_motion(model, speed)
     if not trajectory.seconds <= longest:
-        faults.append(f"a motion takes {trajectory.seconds:.4g} s; this arm needs no more than {longest:.4g} s")
+        faults.append(
+            f"a motion takes {format_quantity(trajectory.seconds, 'duration', 4)}; this arm needs no more than "
+            f"{format_quantity(longest, 'duration', 4)}"
+        )
     beyond = np.maximum(trajectory.positions - model.upper, model.lower - trajectory.positions).max(axis=0)
     if not (beyond <= OUTSIDE).all():
         faults.append(f"{model.joint_names[int(np.argmax(beyond))]} is outside its limits")

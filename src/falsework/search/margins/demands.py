@@ -24,7 +24,7 @@ from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdict, Verdicts
 from falsework.utils.models import FileModel
-from falsework.utils.quantity import parse_quantity
+from falsework.utils.quantity import format_number, parse_quantity
 
 _KINDS: dict[str, str] = {
     "friction": "factor",
@@ -87,10 +87,13 @@ class Demands(FileModel, frozen=True):
         return bool(self.to_dict())
 
     def __str__(self) -> str:
-        words = {"tilt": lambda v: f"{np.degrees(v):.4g}deg", "placement": lambda v: f"{v * 1e3:.4g}mm"}
+        words = {
+            "tilt": lambda v: f"{format_number(np.degrees(v), 4)}deg",
+            "placement": lambda v: f"{format_number(v * 1e3, 4)}mm",
+        }
         units = {"horizontal": "g", "push": "N", "load": "N", "friction": ""}
         return ", ".join(
-            f"{key}={words[key](value) if key in words else f'{value:.4g}{units[key]}'}"
+            f"{key}={words[key](value) if key in words else f'{format_number(value, 4)}{units[key]}'}"
             for key, value in self.to_dict().items()
         )
 
@@ -204,7 +207,7 @@ class MarginOracle(StabilityOracle):
         for name, part, normal, load in self._single(state, None):
             if not self._answer(state, load).stands:
                 where = f" on part {self.assembly.names[part]}"
-                towards = "" if name == "load" else f" towards ({', '.join(f'{x:.2g}' for x in normal)})"
+                towards = "" if name == "load" else f" towards ({', '.join(f'{x:.2f}' for x in normal)})"
                 return f"{Demands(**{name: getattr(self.demands, name)})}{where}{towards}"
         return ""
 

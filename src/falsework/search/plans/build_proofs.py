@@ -22,6 +22,7 @@ from falsework.stability.contact.replay import Replayer
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts
+from falsework.utils.quantity import format_quantity
 
 
 def prove_build(
@@ -51,7 +52,7 @@ def prove_build(
     for row, certificate in enumerate(known.steps or replayer.certificates(states, presses)):
         proof = verifier.step(states[row], certificate)
         if not proof.residual <= claim.tolerance:
-            why = proof.reason or f"its forces leave {proof.residual:.3g} of gravity"
+            why = proof.reason or f"its forces leave {format_quantity(proof.residual, 'share')} of gravity"
             raise PlanError(f"state {row} of the build is not proven: {why}; plan again")
         verdicts.verdict[row], verdicts.residual[row] = Verdict.STABLE, proof.residual
         verdicts.proof[row], verdicts.decided_by[row] = Proof.HISTORY, Solver.CPU
@@ -100,7 +101,7 @@ def check_build(
             for row, certificate in enumerate(steps):
                 proof = verifier.step(states[row], certificate)
                 if not proof.residual <= case.tolerance:
-                    why = proof.reason or f"its forces leave {proof.residual:.3g} of gravity"
+                    why = proof.reason or f"its forces leave {format_quantity(proof.residual, 'share')} of gravity"
                     carries = "the displacements in the plan prove nothing: " * own
                     wrong = f"{_built(plan, row)} is not proven{under}: {carries}{why}"
                     break
@@ -139,12 +140,12 @@ def _denied_load(plan: Plan, found: Loads) -> tuple[int, str] | None:
             name, known = plan.part_names[load.part], by_part.pop(load.part, None)
             if known is None:
                 return row, f"the plan does not say what the robot bears that holds {name} at {_built(plan, row)}"
-            for kind, unit in (("force", "N"), ("moment", "N m")):
+            for kind in ("force", "moment"):
                 says, is_so = getattr(known, kind), getattr(load, kind)
                 if says < is_so * (1 - CLOSE) - CLOSE**2 * largest[kind]:
                     return row, (
-                        f"the plan says that the robot that holds {name} bears {says:.4g} {unit} at "
-                        f"{_built(plan, row)}; it bears {is_so:.4g} {unit}"
+                        f"the plan says that the robot that holds {name} bears {format_quantity(says, kind, 4)} at "
+                        f"{_built(plan, row)}; it bears {format_quantity(is_so, kind, 4)}"
                     )
         if by_part:
             name = plan.part_names[next(iter(by_part))]

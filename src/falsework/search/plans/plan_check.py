@@ -34,6 +34,7 @@ from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_arrays import StateArrays
+from falsework.utils.quantity import format_quantity
 
 
 def check_identity(plan: Plan, assembly: Assembly) -> None:
@@ -231,8 +232,9 @@ def _residuals_of_proofs(plan: Plan, assembly: Assembly, claim: StabilityCriteri
 def _unproven(plan: Plan, row: int, residual: float, claim: StabilityCriterion) -> str:
     name = PROOF_NAMES[claim.criterion]
     return (
-        f"the {name} in the plan for the state {describe_place(plan, row)} leave {residual:.3g} of gravity, above "
-        f"{claim.tolerance:g}, and prove nothing"
+        f"the {name} in the plan for the state {describe_place(plan, row)} leave "
+        f"{format_quantity(residual, 'share')} of gravity, above "
+        f"{format_quantity(claim.tolerance, 'share')}, and prove nothing"
     )
 
 

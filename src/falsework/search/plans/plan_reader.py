@@ -33,6 +33,7 @@ from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Proof, Verdict
 from falsework.utils.json_file import check_format
 from falsework.utils.models import read_model, to_json_values
+from falsework.utils.quantity import format_quantity
 
 MOVES = {
     Action.INSERT: (REMOVED, HELD),
@@ -89,7 +90,10 @@ class PlanReader:
         states, actions, residuals = self._sequence(boundary)
         proven = ~np.isnan(residuals)
         if (residuals[proven] > claim.tolerance).any():
-            self._fail(f"a residual of {residuals[proven].max():.3g} is above the tolerance of {claim.tolerance:g}")
+            self._fail(
+                f"a residual of {format_quantity(float(residuals[proven].max()), 'share')} is above the tolerance "
+                f"of {format_quantity(claim.tolerance, 'share')}"
+            )
         moved = np.flatnonzero((states[1:] != states[:-1]).any(axis=0)).tolist()
         touched = sorted(set(self._distinct(rules.fixed, "rules.fixed")) & set(moved))
         if touched:

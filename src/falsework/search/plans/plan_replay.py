@@ -16,6 +16,7 @@ from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.varied_replay import AllVariations
 from falsework.stability.holds import Press
 from falsework.stability.judges.judgement import Judgement
+from falsework.utils.quantity import format_quantity
 
 if TYPE_CHECKING:
     from falsework.search.problem.result import Stop
@@ -73,7 +74,7 @@ class PlanReplay:
         if self.stands and not replay.good:
             return "that it succeeds"
         if self.stands and replay.largest > _REPEATS * self.moved + _LEAST:
-            return f"that parts move by at most {self.moved * 1e3:.3g} mm"
+            return f"that parts move by at most {format_quantity(self.moved, 'length')}"
         return ""
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, REMOVED, Mask, States
-from falsework.stability.holds import Press, describe_presses
+from falsework.stability.holds import Press, RobotNames, robot_number
 from falsework.stability.verdict import Verdict
+from falsework.utils.quantity import format_quantity
 
 NO_ROBOT = -1
 
@@ -60,8 +61,8 @@ class PlanStep:
     """Verdict on that state."""
     presses: tuple[Press, ...] = ()
     """Presses of other robots while this one lets go of its part."""
-    pressed: str = ""
-    """The presses in words."""
+    pressed: tuple[tuple[int, str], ...] = ()
+    """Robots that press, from 0, and what they do, such as `presses block-25 with 3.9 kN`."""
     parts: tuple[int, ...] = ()
     """All parts that move, those that robots hold first: one, except where several move together."""
     robots: tuple[int, ...] = ()
@@ -70,11 +71,27 @@ class PlanStep:
     @property
     def words(self) -> str:
         """What is done, such as `insert keystone`, with the presses of robots."""
-        return "; ".join(filter(None, (f"{self.action} {self.name}", self.pressed)))
+        return self.words_by(robot_number)
+
+    def words_by(self, names: RobotNames) -> str:
+        """Return `words` by the names of the robots."""
+        return self._told("", names)
+
+    def by(self, names: RobotNames = robot_number) -> str:
+        """Return the names of the robots that do it, such as `R1, R2`; empty for a prop."""
+        return ", ".join(map(names, self.robots))
+
+    def told(self, names: RobotNames) -> str:
+        """Describe the step with its robots, such as `insert keystone (R1)`, by the names of the robots."""
+        return self._told(f" ({self.by(names)})" if self.robots else "", names)
+
+    def _told(self, by: str, names: RobotNames) -> str:
+        return "; ".join(
+            (f"{self.action} {self.name}{by}", *(f"{names(robot)} {what}" for robot, what in self.pressed))
+        )
 
     def __str__(self) -> str:
-        by = f" ({', '.join(f'R{robot + 1}' for robot in self.robots)})" if self.robots else ""
-        return "; ".join(filter(None, (f"{self.action} {self.name}{by}", self.pressed)))
+        return self.told(robot_number)
 
     def __repr__(self) -> str:
         return f"<PlanStep {self.number}: {self}>"
@@ -119,12 +136,19 @@ def steps_of(
                 states[number],
                 verdicts[number],
                 pressing,
-                describe_presses(pressing, names),
+                tuple(
+                    (int(who[number, press.part]), f"presses {names[press.part]} with {_newtons(press)}")
+                    for press in pressing
+                ),
                 moved,
                 robots,
             )
         )
     return tuple(found)
+
+
+def _newtons(press: Press) -> str:
+    return format_quantity(press.force, "force")
 
 
 def moved_parts(before: States, after: States) -> tuple[tuple[int, ...], int]:
@@ -160,7 +184,7 @@ def undone(steps: tuple[PlanStep, ...], first: States, verdict: Verdict) -> tupl
     """
     before = [(first, verdict), *((step.state, step.verdict) for step in steps)]
     return tuple(
-        replace(step, action=step.action.undone, state=state, verdict=known, presses=(), pressed="")
+        replace(step, action=step.action.undone, state=state, verdict=known, presses=(), pressed=())
         for step, (state, known) in zip(reversed(steps), reversed(before[:-1]), strict=True)
     )
 

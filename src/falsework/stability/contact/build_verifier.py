@@ -26,6 +26,7 @@ from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, Press, limits_o
 from falsework.stability.second_order.springs import ROUNDING, into_cone
 from falsework.stability.stiffness import movement_limit, normal_stiffness, structure_size
 from falsework.stability.strength import TEARS, Strength, strength_of
+from falsework.utils.quantity import format_quantity
 
 Array = NDArray[np.float64]
 
@@ -109,7 +110,10 @@ class BuildVerifier:
             reason = "the certificate is damaged, or calls a contact whole that breaks"
         elif farthest > limit * (1 + _CLOSE):
             part = assembly.names[int(np.abs(moved[:, :3]).max(axis=1).argmax())]
-            reason = f"{part} moves by {1e3 * farthest:.3g} mm, more than the limit of {1e3 * limit:.3g} mm"
+            reason = (
+                f"{part} moves by {format_quantity(farthest, 'length')}, more than the limit of "
+                f"{format_quantity(limit, 'length')}"
+            )
         self._before, self._springs, self._moved, self._borne = state, springs, moved, borne
         return StepProof(residual if not reason else np.inf, forces, borne, farthest, reason)
 
@@ -138,7 +142,10 @@ class BuildVerifier:
             name, weight = assembly.names[part], mass[part] * self._claim.gravity
             force, moment = np.linalg.norm(borne[part, :3]), np.linalg.norm(borne[part, 3:])
             if force > limits.force[part] * (1 + _CLOSE) or moment > limits.moment[part] * (1 + _CLOSE):
-                return f"the robot that holds {name} bears {force:.4g} N and {moment:.4g} N m, more than it can"
+                return (
+                    f"the robot that holds {name} bears {format_quantity(float(force), 'force', 4)} and "
+                    f"{format_quantity(float(moment), 'moment', 4)}, more than it can"
+                )
             if not held[part]:
                 continue  # it came with its robot, or its robot takes it as it is
             turned = np.concatenate([step[part, :3], inertia[part] @ step[part, 3:] / mass[part]])

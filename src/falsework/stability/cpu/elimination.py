@@ -90,17 +90,16 @@ def eliminate(problem: Problem) -> Elimination:
     ends = ends[(ends >= 0).all(axis=1)].T
     order, start, below = np.zeros(0, np.int64), [0], list[NDArray[np.int64]]()
     if len(parts):
-        # Of a matrix whose diagonal dominates and whose other entries are negative, no entry of a factor vanishes.
+        # Of the factors only the order counts: among thousands of parts entries of the fill are less than any number.
         entries = np.r_[np.full(len(parts), 1.0 + ends.shape[1]), np.full(ends.size, -1.0)]
         places = np.hstack([np.tile(np.arange(len(parts)), (2, 1)), ends, ends[::-1]])
         matrix = csc_array((entries, (places[0], places[1])))
-        factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        lower = factor.L
-        lower.sort_indices()
-        found = np.split(lower.indices, lower.indptr[1:-1])
-        new = _postorder([int(row[1]) if len(row) > 1 else -1 for row in found])
+        options = {"SymmetricMode": True}
+        rank = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options).perm_c
+        found = _fill(rank[ends], len(parts))
+        new = _postorder([int(row[0]) if len(row) else -1 for row in found])
         number = np.argsort(new)
-        order, rows = np.argsort(factor.perm_c)[new], [np.sort(number[found[j]][1:]) for j in new]
+        order, rows = np.argsort(rank)[new], [np.sort(number[found[j]]) for j in new]
         start = _supernodes([len(row) for row in rows], [int(row[0]) if len(row) else -1 for row in rows])
         below = [rows[last - 1] for last in start[1:]]
     position[parts[order]] = np.arange(len(parts))
@@ -113,6 +112,27 @@ def eliminate(problem: Problem) -> Elimination:
         row_start=np.cumsum([0, *map(len, below)]).astype(np.int32),
         row=np.concatenate([*below, np.zeros(0)]).astype(np.int32),
     )
+
+
+def _fill(ends: NDArray[np.integer], count: int) -> list[NDArray[np.integer]]:
+    """Return the rows below each diagonal entry of the factors, ascending.
+
+    Those of a position are what it touches, and the rows of its children in the elimination tree (Liu, 1990).
+
+    Args:
+        ends: positions of pairs that touch, shape (2, pairs).
+        count: number of positions.
+    """
+    first, last = ends.min(axis=0), ends.max(axis=0)
+    by_first = np.argsort(first, kind="stable")
+    touched = np.split(last[by_first], np.cumsum(np.bincount(first, minlength=count))[:-1])
+    rows: list[NDArray[np.integer]] = []
+    children: list[list[int]] = [[] for _ in range(count)]
+    for j in range(count):
+        rows.append(np.unique(np.concatenate([touched[j], *(rows[child][1:] for child in children[j])])))
+        if len(rows[j]):
+            children[rows[j][0]].append(j)
+    return rows
 
 
 def _postorder(parent: list[int]) -> list[int]:

@@ -5,7 +5,6 @@ The page reads the files of the cell again when they change, and keeps the joint
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -22,13 +21,12 @@ from falsework.utils.files.printable import printable
 from falsework.viewer.cells.cell_model import CellModel, build_cell_model
 from falsework.viewer.cells.cell_scene import LEGEND, CellScene
 from falsework.viewer.palette import MISSING, robot_color
+from falsework.viewer.web.file_watch import FileWatch
 from falsework.viewer.web.markup import html_text
 from falsework.viewer.web.served_page import ServedPage
 
 Array = NDArray[np.float64]
 
-_LOOK_EVERY = 0.5
-"""Seconds between two looks at the files."""
 _MOST_PAIRS = 8
 """Near pairs that are listed."""
 
@@ -87,14 +85,11 @@ class CellPage(ServedPage):
         self._arrange()
         self.scene = CellScene(self.server.scene, self.sight)
         self._fill({})
-        self._stamps = self._stamped()
-        self._watcher = threading.Thread(target=self._watch, name="falsework-cell", daemon=True)
-        self._watcher.start()
+        self._watch = FileWatch(self._files, self._changed)
 
     def close(self) -> None:
         """Stop serving, and looking at the files."""
-        self._stop.set()
-        self._watcher.join(timeout=5)
+        self._watch.close()
         super().close()
 
     def refresh(self) -> None:
@@ -219,24 +214,19 @@ class CellPage(ServedPage):
         self._news = ""
         self.set_configuration(robot, found)
 
-    def _stamped(self) -> dict[str, int]:
-        """Return when the files of the cell were changed, nanoseconds."""
+    def _files(self) -> list[str]:
+        """Return the names of the files of the cell."""
         models = [robot.model for robot in self._robots]
         files = [self.sight.name, *(name for model in models for name in (model.source, model.srdf))]
-        return {name: Path(name).stat().st_mtime_ns for name in files if name and Path(name).is_file()}
+        return [name for name in files if name]
 
-    def _watch(self) -> None:
-        while not self._stop.wait(_LOOK_EVERY):
-            try:
-                stamps = self._stamped()
-                if stamps == self._stamps:
-                    continue
-                self._stamps = stamps
-                self.read_again()
-            except Exception as error:  # whatever is in a file that is just being written, the page goes on
-                with self._lock:
-                    self._news = f"not read again: {' '.join(str(error).split())}"
-                self.refresh()
+    def _changed(self) -> None:
+        try:
+            self.read_again()
+        except Exception as error:  # whatever is in a file that is just being written, the page goes on
+            with self._lock:
+                self._news = f"not read again: {' '.join(str(error).split())}"
+            self.refresh()
 
     def read_again(self) -> None:
         """Read the cell again, and keep the joint values; a robot whose home has changed goes there."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from falsework.robots.plans.timeline import bars_of
-from falsework.viewer.palette import INK, robot_color
+from falsework.viewer.palette import INK, ink_on, robot_color
 from falsework.viewer.pictures.gantt import ALPHA, KEY
 from falsework.viewer.web.links import link_to
 from falsework.viewer.web.markup import html_text
@@ -29,6 +29,7 @@ def gantt_svg(plan: RobotPlan) -> str:
         for number, robot in enumerate(plan.robots)
     ]
     for bar in bars_of(plan):
+        color, alpha = robot_color(bar.robot), ALPHA[bar.does]
         name = "" if bar.part is None else plan.plan.part_names[bar.part]
         x, width = _WIDTH * bar.begin / span, _WIDTH * (bar.end - bar.begin) / span
         high = 12.0 if bar.does != "moves" else 6.0
@@ -37,11 +38,10 @@ def gantt_svg(plan: RobotPlan) -> str:
         words = f"{plan.robots[bar.robot].name} {bar.does} {name}, {bar.begin:.1f} to {bar.end:.1f} s"
         shape = (
             f'<rect x="{x:.2f}" y="{y + (12 - high) / 2:.1f}" width="{max(width, 0.5):.2f}" height="{high:.0f}" '
-            f'fill="{robot_color(bar.robot)}" fill-opacity="{ALPHA[bar.does]}" stroke="{INK}" stroke-width="0.4"/>'
+            f'fill="{color}" fill-opacity="{alpha}" stroke="{INK}" stroke-width="0.4"/>'
         )
-        text = (
-            f'<text x="{x + 2:.2f}" y="{y + 9:.0f}" font-size="8" fill="{INK}">{html_text(name)}</text>' if fits else ""
-        )
+        at = f'x="{x + 2:.2f}" y="{y + 9:.0f}" font-size="9" fill="{ink_on(color, alpha)}"'
+        text = f"<text {at}>{html_text(name)}</text>" if fits else ""
         rows.append(link_to("seconds", bar.begin, f"<title>{html_text(words)}</title>{shape}{text}"))
     base = _ROW * len(plan.robots) + 2
     for tick in range(_TICKS + 1):

@@ -23,6 +23,7 @@ from falsework.viewer.page.site_tab import SiteTab
 from falsework.viewer.page.stage import NARROW, aim_upright, set_stage
 from falsework.viewer.page.step_list import StepsTab
 from falsework.viewer.page.viewer_state import ViewerState
+from falsework.viewer.web.file_watch import FileWatch
 from falsework.viewer.web.links import Unit
 from falsework.viewer.web.markup import markdown_text
 from falsework.viewer.web.served_page import ServedPage
@@ -46,11 +47,18 @@ class Page(ServedPage):
     """Browser page of one model."""
 
     def __init__(
-        self, model: ViewerState, *, host: str = "127.0.0.1", port: int = 8080, allowed_hosts: Iterable[str] = ()
+        self,
+        model: ViewerState,
+        *,
+        file: Path | None = None,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        allowed_hosts: Iterable[str] = (),
     ) -> None:
-        """Start the server, see `ServedPage`."""
+        """Start the server, see `ServedPage`; a change of the file that the model was read from is told."""
         super().__init__(host, port, allowed_hosts, self._linked)
         self._fill(model)
+        self._watch = None if file is None else FileWatch(lambda: [file], lambda: self._file_changed(file))
         self.server.scene.on_click()(self._clicked)
         self.server.on_client_connect(self._connected)
 
@@ -77,7 +85,9 @@ class Page(ServedPage):
         )
 
     def close(self) -> None:
-        """Stop serving, and playing."""
+        """Stop serving, playing, and looking at the file."""
+        if self._watch is not None:
+            self._watch.close()
         self.play.close()
         super().close()
 
@@ -135,6 +145,13 @@ class Page(ServedPage):
             client = getattr(event, "client", None)
             if client is not None:
                 client.add_notification("Request failed", text, color="orange", auto_close_seconds=8.0)
+
+    def _file_changed(self, file: Path) -> None:
+        text = f"{printable(file.name)} has changed. The page shows it as it was; open it again in the tab Files."
+        with self._lock:
+            self.site.say(markdown_text(text))
+        for client in self.server.get_clients().values():
+            client.add_notification("File changed", text, color="orange", auto_close_seconds=8.0)
 
     def _fill(self, model: ViewerState) -> None:
         gui = self.server.gui

@@ -26,8 +26,7 @@ def where_text(model: ViewerState, *, ask: bool) -> str:
     steps = len(model.timeline)
     where, _, _ = model.timeline.label(model.step).partition(": ")
     step = model.timeline.step_to(model.step)
-    robot = "" if step is None or step.robot is None else f" ({model.robot_name(step.robot)})"
-    doing = "" if step is None else f": **{markdown_text(step.words + robot)}**"
+    doing = "" if step is None else f": **{markdown_text(step.told(model.timeline.robot_name))}**"
     lines = [f"{where}{doing}" if steps else f"**{markdown_text(model.assembly.name)}**"]
     if model.clock is not None:
         lines[0] = f"{model.seconds:.1f} s of {model.clock.makespan:.1f} s, {lines[0]}"
@@ -46,7 +45,7 @@ def marked_text(model: ViewerState) -> str:
 def labels_of(model: ViewerState, appearance: Appearance) -> dict[int, str]:
     """Return short labels of parts: holder, press, selection and marks."""
     labels = {
-        int(part): model.robot_name(int(appearance.holder[part]))
+        int(part): model.timeline.robot_name(int(appearance.holder[part]))
         for part in np.flatnonzero((appearance.holder != NO_ROBOT) & (appearance.opacity > 0))
     }
     for load in model.timeline.loads_at(model.step):
@@ -54,7 +53,7 @@ def labels_of(model: ViewerState, appearance: Appearance) -> dict[int, str]:
             labels[load.part] += f" bears {format_quantity(load.force, 'force')}"
     for press in model.timeline.presses_at(model.step):
         if press.part in labels:
-            labels[press.part] += f" presses {format_quantity(press.force, 'force')}"
+            labels[press.part] += f", presses {format_quantity(press.force, 'force')}"
     if model.selected is not None:
         name = model.assembly.names[model.selected]
         labels[model.selected] = f"{name}, {labels[model.selected]}" if model.selected in labels else name
@@ -93,16 +92,19 @@ def facts_of(model: ViewerState, part: int) -> list[tuple[str, str]]:
     now = "boundary" if assembly.boundary[part] else ("not there", "installed", "held")[value]
     who = model.appearance().holder[part]
     if who != NO_ROBOT:
-        now = f"held by {model.robot_name(int(who))}"
+        now = f"held by {model.timeline.robot_name(int(who))}"
     spans = [
-        f"{model.robot_name(robot)}, " + (f"state {first}" if first == last else f"states {first} to {last}")
+        f"{model.timeline.robot_name(robot)}, " + (f"state {first}" if first == last else f"states {first} to {last}")
         for robot, first, last in timeline.held_when(part)
     ]
     facts = [
         ("part", f"{assembly.names[part]} (number {part})"),
         ("mass", format_quantity(float(assembly.mass.mass[part]), "mass")),
         ("now", now),
-        ("contacts", f"{len(mine)}, {contacts.areas[mine].sum():.3g} m2, with {touching or 'nothing'}"),
+        (
+            "contacts",
+            f"{len(mine)}, {format_quantity(float(contacts.areas[mine].sum()), 'area')}, with {touching or 'nothing'}",
+        ),
         ("held by", "; ".join(spans) if spans else "no robot"),
     ]
     chance = model.action_probabilities()[part] if model.policy is not None else np.nan
@@ -116,7 +118,7 @@ def legend_text(model: ViewerState, shown: Mapping[str, Arrows]) -> str:
     """Return the legend of the colours in use, in HTML."""
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]
     holding = int(model.timeline.holders.max(initial=NO_ROBOT)) + 1
-    entries += [(robot_color(robot), f"held by {model.robot_name(robot)}") for robot in range(holding)]
+    entries += [(robot_color(robot), f"held by {model.timeline.robot_name(robot)}") for robot in range(holding)]
     if holding > len(ROBOTS):
         entries.append(("#ffffff", "colours repeat: labels give the robot"))
     if model.selected is not None:
@@ -144,4 +146,6 @@ def legend_text(model: ViewerState, shown: Mapping[str, Arrows]) -> str:
             "<div style='display:flex;justify-content:space-between'><span>0 %</span>"
             "<span>probability of the action on a part</span><span>100 %</span></div>"
         )
+    if model.arms is not None and (shown or model.selected is not None):
+        boxes += f"<div>{html_text(model.arms.differs)}</div>"
     return f"<div id='falsework-legend' style='margin:0.5em 1em;font-size:0.85em'>{boxes}</div>"

@@ -236,7 +236,7 @@ def _frame(model: ViewerState, scene: RecordedScene, title: Any) -> dict[str, Ar
 def _panel(model: ViewerState, shown: dict[str, Arrows]) -> str:
     steps = len(model.timeline)
     about = counted(model.assembly.part_count, "part") + (f", {counted(steps, 'step')}" if steps else "")
-    inside = legend_text(model, shown) + (step_list(model.timeline, names=model.robot_name) if steps else "")
+    inside = legend_text(model, shown) + (step_list(model.timeline) if steps else "")
     return (
         f"{_UPRIGHT}<div class='falsework-panel' style='{_PANEL}'>"
         f"<details><summary><b>{html_text(model.assembly.name)}</b>, {about}</summary>"

@@ -39,7 +39,7 @@ class SiteTab:
         self._clear.on_click(lambda event: page.guard(event, self._cleared))
         self._back = gui.add_button("Back to the previous plan")
         self._back.on_click(lambda event: page.guard(event, self._returned))
-        self._answer = gui.add_markdown("")
+        self.answer = gui.add_markdown("")
 
     def update(self) -> None:
         """Show the marks."""
@@ -50,7 +50,7 @@ class SiteTab:
 
     def say(self, text: str) -> None:
         """Show the answer to a request, in Markdown."""
-        self._answer.content = text
+        self.answer.content = text
 
     def _chosen(self) -> None:
         self._page.model.tool = ClickMode(self._tool.value)

@@ -47,7 +47,7 @@ def aim_upright(camera: Any, scene: ViserScene, arms: Arms | None, aspect: float
     Args:
         arms: robots that must be seen too.
     """
-    _aim(camera, scene, arms, np.array([0.0, 0.0, -0.25 * SIZE]), 0.9 / max(aspect, 0.1))
+    _aim(camera, scene, arms, np.array([0.0, 0.0, -0.25 * SIZE]), 1.05 / max(aspect, 0.1))
 
 
 def _aim(camera: Any, scene: ViserScene, arms: Arms | None, beside: NDArray[np.float64], farther: float = 1.0) -> None:

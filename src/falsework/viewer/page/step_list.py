@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from falsework.viewer.palette import SELECTED, robot_color
@@ -16,31 +16,21 @@ if TYPE_CHECKING:
 _CELL = "padding:1px 6px 1px 0;text-align:left"
 _ROW = "falsework-step-"
 """Identifier of the row of a step, before the place that it leads to."""
-Names = Callable[[int], str]
-"""From the number of a robot, from 0, to its name."""
 
 
-def robot_number(robot: int) -> str:
-    """Return the name of a robot that has none, such as `R2`."""
-    return f"R{robot + 1}"
-
-
-def matching_places(timeline: Timeline, search: str, names: Names = robot_number) -> list[int]:
+def matching_places(timeline: Timeline, search: str) -> list[int]:
     """Return the places of the steps whose number or words contain every word of a search; all if it is empty."""
     wanted, found = search.lower().split(), []
     for place in timeline.places[1:]:
         step = timeline.step_to(place)
         assert step is not None
-        robot = "" if step.robot is None else names(step.robot)
-        text = f"{step.number} {robot} {step.words}".lower().split()
+        text = f"{step.number} {step.told(timeline.robot_name)}".lower().split()
         if all(any(part in word for word in text) for part in wanted):
             found.append(place)
     return found
 
 
-def step_list(
-    timeline: Timeline, places: Iterable[int] | None = None, *, names: Names = robot_number, linked: bool = False
-) -> str:
+def step_list(timeline: Timeline, places: Iterable[int] | None = None, *, linked: bool = False) -> str:
     """Return a table of steps: number, robot, action.
 
     Args:
@@ -51,13 +41,12 @@ def step_list(
     for place in timeline.places[1:] if places is None else places:
         step = timeline.step_to(place)
         assert step is not None
-        robot = "" if step.robot is None else names(step.robot)
         color = "transparent" if step.robot is None else robot_color(step.robot)
-        words = html_text(step.words)
+        words = html_text(step.words_by(timeline.robot_name))
         rows.append(
             f"<tr id='{_ROW}{place}' style='border-left:4px solid {color}'>"
             f"<td style='{_CELL};padding-left:6px;text-align:right'>{step.number}</td>"
-            f"<td style='{_CELL}'>{html_text(robot)}</td>"
+            f"<td style='{_CELL}'>{html_text(step.by(timeline.robot_name))}</td>"
             f"<td style='{_CELL}'>{link_to('step', place, words) if linked else words}</td></tr>"
         )
     return f"<table style='border-collapse:collapse;font-size:0.85em'>{''.join(rows)}</table>"
@@ -90,7 +79,6 @@ class StepsTab:
 
     def _list(self) -> None:
         self._timeline = timeline = self._page.model.timeline
-        names = self._page.model.robot_name
-        places = matching_places(timeline, self._search.value, names)
-        found = step_list(timeline, places, names=names, linked=True) if places else "no step matches"
+        places = matching_places(timeline, self._search.value)
+        found = step_list(timeline, places, linked=True) if places else "no step matches"
         self._rows.content = f"<div style='margin:0 1em;max-height:45vh;overflow:auto'>{found}</div>"

@@ -138,11 +138,6 @@ class ViewerState:
         """Whether no plan has proven the state shown: there is no plan, or marks change it."""
         return not self.disruption.empty or len(self.timeline) == 0
 
-    def robot_name(self, robot: int) -> str:
-        """Return the name of a robot, counted from 0: that of the cell, or such as `R1`."""
-        robots = () if self.arms is None else self.arms.plan.robots
-        return robots[robot].name if robot < len(robots) else f"R{robot + 1}"
-
     def go_to(self, position: float) -> None:
         """Show another position, in steps; clipped to the ends."""
         with self.lock:

@@ -144,6 +144,7 @@ def one_state(
     bounds: NDArray[np.float64] | None = None,
     words: str | None = None,
     marks: Mapping[int, str] | None = None,
+    travelling: bool = True,
     samples: int = 3,
 ) -> Pixels:
     """Return the picture of one place of a timeline, with its action and the legend.
@@ -157,14 +158,19 @@ def one_state(
         bounds: box that the picture shows, shape (2, 3); the structure and the ways of its parts if not given.
         words: the line above; the step if not given.
         marks: colours of parts that stand out, such as those that slide.
+        travelling: whether to show the parts that come next on their way.
         samples: pixels are averaged over `samples` squared.
     """
     pillow = import_pillow()
     extra: Sequence[ColoredSolid] = ()
     appearance = appearance_at(
-        timeline, position, action_probabilities=action_probabilities, marks=marks, travelling=arms is None
+        timeline,
+        position,
+        action_probabilities=action_probabilities,
+        marks=marks,
+        travelling=travelling and arms is None,
     )
-    box = bounds_with_motions(timeline) if bounds is None else bounds
+    box = (bounds_with_motions(timeline) if travelling else bounds_of(timeline.assembly)) if bounds is None else bounds
     if arms is not None:
         arm_poses = arms.at(position) if time is None else arms.at_time(time)
         appearance, extra = (
@@ -204,7 +210,7 @@ def legend(timeline: Timeline, sliding: bool = False, pressing: bool = False) ->
     """Return the colour and words of all that a timeline shows."""
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]
     for robot in range(min(int(timeline.holders.max(initial=NO_ROBOT)) + 1, len(ROBOTS))):
-        entries.append((robot_color(robot), f"held by robot {robot + 1}"))
+        entries.append((robot_color(robot), f"held by {timeline.robot_name(robot)}"))
     if sliding:
         entries.append((SLIDING, "would slide"))
     if pressing:

@@ -14,7 +14,7 @@ from falsework.errors import DependencyError, InputError
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import bars_of
 from falsework.utils.files.output_file import write_whole
-from falsework.viewer.palette import INK, rgb, robot_color
+from falsework.viewer.palette import INK, ink_on, rgb, robot_color
 from falsework.viewer.pictures.graph_picture import figure_pixels
 
 _WIDTH, _ROW = 12.0, 0.55
@@ -29,7 +29,7 @@ KEY = "high: carries a part; low: moves without one; pale: holds a part at its p
 """Legend of the bars."""
 ALPHA = {"moves": 1.0, "carries": 1.0, "holds": 0.35}
 """Opacity of the bars of an activity."""
-_LETTER = 0.065
+_LETTER = 0.08
 """Width of a letter in a bar, inches."""
 
 
@@ -70,7 +70,16 @@ class GanttChart:
             inches = (bar.end - bar.begin) / max(plan.makespan, 1e-3) * 0.9 * width
             if name and not strip and len(name) * _LETTER < inches:
                 middle = (bar.begin + bar.end) / 2
-                axes.text(middle, bar.robot, name, fontsize=6, ha="center", va="center", parse_math=False)
+                axes.text(
+                    middle,
+                    bar.robot,
+                    name,
+                    fontsize=8,
+                    ha="center",
+                    va="center",
+                    color=ink_on(color, alpha),
+                    parse_math=False,
+                )
         axes.set_yticks(range(rows), [robot.name for robot in plan.robots], parse_math=False)
         axes.set_ylim(rows - 0.5, -0.5)
         axes.set_xlim(0.0, max(plan.makespan, 1e-3))

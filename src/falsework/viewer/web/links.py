@@ -10,6 +10,8 @@ import math
 from typing import Literal
 from urllib.parse import parse_qs, urlsplit
 
+from falsework.utils.quantity import format_number
+
 PATH = "/go"
 Unit = Literal["step", "seconds"]
 
@@ -20,7 +22,7 @@ def link_to(unit: Unit, value: float, inside: str) -> str:
     Args:
         value: number of the step, or seconds.
     """
-    return f'<a href="{PATH}?{unit}={value:.6g}" style="color:inherit;text-decoration:none">{inside}</a>'
+    return f'<a href="{PATH}?{unit}={format_number(value, 6)}" style="color:inherit;text-decoration:none">{inside}</a>'
 
 
 def target_of(path: str) -> tuple[Unit, float] | None:
