@@ -31,7 +31,7 @@ from falsework.robots.plans.timeline import arm_shares, bars_of, event_times
 from falsework.search import Oracle
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.result import Route
-from falsework.search.problem.ways_out import Clearance
+from falsework.geometry.clearance.protocol import Clearance
 from falsework.stability import Verdicts
 from tests.robots.plans.orders import APART
 from tests.robots.plans.sunk_cubes import FAR, NEAR, begin, cubes, make_task, planned
