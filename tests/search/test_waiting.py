@@ -1,4 +1,4 @@
-"""Ways on which parts wait half way out: found where nothing else is, with a state that stands, and refused elsewhere."""
+"""Ways on which parts wait half way out: found where no others are, and refused where what waits falls."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def latch(*, upright: bool = False) -> Assembly:
 
 
 def dodge() -> Assembly:
-    """A block that has to leave its place for a hook, which passes there, before the way out behind the hook is free."""
+    """A block that leaves its place for a hook, which passes there before the way out behind it is free."""
     hollow = {(0, 0), (0, -1), (1, -1), (1, 0), (1, 1), (2, 0), (2, 1), (0, 1), (-1, 1), (1, 2), (1, 3)}
     return on_a_floor(hollow, {(0, 0)}, {(1, 1), (2, 1), (2, 0)})
 
@@ -82,7 +82,7 @@ def test_one_robot_lays_a_bar_aside_where_without_that_no_plan_exists(latched: t
 
 
 def test_the_part_that_leaves_waits_half_way_out_itself() -> None:
-    """One robot takes it out of the way, lets go of it, moves the hook into the place where it was, and takes it out."""
+    """One robot takes it out of the way, lets go of it, moves the hook to where it was, and takes it out."""
     assembly = dodge()
     assert find_plans(assembly, robots=1, moves=6, stability=SETTINGS, target=LEFT).result.outcome is not Outcome.FOUND
     plan = find_plans(assembly, robots=1, moves=4, waiting=True, stability=SETTINGS, target=LEFT).plans[0]
@@ -148,7 +148,7 @@ def test_pictures_show_what_waits(latched: tuple[Assembly, Plan]) -> None:
     assert (shifts[shifts[:, 0, 2] > 1e-9, 1, 0] > 0.0).all()
     assert not shifts[:, 0, :2].any()
     pin, bar, _ = tracks_of(plan, assembly).tracks
-    assert [place for _, place in bar.path][0] == [place for _, place in bar.path][-1] == (0.0, 0.0, 0.0)
+    assert bar.path[0][1] == bar.path[-1][1] == (0.0, 0.0, 0.0)
     assert max(place[0] for _, place in bar.path) == pytest.approx(EDGE, abs=1e-3)
     assert {place[0] for _, place in pin.path} == {0.0}
     assert "from above, with piece-1 aside" in instructions_csv(make_sheet(assembly, plan))
@@ -205,7 +205,7 @@ def fewest_moves(hollow: Flat, pieces: list[Flat], most: int) -> int | None:
 
 
 def room(seed: int) -> tuple[Flat, list[Flat]]:
-    """A room of three by three cells with a door one cell wide; a block and a bar too wide for it stand there at random."""
+    """A room of three by three cells with a door one cell wide, and in it a block, and a bar too wide for the door."""
     rng = np.random.default_rng(seed)
     cells, door = list(product(range(3), range(3))), int(rng.integers(3))
     bars = [{(x, y), (x + 1, y)} for x, y in product(range(2), range(3))]

@@ -41,8 +41,8 @@ class ExitPaths(Clearance):
     along: on its way a part touches others, but nothing bears on it. So the state must stand without all parts of the
     way, too.
 
-    Where parts may wait, those that block a part, and what blocks these, may also be carried aside by a robot that holds
-    nothing else and stand there meanwhile, and so may the part. What has to stand then says `stages`.
+    Where parts may wait, those that block a part, and what blocks these, may also be carried aside by a robot that
+    holds nothing else and stand there meanwhile, and so may the part. What has to stand then says `stages`.
 
     Ways are kept with what blocks them, and searches without a result with parts that suffice for that: past these and
     more there is no way either.
