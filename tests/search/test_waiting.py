@@ -6,6 +6,7 @@ import json
 import pickle
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -118,7 +119,7 @@ def test_a_check_needs_the_rule_and_a_robot_for_each_part(latched: tuple[Assembl
     assembly, plan = latched
     aside, out = plan.exit_paths[0]
 
-    def reason(**changes: object) -> str:
+    def reason(**changes: Any) -> str:
         return validate_plan(replace(plan, forces=None, **changes), assembly, SETTINGS).reason
 
     assert "its way moves piece-1, which no robot holds" in reason(waiting=False)
