@@ -291,16 +291,35 @@ class StabilityOracle:
             verdicts.put(rest, self._cpu.check(states[rest], certificates=False))
             rest = rest[verdicts.undecided[rest]]
         if len(rest):
-            exact = self._decide_exactly(states[rest], verdicts[rest])
-            self._remember(states[rest], exact)
+            joined = states[rest] if near is None else self.problem.hold_apart(states[rest], near[rest])
+            exact = self._decide_exactly(joined, verdicts[rest])
+            self._remember(states[rest], exact, joined, [known[row] for row in rest])
             verdicts.put(rest, exact)
         return verdicts
 
-    def _remember(self, states: States, verdicts: Verdicts) -> None:
-        """Remember the certificates of stable states, from which others start."""
+    def _remember(
+        self,
+        states: States,
+        verdicts: Verdicts,
+        joined: States | None = None,
+        origins: Sequence[NDArray[np.float64] | None] = (),
+    ) -> None:
+        """Remember the certificates of stable states, from which others start.
+
+        Verdicts on `joined`, see `Problem.hold_apart`, are completed by those of the states near by, where known.
+        """
         guess = self._criterion.guess_of(verdicts)
-        if guess is not None:
-            self.guesses.remember(states[verdicts.stable], guess[verdicts.stable])
+        if guess is None:
+            return
+        whole = verdicts.stable.copy()
+        for row in np.flatnonzero(whole) if joined is not None else []:
+            if (joined[row] == states[row]).all():
+                continue
+            start, whole[row] = origins[row], origins[row] is not None
+            if start is not None and not self._criterion.displaced:
+                kept = self.problem.active(states[row : row + 1])[0] & ~self.problem.active(joined[row : row + 1])[0]
+                guess[row, kept] = start[kept]
+        self.guesses.remember(states[whole], guess[whole])
 
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
         """Return whether the checker accepts each verdict; count the rejected ones."""

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
 from falsework.errors import AssemblyError
@@ -105,6 +107,28 @@ class Problem:
     def free(self, states: States) -> Mask:
         """Return the parts that can move: installed and not held. Shape (batch, parts)."""
         return states == INSTALLED
+
+    def hold_apart(self, states: States, origins: States) -> States:
+        """Return states in which free parts that no contact between free parts joins to what changed are held.
+
+        What forces can balance there they balance in the states too, if the origins are stable; and what falls there
+        falls in the states, since holding fewer parts never helps.
+
+        Args:
+            states: shape (batch, parts).
+            origins: for each a stable state that differs in few parts, shape (batch, parts).
+
+        Returns:
+            Shape (batch, parts).
+        """
+        apart = states.copy()
+        for state, origin in zip(apart, origins, strict=True):
+            free, changed = state == INSTALLED, state != origin
+            a, b = self.pair_parts[(free | changed)[self.pair_parts].all(axis=1)].T
+            graph = coo_array((np.ones(len(a), bool), (a, b)), (self.parts, self.parts))
+            _, piece = connected_components(graph, directed=False)
+            state[free & ~np.isin(piece, piece[changed])] = HELD
+        return apart
 
     def active(self, states: States) -> Mask:
         """Return the contact points that act: both parts present, not both fixed, not idle. Shape (batch, points)."""

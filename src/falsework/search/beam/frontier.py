@@ -39,7 +39,7 @@ class PackedLevel:
         """Pack a level."""
         self.parent, self.action, self.score, self.grounded = level.parent, level.action, level.score, level.grounded
         self._first = level.states[0].copy()
-        row, part = np.nonzero(level.states != self._first)
+        row, part = np.divmod(np.flatnonzero(level.states != self._first), len(self._first))
         self._row, self._part = row.astype(np.int32), part.astype(np.int32)
         self._value = level.states[row, part]
 

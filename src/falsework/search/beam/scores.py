@@ -53,7 +53,7 @@ class Priorities:
     def _turned(self) -> Rows:
         """Candidates that a move which fixes a part leads to, though not first."""
         parts, begin = self._frontier.task.part_count, self._frontier.task.part_count - self._begin
-        level, part = np.nonzero(self._frontier.fixing[:, begin : begin + parts])
+        level, part = np.divmod(np.flatnonzero(self._frontier.fixing[:, begin : begin + parts]), parts)
         return level * 2 * parts + part + begin
 
     @cached_property

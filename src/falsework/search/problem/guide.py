@@ -66,6 +66,8 @@ class SupportGuide:
         self._share = np.zeros(self._other.shape, dtype=np.float32)
         self._other[own, place] = other
         self._share[own, place] = share
+        self._before = np.zeros(parts + 1, dtype=bool), np.zeros(parts, dtype=np.float32)
+        """The parts that are present in a state, and their shares."""
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float32]:
         """See `Guide`."""
@@ -99,18 +101,21 @@ class SupportGuide:
         return edge_rows(self._pairs, self._boundary)
 
     def _supports(self, states: States) -> NDArray[np.float32]:
-        """Return the shares of all parts; states of a level mostly differ from the first near a few parts only."""
+        """Return the shares of all parts; states mostly differ from the first of the call before in a few parts only."""
         batch, parts = states.shape
         present = np.zeros((batch, parts + 1), dtype=bool)
         present[:, :-1] = states != REMOVED
-        every = np.arange(parts)
-        rows, changed = np.nonzero(present != present[:1])
+        reference, known = self._before
+        rows, changed = np.divmod(np.flatnonzero(present != reference), parts + 1)
         if len(rows) * self._other.shape[1] > states.size:
-            return self._support(present, np.arange(batch)[:, None], every)
-        support = np.repeat(self._support(present, np.zeros((1, 1), dtype=np.int64), every), batch, axis=0)
-        near = self._other[changed]
-        rows, near = np.broadcast_to(rows[:, None], near.shape)[near < parts], near[near < parts]
-        support[rows, near] = self._support(present, rows, near)
+            support = self._support(present, np.arange(batch)[:, None], np.arange(parts))
+        else:
+            support = np.repeat(known[None], batch, axis=0)
+            near = self._other[changed]
+            rows, near = np.broadcast_to(rows[:, None], near.shape)[near < parts], near[near < parts]
+            support[rows, near] = self._support(present, rows, near)
+        if batch:
+            self._before = present[0], support[0].copy()
         return support
 
     def _support(self, present: Mask, rows: NDArray[np.int64], parts: NDArray[np.int64]) -> NDArray[np.float32]:

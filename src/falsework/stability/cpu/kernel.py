@@ -127,7 +127,8 @@ def solve_state(structure, state, options, work, forces, velocity, warm):
     Args:
         structure, options, work: `KernelArrays`, `Options` and `Scratch`.
         state: shape (parts,).
-        forces: in: initial contact forces in N where `warm`; out: the forces. Shape (points, 3) or (0, 3).
+        forces: in: initial contact forces in N where `warm`; out: the forces, those between parts that cannot move as
+            they were. Shape (points, 3) or (0, 3).
         velocity: out: the virtual velocity, zero where parts do not move, shape (parts, 6) or (0, 6).
         warm: whether `forces` holds an initial guess.
 
@@ -151,7 +152,6 @@ def solve_state(structure, state, options, work, forces, velocity, warm):
             verdict, residual, steps = run_interior(structure, work, pairs, options)
             iterations += steps
     if len(forces):
-        forces[:] = 0.0
         store_forces(structure, work, pairs, forces)
     if len(velocity):
         velocity[:] = 0.0

@@ -5,7 +5,8 @@ mostly near by. So keep the forces outside a region around the change, take thos
 the parts inside: the work of a few parts however large the structure is. Forces inside cannot change what the loads sum
 up to, so the weight of a part that is let go of has to reach a support: a region that fails is followed by one along
 the shortest way to a support, and this one extends over its border where it would press most, until it is balanced or
-has more than half of the parts. Failure proves nothing, since forces may have to change elsewhere.
+has more than half of the parts. The last region has all free parts that contacts between free parts join to the change:
+forces elsewhere are in balance whatever happens there. Failure proves nothing, since steps may get stuck.
 """
 
 from __future__ import annotations
@@ -111,13 +112,13 @@ def _accept_forces(structure, state, options, residual, forces):
 
 
 @njit(cache=True)
-def _balance(structure, work, pairs, options, interior, level, forces):
+def _balance(structure, work, pairs, options, interior, level, patient, forces):
     """Balance forces on the parts in `work` from known ones, in N; return the verdict and iterations."""
     if pairs == 0:  # nothing touches the parts, so no force can balance them
         return UNDECIDED, 0
     if interior:
         load_forces(structure, work, pairs, forces, work.z)
-        return run_centring(structure, work, pairs, options, level)
+        return run_centring(structure, work, pairs, options, level, patient)
     load_forces(structure, work, pairs, forces, work.u)
     if not factor_admm(structure, work, pairs, options.rho):
         return UNDECIDED, 0
@@ -127,7 +128,7 @@ def _balance(structure, work, pairs, options, interior, level, forces):
 
 @njit(cache=True)
 def repair_state(structure, state, parent, reach, interior, options, work, near, forces):
-    """Balance a state with forces of its parent that change only near their difference, else everywhere.
+    """Balance a state with forces of its parent that change only near their difference, else as far as they are joined.
 
     Args:
         structure, options, work: `KernelArrays`, `Options` and `Scratch`.
@@ -152,7 +153,9 @@ def repair_state(structure, state, parent, reach, interior, options, work, near,
     local = reach > 0 and kept > 0
     while True:
         local = local and 2 * kept <= free
-        if not local:
+        if not local and reach > 0:
+            freeze_outside_ball(structure, state, parent, len(state), near)
+        elif not local:
             for part in range(len(state)):  # assigning the array would need what portable code has not
                 near[part] = state[part]
         pairs, _ = restrict(structure, near, work)
@@ -160,7 +163,7 @@ def repair_state(structure, state, parent, reach, interior, options, work, near,
         if local:
             pairs, grounded = _keep_border(structure, state, near, work, pairs, forces)
         if grounded:
-            verdict, iterations = _balance(structure, work, pairs, options, interior, level, forces)
+            verdict, iterations = _balance(structure, work, pairs, options, interior, level, not local, forces)
             spent += iterations
             if verdict == STABLE:
                 store_forces(structure, work, pairs, forces)

@@ -13,7 +13,7 @@ from falsework.stability.cpu.kernel import solve_range
 from falsework.stability.cpu.layout import COMPILED_LAYOUT, build_structure
 from falsework.stability.cpu.neighbourhood import REACH, local_instability_range
 from falsework.stability.cpu.repair import repair_range
-from falsework.stability.cpu.termination import Options
+from falsework.stability.cpu.termination import UNDECIDED, Options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import EQUILIBRIUM, StabilitySettings
 from falsework.stability.strength import SMOOTH
@@ -70,8 +70,9 @@ class CpuSolver:
 
     It decides batches of states of one structure with compiled code. Attempts follow each other in the order of their
     work; each stops at the first proof. With a state near by: a mechanism near the difference (`neighbourhood.py`),
-    then forces that change in a region that is extended, then everywhere (`repair.py`). Then, and without one, ADMM on
-    the whole with one sparse factorisation per state, and an interior point method (`docs/decisions/cpu-solver.md`).
+    then forces that change in a region that is extended to all that contacts join to it (`repair.py`). Then on these
+    parts, and without a state near by on all, ADMM with one sparse factorisation per state, and an interior point
+    method (`docs/decisions/cpu-solver.md`).
     What they leave undecided is up to the exact solver.
     """
 
@@ -179,6 +180,10 @@ class CpuSolver:
                 self.structure, chosen, origins[rows], REACH, options, motion, *tail
             ):
                 return
+            apart = known[rows] & (verdicts.verdict[rows] == UNDECIDED)
+            if apart.any():
+                chosen = chosen.copy()
+                chosen[apart] = problem.hold_apart(chosen[apart], origins[rows][apart])
             solve_range(self.structure, chosen, options, force, motion, False, *tail)
 
         self._workers.run(work, batch)
