@@ -13,8 +13,8 @@ import pytest
 from numpy.typing import NDArray
 
 from falsework import Assembly, StabilityOracle, Task, Verdict, load_structure
+from falsework.geometry.clearance.protocol import Clearance
 from falsework.search import Oracle
-from falsework.search.problem.ways_out import Clearance
 from falsework.stability import Proof, Verdicts
 
 State = tuple[int, ...]

@@ -32,7 +32,7 @@ from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.library.voxels import grow_pieces, surface
 from falsework.errors import InputError, PlanError, StateError
 from falsework.geometry import TriangleMesh
-from falsework.geometry.paths.moves import PathMove, apply
+from falsework.geometry.clearance.moves import PathMove, apply
 from falsework.interop.instruction_table import instructions_csv
 from falsework.interop.tracks import tracks_of
 from falsework.robots import RobotPlan
@@ -215,7 +215,9 @@ def test_pictures_and_files_of_other_programs_show_the_way(plan: Plan, drawer: A
     at_corner = appearance_at(timeline, 1.0 - 2.0 * up.distance / length).shift[0] if length > 2 * up.distance else None
     assert at_corner is not None
     np.testing.assert_allclose(at_corner, [0.0, 0.0, up.distance], atol=1e-9)
-    np.testing.assert_allclose(timeline.displacement(0, 1.0, far)[:3, 3], [min(out.distance, far), 0.0, up.distance])
+    np.testing.assert_allclose(
+        timeline.displacements(0, 1.0, far)[0][:3, 3], [min(out.distance, far), 0.0, up.distance]
+    )
     path = tracks_of(plan, assembly).tracks[0].path
     np.testing.assert_allclose(
         [place for _, place in path], [[out.distance, 0, up.distance], [0, 0, up.distance], [0] * 3]

@@ -368,7 +368,9 @@ class MakePlan(Command):
         for step, path in zip(first, first.exit_paths, strict=False):
             if path:
                 moves = counted(len(path), "move")
-                output.say(f"step {step.number} inserts {step.name} in {moves}: {describe_path(path)}")
+                output.say(
+                    f"step {step.number} inserts {step.name} in {moves}: {describe_path(path, first.part_names)}"
+                )
         for prop in first.props:
             place = ", ".join(f"{value:.3f}" for value in prop.at)
             name = first.part_names[prop.part]

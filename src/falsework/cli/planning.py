@@ -85,7 +85,7 @@ class RuleOptions(PartRuleOptions):
 class ExitOptions:
     """How parts may leave."""
 
-    rare: ClassVar[tuple[str, ...]] = ("moves", "turns")
+    rare: ClassVar[tuple[str, ...]] = ("moves", "turns", "waiting")
 
     parts_at_once: Annotated[int, arg(metavar="K")] = 1
     """Largest number of parts that one step may insert: parts that lock each other, each held by a robot of its own, or
@@ -95,10 +95,18 @@ class ExitOptions:
     exit. Other parts that robots hold may move aside meanwhile. More than 1 implies --removable-only-if-clear."""
     turns: bool = False
     """Let a part that leaves also turn, or screw, as one of its --moves. Implies --removable-only-if-clear."""
+    waiting: bool = False
+    """Let robots also carry aside parts that they do not hold, and let go of a part half way out, where what waits
+    stands. Needs --moves above 1."""
 
     def exits(self) -> ExitRules:
         """Return these options as rules."""
-        return {"parts_at_once": self.parts_at_once, "moves": self.moves, "turns": self.turns}
+        return {
+            "parts_at_once": self.parts_at_once,
+            "moves": self.moves,
+            "turns": self.turns,
+            "waiting": self.waiting,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError, PlanError
-from falsework.geometry.paths.moves import ExitPath
+from falsework.geometry.clearance.moves import ExitPath
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import NO_ROBOT, Action, name_together
 from falsework.stability.holds import Press
 from falsework.utils.files.formats import Exporter, writer_of
-from falsework.utils.quantity import format_number, format_quantity
+from falsework.utils.quantity import format_number, format_quantity, listed
 from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ class AssemblyInstructions:
         """Describe from where the parts of a step come in; empty for a release."""
         moves = self.timeline.path_of(step.parts[0]) if step.place else ()
         if moves:
-            return describe_path(moves)
+            return describe_path(moves, self.assembly.names)
         words = dict.fromkeys(describe_motion(way) for way in step.directions) if step.directions is not None else {}
         return "; ".join(words)
 
@@ -188,14 +188,23 @@ def describe_motion(way: NDArray[np.float64]) -> str:
     return f"from {' and '.join(sides)}" if sides else "straight in"
 
 
-def describe_path(path: ExitPath) -> str:
-    """Describe how a part comes in that undoes an exit path, such as `from +x, then from above`."""
-    words = []
+def describe_path(path: ExitPath, names: Sequence[str]) -> str:
+    """Describe how a part comes in that undoes an exit path, such as `from +x, then from above, with bar-2 aside`.
+
+    Args:
+        path: moves in which it leaves.
+        names: of all parts.
+    """
+    words, part = [], path[-1].parts[0]
+    aside = sorted({one for move in path for one in move.parts} - {part})
     for move in reversed(path):
+        if part not in move.parts:
+            continue
         turn = f"turning by {abs(np.degrees(move.angle)):.0f}°" if move.turns else ""
         shift = describe_motion(-np.array(move.direction)) if move.distance else ""
         words.append(", ".join(filter(None, (shift, turn))))
-    return ", then ".join(words)
+    described = ", then ".join(words)
+    return f"{described}, with {listed([names[one] for one in aside])} aside" if aside else described
 
 
 def instructions_csv(sheet: AssemblyInstructions) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError, PlanError
-from falsework.geometry.paths.moves import ExitPath
+from falsework.geometry.clearance.moves import ExitPath, way_back
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.plans.steps import NO_ROBOT, moved_parts
 from falsework.viewer.appearance import diagonal
@@ -100,7 +100,8 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
         if plan.exit_paths and plan.exit_paths[step]:
             shown[moved[0]].append((begin, True))
             holder[moved[0]].append((begin, int(robots[step + 1, moved[0]])))
-            path[moved[0]] += _way_in(plan.exit_paths[step], begin, end)
+            for part, keys in _ways_in(plan.exit_paths[step], begin, end).items():
+                path[part] += keys
             continue
         ways = exit_directions(assembly, plan.states[step if leaves else step + 1], moved)
         for part, way in zip(moved, reach * ways, strict=True):
@@ -117,20 +118,25 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
     return Tracks(tuple(tracks), len(plan) * step_seconds)
 
 
-def _way_in(moves: ExitPath, begin: float, end: float) -> list[tuple[float, tuple[float, float, float]]]:
-    """Return the keys of a part that comes in by the moves of its way out, undone, at one speed.
+def _ways_in(way: ExitPath, begin: float, end: float) -> dict[int, list[tuple[float, tuple[float, float, float]]]]:
+    """Return the keys of the parts that move as one comes in by the moves of its way out, undone, at one speed.
 
     Raises:
-        PlanError: one of them turns the part.
+        PlanError: one of them turns.
     """
-    if any(move.turns for move in moves):
+    if any(move.turns for move in way):
         raise PlanError("a part turns on its way in, which these files cannot show; make a picture or a recording")
-    stops, done = [np.zeros(3)], [0.0]
-    for move in moves:
-        stops.append(stops[-1] + move.distance * np.array(move.direction))
-        done.append(done[-1] + move.distance)
-    times = [end - (end - begin) * length / done[-1] for length in done]
-    return [(time, _triple(stop)) for time, stop in zip(times[::-1], stops[::-1], strict=True)]
+    moves = (*way, *way_back(way, way[-1].parts[0]))
+    done = np.concatenate([[0.0], np.cumsum([move.distance for move in moves])])
+    keys = {}
+    for part in {part for move in moves for part in move.parts}:
+        shifts = [(part in move.parts) * move.distance * np.array(move.direction) for move in moves]
+        stops = np.concatenate([np.zeros((1, 3)), np.cumsum(shifts, axis=0)])
+        times = end - (end - begin) * done / done[-1]
+        keys[part] = [(float(time), _triple(stop)) for time, stop in zip(times[::-1], stops[::-1], strict=True)]
+        if part == way[-1].parts[0]:
+            keys[part] = keys[part][len(moves) - len(way) :]
+    return keys
 
 
 def _clean(keys: list[tuple[float, Value]]) -> tuple[tuple[float, Value], ...]:

@@ -82,4 +82,5 @@ class ExecutedSteps:
         ways = (*ways, *(whole.exit_paths or ((),) * len(whole))[self.steps :])
         turns = any(move.turns for way in ways for move in way)
         moves = max(self.plan.moves, whole.moves)
-        return replace(whole, exit_paths=ways, moves=moves, turns=turns) if any(ways) else whole
+        waiting = self.plan.waiting or whole.waiting
+        return replace(whole, exit_paths=ways, moves=moves, turns=turns, waiting=waiting) if any(ways) else whole

@@ -62,12 +62,14 @@ class Request:
     removable_only_if_clear: bool = False
     """Move a part only if it has a collision-free straight path in or out."""
     parts_at_once: int = 1
-    """Parts that a step may move at most, where they lock each other; see `TaskRules`. As for the next two, what the
+    """Parts that a step may move at most, where they lock each other; see `TaskRules`. As for the next three, what the
     plan that is carried out allows is allowed from now on, too."""
     moves: int = 1
     """Moves in which a part leaves at most, where it has no straight way out."""
     turns: bool = False
     """Whether the part that leaves may also turn, and screw."""
+    waiting: bool = False
+    """Whether parts may wait half way out, standing without a robot."""
     confidences: bool = False
     """Return the action probabilities of the policy in every state of the plan."""
 
@@ -177,11 +179,17 @@ class Request:
         """Return how parts may leave: as the request says, and as the plan that is carried out does."""
         plan = self.plan
         if plan is None:
-            return {"parts_at_once": self.parts_at_once, "moves": self.moves, "turns": self.turns}
+            return {
+                "parts_at_once": self.parts_at_once,
+                "moves": self.moves,
+                "turns": self.turns,
+                "waiting": self.waiting,
+            }
         return {
             "parts_at_once": max(self.parts_at_once, plan.parts_at_once),
             "moves": max(self.moves, plan.moves),
             "turns": self.turns or plan.turns,
+            "waiting": self.waiting or plan.waiting,
         }
 
     def _props_at_once(self, state: States, assembly: Assembly) -> int:

@@ -18,6 +18,7 @@ from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.props import keep_props, without_props
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
+from falsework.geometry.clearance.protocol import Clearance
 from falsework.search.backend import Backend, beams_on
 from falsework.search.margins.demands import MarginOracle
 from falsework.search.margins.plan_margins import PlanMargins
@@ -43,10 +44,10 @@ from falsework.search.problem.result import (
 )
 from falsework.search.problem.task import Task
 from falsework.search.problem.timed_oracle import timed
-from falsework.search.problem.ways_out import Clearance
 from falsework.search.settings import PlannerSettings
 from falsework.search.task_rules import TaskRules
 from falsework.search.together.moves import graph_with_sets
+from falsework.search.together.posed_states import PosedStates
 from falsework.search.together.rule import InterlockedSets
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
@@ -196,6 +197,7 @@ def make_task(
     parts_at_once: int = 1,
     moves: int = 1,
     turns: bool = False,
+    waiting: bool = False,
 ) -> Task:
     """Return the task of disassembling a structure; see `TaskRules` for the rules.
 
@@ -212,7 +214,7 @@ def make_task(
         )
     start, target = (without_props(state, assembly) for state in (start, target))
     together = None if parts_at_once == 1 else InterlockedSets(assembly, parts_at_once)
-    clear = removable_only_if_clear or together is not None or moves != 1 or turns
+    clear = removable_only_if_clear or together is not None or moves != 1 or turns or waiting
     untouched = part_ids(fixed, assembly.names, "fixed")
     return Task.from_rules(
         assembly.boundary,
@@ -221,7 +223,7 @@ def make_task(
         target=target,
         fixed=untouched,
         missing=part_ids(missing, assembly.names, "missing"),
-        clearance=_clearance(assembly, moves, untouched, turns=turns) if clear else None,
+        clearance=_clearance(assembly, moves, untouched, turns=turns, waiting=waiting) if clear else None,
         contacts=assembly.contacts.parts,
         identity=assembly.identity,
         allow_regrasp=allow_regrasp,
@@ -231,8 +233,10 @@ def make_task(
     )
 
 
-def _clearance(assembly: Assembly, moves: int, fixed: Sequence[int], *, turns: bool) -> Clearance:
+def _clearance(assembly: Assembly, moves: int, fixed: Sequence[int], *, turns: bool, waiting: bool) -> Clearance:
     """Return the clearance of parts that leave in up to some number of moves."""
+    if waiting and moves == 1:
+        raise InputError("a part waits half way out only on a way of several moves; give moves (--moves) above 1")
     if moves == 1 and not turns:
         return assembly.clearance
     from falsework.geometry.paths.exit_paths import ExitPaths  # few tasks need it
@@ -240,7 +244,8 @@ def _clearance(assembly: Assembly, moves: int, fixed: Sequence[int], *, turns: b
     still = assembly.immovable.copy()
     still[list(fixed)] = True
     meshes, contacts = assembly.meshes, assembly.contacts
-    return ExitPaths(meshes, contacts, assembly.clearance, assembly.part_motions, still, moves, turns)
+    posed = PosedStates(assembly) if waiting else None
+    return ExitPaths(meshes, contacts, assembly.clearance, assembly.part_motions, still, moves, turns, posed)
 
 
 def prove_route(

@@ -20,6 +20,9 @@ class ExitRules(TypedDict, total=False):
     turns: bool
     """Whether the part that leaves may also turn about an axis, and screw; a turn counts as a move. Implies
     `removable_only_if_clear`."""
+    waiting: bool
+    """Whether parts that no robot holds may be carried aside meanwhile, or the part that leaves be let go of half way
+    out, where what waits stands; needs `moves` above 1."""
 
 
 class TaskRules(ExitRules, total=False):

@@ -96,8 +96,8 @@ def appearance_at(
         for part in np.flatnonzero(leaving):
             share = float(gone[part]) / FADE
             opacity[part] = 1 - share
-            pose = timeline.displacement(int(part), share, far)
-            turn[part], shift[part] = pose[:3, :3], pose[:3, 3]
+            for one, pose in timeline.displacements(int(part), share, far).items():
+                turn[one], shift[one] = pose[:3, :3], pose[:3, 3]
             last = int(timeline.holders[timeline.insertion[part], part])
             if last != NO_ROBOT:
                 color[part] = rgb(robot_color(last))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.state import REMOVED, States, as_states
-from falsework.geometry.paths.moves import ExitPath, on_the_way
+from falsework.geometry.clearance.moves import ExitPath, PathMove, on_the_way, part_way
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.plans.steps import NO_ROBOT, PlanStep, holders, moved_parts, steps_of, undone
 from falsework.search.problem.task import Direction
@@ -221,17 +221,27 @@ class Timeline:
         step = int(self.insertion[part])
         return self.exit_paths[step - 1] if self.exit_paths and step > 0 else ()
 
-    def displacement(self, part: int, share: float, far: float) -> Array:
-        """Return where a part is after a share of its way out, which ends so many metres along its last move.
+    def displacements(self, part: int, share: float, far: float) -> dict[int, Array]:
+        """Return where a part, and those that move aside for it, are after a share of its way out.
+
+        The last move of the part is shown for so many metres at most; then the others go back.
 
         Returns:
-            Displacement from its place, shape (4, 4).
+            Displacements from their places, shape (4, 4) each, by part.
         """
-        if self.path_of(part):
-            return on_the_way(self.path_of(part), self.assembly.meshes[part].vertices, share, far)
+        path = self.path_of(part)
+        if path:
+            if (part, far) not in self._shown:
+                self._shown[part, far] = on_the_way(path, lambda one: self.assembly.meshes[one].vertices, far)
+            return {part: np.eye(4), **part_way(self._shown[part, far], share)}
         matrix = np.eye(4)
         matrix[:3, 3] = far * share * self.exit_directions[part]
-        return matrix
+        return {part: matrix}
+
+    @cached_property
+    def _shown(self) -> dict[tuple[int, float], list[tuple[float, PathMove]]]:
+        """Ways as they are shown, by part and length of the last move."""
+        return {}
 
     def held_when(self, part: int) -> list[tuple[int, int, int]]:
         """Return robot, first and last state of every time that the part is held."""

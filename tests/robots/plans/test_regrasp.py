@@ -15,6 +15,7 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 from falsework import Assembly, Direction, Outcome, Task, Verdict, plan_robots
 from falsework.assembly import HELD, INSTALLED, REMOVED, complete_state
 from falsework.errors import InputError, PlanError, StateError
+from falsework.geometry.clearance.protocol import Clearance
 from falsework.robots import Cell, HybridSettings, KeyframeGraph, Obstacle, RobotPlan, export_plan, nodes_of
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.exports.commands import Begin, Grip, Wait, commands_of
@@ -31,7 +32,6 @@ from falsework.robots.plans.timeline import arm_shares, bars_of, event_times
 from falsework.search import Oracle
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.result import Route
-from falsework.search.problem.ways_out import Clearance
 from falsework.stability import Verdicts
 from tests.robots.plans.orders import APART
 from tests.robots.plans.sunk_cubes import FAR, NEAR, begin, cubes, make_task, planned

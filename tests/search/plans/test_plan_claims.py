@@ -206,6 +206,7 @@ LISTED: dict[str, Callable[[Plan, Plan, PlanReport], bool]] = {
     ),
     "rules.moves": lambda old, new, report: report.about is not None and report.about.moves <= new.moves,
     "rules.turns": lambda old, new, report: new.turns,
+    "rules.waiting": lambda old, new, report: new.waiting,
     "steps.exit_path": lambda old, new, report: True,
     "stability.stiffness_ratio": lambda old, new, report: report.claim.criterion == "equilibrium",
     "stability.tolerance": lambda old, new, report: f"its tolerance {new.claim.tolerance:g}" in report.unverified,

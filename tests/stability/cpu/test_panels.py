@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from falsework import load_structure
-from falsework.stability.cpu.elimination import lay_out_panels
+from falsework.stability.cpu.elimination import eliminate, lay_out_panels
 from falsework.stability.cpu.layout import KernelArrays, build_structure, make_scratch
 from falsework.stability.cpu.panels import factor_panels, solve_panels
 from falsework.stability.problem import build_problem

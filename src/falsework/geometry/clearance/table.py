@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from falsework.errors import InputError
 from falsework.geometry.clearance.directions import exit_directions
 from falsework.geometry.clearance.exhaustive_directions import all_exits
+from falsework.geometry.clearance.protocol import Clearance
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -21,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class ClearanceTable:
+class ClearanceTable(Clearance):
     """Exit directions of every part, each with the set of parts that block it.
 
     A direction whose blockers include all blockers of another direction of the same part is omitted, because
@@ -41,24 +42,6 @@ class ClearanceTable:
     """Parts for which every direction was proved to be no better than a listed one, shape (parts,)."""
     sampled: int
     """Directions that were tried for each of the other parts."""
-
-    @property
-    def moves(self) -> int:
-        """Moves of a way out."""
-        return 1
-
-    @property
-    def turns(self) -> bool:
-        """Whether parts that leave turn."""
-        return False
-
-    def judged_by(self, oracle: object) -> ClearanceTable:
-        """Return the same clearance: straight ways do not depend on what stands."""
-        return self
-
-    def exit_path(self, state: NDArray[np.uint8], part: int) -> tuple[()] | None:
-        """Return no moves, which is a straight way, or None if there is none; see `ExitPaths.exit_path`."""
-        return () if self._first_exits(np.asarray(state)[None])[0, part] >= 0 else None
 
     def can_leave(self, states: NDArray[np.uint8]) -> NDArray[np.bool_]:
         """Return whether each part has a straight exit past the parts that are present.

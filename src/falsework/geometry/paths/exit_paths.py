@@ -8,23 +8,21 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.geometry.clearance.first_motions import can_begin_to_move
+from falsework.geometry.clearance.moves import MOST_MOVES, ExitPath, after
+from falsework.geometry.clearance.protocol import Clearance, Mask, States
 from falsework.geometry.clearance.table import ClearanceTable
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.paths.motions import PartMotions
-from falsework.geometry.paths.moves import MOST_MOVES, ExitPath, after
 from falsework.geometry.paths.path_search import PathSearch
+from falsework.geometry.paths.waiting import HELD, PosedStability, hands_free, has_hands, loose_parts, stages
 from falsework.utils.bits import Words, pack
 
-Mask = NDArray[np.bool_]
-States = NDArray[np.uint8]
-
-HELD = 2
-"""Value of a part in a state that a robot holds."""
+_WAITING = 8
+"""Parts that may wait half way out while one leaves, at most."""
 
 
 class StandsOracle(Protocol):
@@ -35,13 +33,16 @@ class StandsOracle(Protocol):
         ...
 
 
-class ExitPaths:
+class ExitPaths(Clearance):
     """Ways out of parts in up to some number of moves; each is searched for when first asked for, and kept.
 
     A part that has a straight way out takes that (`ClearanceTable`). Otherwise it may leave in several moves, and other
     parts that robots hold in the same state may move aside meanwhile, and back when it is out. Robots carry parts all
     along: on its way a part touches others, but nothing bears on it. So the state must stand without all parts of the
     way, too.
+
+    Where parts may wait, those that block a part, and what blocks these, may also be carried aside by a robot that
+    holds nothing else and stand there meanwhile, and so may the part. What has to stand then says `stages`.
 
     Ways are kept with what blocks them, and searches without a result with parts that suffice for that: past these and
     more there is no way either.
@@ -56,7 +57,7 @@ class ExitPaths:
         fixed: Mask,
         moves: int,
         turns: bool,
-        oracle: StandsOracle | None = None,
+        waiting: PosedStability | None = None,
     ) -> None:
         """Take a structure.
 
@@ -68,7 +69,7 @@ class ExitPaths:
             fixed: parts that never move, shape (parts,).
             moves: moves of a way out at most.
             turns: whether parts that leave may also turn, and screw.
-            oracle: says which states stand; without one all do.
+            waiting: judges states in which parts wait half way out; without it none do.
 
         Raises:
             InputError: no number of moves from 1 to 100.
@@ -76,30 +77,39 @@ class ExitPaths:
         if not (isinstance(moves, int | np.integer) and 1 <= moves <= MOST_MOVES):
             raise InputError(f"{moves} is not a number of moves of a way out; give 1 (one move) to {MOST_MOVES}")
         self._meshes, self._contacts, self._straight, self._motions = meshes, contacts, straight, motions
-        self._fixed, self.moves, self.turns, self._oracle = fixed, int(moves), turns, oracle
+        self._fixed, self.moves, self.turns, self._posed = fixed, int(moves), turns, waiting
+        self.waiting = waiting is not None
+        self._oracle: StandsOracle | None = None
+        self._robots = 1
         self._ways: dict[int, list[_KeptWay]] = {}
         self._closed: dict[int, list[_Closed]] = {}
+        self._waited: dict[tuple[int, bytes], ExitPath | None] = {}
         self._stands: dict[bytes, bool] = {}
         self._undecided = 0
 
-    def __reduce__(self) -> tuple[type[ExitPaths], tuple[Any, ...]]:
+    def __reduce__(self) -> tuple[Any, ...]:
         """Pickle what it is made of; what was found is found again."""
         given = self._meshes, self._contacts, self._straight, self._motions, self._fixed, self.moves, self.turns
-        return ExitPaths, (*given, self._oracle)
+        return ExitPaths, (*given, self._posed), {"_oracle": self._oracle, "_robots": self._robots}
 
-    def judged_by(self, oracle: StandsOracle) -> ExitPaths:
-        """Return the same ways out, where parts may move aside only if an oracle says that the rest stands."""
-        if self._oracle is oracle:
+    def judged_by(self, oracle: StandsOracle, robots: int) -> ExitPaths:
+        """Return the same ways out, where parts may move aside only if an oracle says that the rest stands.
+
+        Args:
+            oracle: says which states stand; without one all do.
+            robots: parts that they hold or carry at a time.
+        """
+        if self._oracle is oracle and self._robots == robots:
             return self
         new = copy(self)
-        new._oracle, new._ways, new._closed = oracle, self._ways, self._closed
+        new._oracle, new._robots, new._waited, new._stands = oracle, robots, {}, {}
         return new
 
     def can_leave(self, states: States) -> Mask:
         """Return whether each part has a way out past the parts that are present; as `ClearanceTable.can_leave`."""
         found = self._straight.can_leave(states)
         for row, part in np.argwhere(~found & ~self._fixed).tolist():
-            found[row, part] = self._search(states[row], part) is not None
+            found[row, part] = self._way(states[row], part) is not None
         return found
 
     def exit_path(self, state: States, part: int) -> ExitPath | None:
@@ -112,7 +122,7 @@ class ExitPaths:
             return ()
         if self._fixed[part]:
             return None
-        return self._search(np.asarray(state), part)
+        return self._way(np.asarray(state), part)
 
     def caveat(self, parts: Mask) -> str:
         """Explain why some of the parts, shape (parts,), may have ways that were not found; empty if none can."""
@@ -123,6 +133,11 @@ class ExitPaths:
                 f"of {self._undecided} states in which parts would move aside it is not proven that they fall; a way "
                 "may be free"
             )
+        if self.waiting and (~self._fixed).sum() > 1:
+            return (
+                f"parts were tried half way out where they block another, up to {_WAITING} at a time and "
+                f"{self.moves} moves; others may help"
+            )
         if not unsure:
             return ""
         kinds = ("straight moves", "straight moves and turns")[self.turns]
@@ -130,6 +145,54 @@ class ExitPaths:
             f"for {len(unsure)} parts, {self._meshes[unsure[0]].name} the first, ways out of up to {self.moves} "
             f"{kinds} were sought along the faces and edges of parts, and none was found; others may be free"
         )
+
+    def _way(self, state: States, part: int) -> ExitPath | None:
+        """Return a way on which nothing waits, else one on which others or the part do, if they may; else None."""
+        found = self._search(state, part)
+        if found is not None or self._posed is None:
+            return found
+        state = state.copy()
+        state[part] = HELD
+        if (part, state.tobytes()) not in self._waited:
+            self._waited[part, state.tobytes()] = self._search_waiting(state, part, self._posed)
+        return self._waited[part, state.tobytes()]
+
+    def _search_waiting(self, state: States, part: int, posed: PosedStability) -> ExitPath | None:
+        """Search for a way on which parts that no robot holds wait aside.
+
+        These are parts that block others of the way, beginning with the part that leaves.
+        """
+        spare = hands_free(state, part, self._robots, posed.immovable)
+        if spare < 0:
+            return None
+        held = (state == HELD) & ~self._fixed
+        able = (state > 0) & ~self._fixed & ~held
+
+        def stands(way: ExitPath, out: bool) -> bool:
+            if self._oracle is None or not loose_parts(way, state, part):
+                return True
+            return all(posed.stands(self._oracle, *stage) for stage in stages(way, state, part, spare, out=out))
+
+        aside = self._touched(part) & able
+        while True:
+            movable = held | aside
+            movable[part] = False
+            search = PathSearch(
+                self._motions,
+                part,
+                (state > 0) & ~held & ~aside,
+                tuple(np.flatnonzero(movable).tolist()),
+                carried=lambda parts: has_hands(parts, state, part, spare),
+                stands=stands,
+            )
+            found = search.run(self.moves, turns=self.turns)
+            if found.way is not None:
+                loose = bool(loose_parts(found.way, state, part))
+                return found.way if loose or self._rest_stands(state, found.way) else None
+            more = np.flatnonzero(found.walls & able & ~aside)[: _WAITING - int(aside.sum())]
+            if not len(more):
+                return None
+            aside[more] = True
 
     def _search(self, state: States, part: int) -> ExitPath | None:
         present, held = state > 0, (state == HELD) & ~self._fixed

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.clearance.moves import PathMove, Poses, after, apply
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.paths.hulls import first_hits, near_order, swept
-from falsework.geometry.paths.moves import PathMove, Poses, after, apply
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.clearance.moves import ExitPath, PathMove, apply
 from falsework.geometry.paths.motions import PartMotions
-from falsework.geometry.paths.moves import ExitPath, PathMove, apply
 from falsework.geometry.paths.straight_moves import Parts, StraightMoves
 from falsework.geometry.paths.turning_moves import TurningMoves
 
@@ -57,7 +57,16 @@ class PathSearch:
     move aside go back as they came, which is free since the way there was.
     """
 
-    def __init__(self, motions: PartMotions, part: int, rest: Mask, aside: Parts = ()) -> None:
+    def __init__(
+        self,
+        motions: PartMotions,
+        part: int,
+        rest: Mask,
+        aside: Parts = (),
+        *,
+        carried: Callable[[Parts], bool] = lambda parts: True,
+        stands: Callable[[ExitPath, bool], bool] = lambda way, out: True,
+    ) -> None:
         """Take a structure.
 
         Args:
@@ -65,7 +74,10 @@ class PathSearch:
             part: the part that leaves.
             rest: parts that are there and do not move, shape (parts,).
             aside: parts that are there and may move aside.
+            carried: whether robots can carry some parts as one body.
+            stands: whether everything stands along a way, and, if the part is out, until others are back in place.
         """
+        self._carried, self._stands = carried, stands
         self._motions, self._part, self._movable = motions, part, (part, *aside)
         every = np.ones(len(rest), dtype=bool)
         self._homes = motions.bounds(every), motions.bounds(np.arange(len(rest)) != part)
@@ -93,13 +105,13 @@ class PathSearch:
                     return Found(None, straight.walls, False)
                 turned = [node.then(move) for move in self._turns(node)] if turns and node.touches else []
                 for following in turned:
-                    if self._is_out(following):
+                    if self._is_out(following) and self._stands(following.way, True):
                         return Found(following.way, straight.walls, False)
                 begun = list(self._begun(node))
                 for direction, parts in begun:
                     if parts == (self._part,):
                         move = straight.move(parts, direction, self._length(node, parts, direction))
-                        if straight.free(move, node.poses):
+                        if straight.free(move, node.poses) and self._stands((*node.way, move), True):
                             return Found((*node.way, move), straight.walls, False)
                 for direction, parts in begun if number + 1 < moves else ():
                     most = self._length(node, parts, direction)
@@ -108,7 +120,7 @@ class PathSearch:
                         move = straight.move(parts, direction, distance)
                         turned.append(node.then(move, touches=distance == distances[-1]))
                 for following in turned if number + 1 < moves else ():
-                    if self._key(following) not in seen:
+                    if self._key(following) not in seen and self._stands(following.way, False):
                         seen.add(self._key(following))
                         reached.append(following)
             front = reached
@@ -141,7 +153,7 @@ class PathSearch:
         for direction in self._straight.directions(node.poses):
             again = last is not None and abs(direction @ np.array(last.direction)) > 1.0 - 1e-9
             for parts in self._straight.beginnings(node.poses, direction):
-                if last is None or not (again and parts == last.parts):
+                if (last is None or not (again and parts == last.parts)) and self._carried(parts):
                     yield direction, parts
 
     def _length(self, node: _Node, parts: Parts, direction: Array) -> float:

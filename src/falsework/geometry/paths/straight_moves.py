@@ -8,8 +8,8 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.clearance.moves import PathMove, Poses, apply
 from falsework.geometry.paths.motions import PartMotions
-from falsework.geometry.paths.moves import PathMove, Poses, apply
 from falsework.geometry.paths.stops import face_normals, levels, slides
 
 Array = NDArray[np.float64]

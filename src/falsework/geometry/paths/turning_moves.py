@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.clearance.moves import PathMove, Poses, apply
 from falsework.geometry.paths.axes import Axis, axes_of
 from falsework.geometry.paths.motions import PartMotions
-from falsework.geometry.paths.moves import PathMove, Poses, apply
 from falsework.geometry.paths.stops import face_normals
 
 Array = NDArray[np.float64]

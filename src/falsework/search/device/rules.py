@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, as_states, held_count
 from falsework.errors import StateError
+from falsework.geometry.clearance.protocol import Clearance
 from falsework.geometry.clearance.table import ClearanceTable
 from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.task import STAGE, Direction, Task
-from falsework.search.problem.ways_out import Clearance
 from falsework.utils.bits import unpack
 from falsework.utils.quantity import counted
 from falsework.utils.tensors import choose_device, import_torch, put

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from falsework.assembly.assembly_model import Count, Prop
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
 from falsework.errors import PlanError
-from falsework.geometry.paths.moves import ExitPath
+from falsework.geometry.clearance.moves import ExitPath
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.steps import PlanStep, holders, inserts_several, steps_of, undone
@@ -127,6 +127,8 @@ class Plan(Displayed):
     """Moves of a way out at most; 1 if every part leaves in one."""
     turns: bool = False
     """Whether parts turn on their ways out."""
+    waiting: bool = False
+    """Whether parts wait half way out on them, standing without a robot."""
     exit_paths: tuple[ExitPath, ...] = ()
     """Moves in which the part of each step leaves, one entry a step; an entry is empty where it leaves in a straight
     line, and all is where every part does. Insertion undoes them, the last one first."""
@@ -207,6 +209,7 @@ class Plan(Displayed):
             parts_at_once=1 if task.together is None or not inserts_several(route.states) else task.together.largest,
             moves=task.moves_out if any(exit_paths) else 1,
             turns=any(move.turns for way in exit_paths for move in way),
+            waiting=task.waiting and any(exit_paths),
             exit_paths=exit_paths if any(exit_paths) else (),
             forces=verdicts.forces,
         )

@@ -82,6 +82,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
             "parts_at_once": plan.parts_at_once,
             "moves": plan.moves,
             "turns": plan.turns,
+            "waiting": plan.waiting,
         },
         "stability": {**vars(plan.claim), "holds": plan.claim.holds.to_dict() if contact else None},
         "start": {"state": plan.states[0].tolist(), **records[0]},

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Meta
 
 from falsework.assembly.assembly_model import MOST, Count, Earthquake, LoadEntry, Prop
-from falsework.geometry.paths.moves import MOST_MOVES
+from falsework.geometry.clearance.moves import MOST_MOVES
 from falsework.search.margins.demands import Demands
 from falsework.search.plans.plan import PartDeadline
 from falsework.search.plans.steps import Action
@@ -120,6 +120,8 @@ class RulesEntry(FileModel, frozen=True):
     """Moves of a way out at most."""
     turns: bool = False
     """Whether parts may turn on their ways out."""
+    waiting: bool = False
+    """Whether parts that no robot holds may be carried aside on ways out, and wait there."""
 
 
 class HoldsEntry(FileModel, frozen=True):

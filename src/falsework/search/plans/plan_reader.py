@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, as_states, held_count
 from falsework.errors import PlanError, StateError
-from falsework.geometry.paths.moves import ExitPath, PathMove
+from falsework.geometry.clearance.moves import ExitPath, PathMove
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.older_plans import upgraded
 from falsework.search.plans.packed_proofs import CHANGES, WHOLE, unpack_proofs
@@ -83,6 +83,8 @@ class PlanReader:
         if structure.source is not None:
             check_source(structure.source, self._about)
         claim = self._claim()
+        if rules.waiting and rules.moves == 1:
+            self._fail("rules.waiting is true", "it needs rules.moves above 1")
         if (rules.moves > 1 or rules.turns) and not rules.removable_only_if_clear:
             self._fail("rules.moves is above 1, or rules.turns is true", "they need rules.removable_only_if_clear")
         if rules.parts_at_once > 1 and not rules.removable_only_if_clear:
@@ -128,6 +130,7 @@ class PlanReader:
             "parts_at_once": rules.parts_at_once,
             "moves": rules.moves,
             "turns": rules.turns,
+            "waiting": rules.waiting,
             "exit_paths": tuple(exit_paths) if any(exit_paths) else (),
             "source": None if structure.source is None else to_json_values(structure.source),
             "presses": tuple(presses) if any(presses) else (),

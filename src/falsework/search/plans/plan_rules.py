@@ -8,11 +8,13 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, held_count, undo_actions, undo_mask
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.locked import LARGEST
+from falsework.geometry.paths.waiting import hands_free, has_hands, loose_parts, stages
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import moved_parts
 from falsework.search.problem.regrasp_moves import RegraspMoves
 from falsework.search.problem.task import Direction, Task
 from falsework.search.together.carried_group import holds_together
+from falsework.search.together.posed_states import PosedStates
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 
@@ -78,13 +80,27 @@ def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySe
     if moves[-1].parts != (part,):
         return "is against the rules: the last move of its way is not that of the part alone"
     moved = sorted({one for move in moves for one in move.parts})
-    loose = [one for one in moved if state[one] != HELD or plan.immovable[one] or one in plan.fixed]
-    if loose:
-        return f"is against the rules: its way moves {plan.part_names[loose[0]]}, which no robot holds"
+    still = [one for one in moved if plan.immovable[one] or one in plan.fixed]
+    loose = sorted(loose_parts(moves, state, part))
+    if still or (loose and not plan.waiting):
+        name = plan.part_names[(still or loose)[0]]
+        return f"is against the rules: its way moves {name}, which no robot holds"
+    spare = hands_free(state, part, plan.robots, plan.immovable)
+    handless = next((move for move in moves if not has_hands(move.parts, state, part, spare)), None)
+    if handless:
+        return (
+            f"is against the rules: no robot is free to carry {', '.join(plan.part_names[k] for k in handless.parts)}"
+        )
     wrong = assembly.part_motions.leaves(moves, state != REMOVED)
     if wrong:
         return f"is against the rules: on its way out, {wrong}"
-    if len(moved) > 1 and settings is not None:
+    if loose and settings is not None:
+        posed, oracle = PosedStates(assembly), StabilityOracle(assembly, settings)
+        for stage, poses in stages(moves, state, part, spare, out=True):
+            if not posed.stands(oracle, stage, poses):
+                names = ", ".join(plan.part_names[one] for one in sorted(poses) if stage[one]) or "no part"
+                return f"is against the rules: on its way, with {names} half way out, the other parts do not stand"
+    elif len(moved) > 1 and settings is not None:
         rest = state.copy()
         rest[moved] = REMOVED
         if not StabilityOracle(assembly, settings).verdicts(rest[None]).stable[0]:

@@ -26,9 +26,10 @@ from falsework.assembly.state import (
     undo_actions,
 )
 from falsework.errors import InputError, StateError
+from falsework.geometry.clearance.protocol import Clearance
 from falsework.search.problem.legal_moves import LegalMoves
 from falsework.search.problem.oracle import Criterion
-from falsework.search.problem.ways_out import Clearance, Together
+from falsework.search.problem.part_sets_rule import Together
 from falsework.utils.quantity import counted
 
 STAGE = np.array([2, 0, 1], dtype=np.int64)
@@ -190,7 +191,7 @@ class Task:
 
     def judged_by(self, oracle: Criterion) -> Task:
         """Return the same task with the moves, and the parts that move aside, that an oracle allows."""
-        clearance = None if self.clearance is None else self.clearance.judged_by(oracle)
+        clearance = None if self.clearance is None else self.clearance.judged_by(oracle, self.robots)
         return replace(self, holds_keep_stable=oracle.holds_keep_stable, clearance=clearance)
 
     @property
@@ -214,8 +215,13 @@ class Task:
 
     @property
     def moves_aside(self) -> bool:
-        """Whether parts that robots hold may move aside while another leaves."""
-        return self.moves_out > 1 and self.robots > 1
+        """Whether other parts may move aside while one leaves, held by robots or waiting."""
+        return self.moves_out > 1 and (self.robots > 1 or self.waiting)
+
+    @property
+    def waiting(self) -> bool:
+        """Whether parts may wait half way out, standing without a robot."""
+        return self.clearance is not None and self.clearance.waiting
 
     def postpone(self, postponed: Sequence[int]) -> Task:
         """Return the same task with other lower bounds on when missing parts are inserted."""
@@ -305,6 +311,7 @@ class Task:
             "removable_only_if_clear": self.clearance is not None,
             "moves": self.moves_out,
             "turns": self.turns,
+            "waiting": self.waiting,
             "holds_keep_stable": self.holds_keep_stable,
         }
 

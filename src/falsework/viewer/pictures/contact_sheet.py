@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.errors import DependencyError, InputError
-from falsework.geometry.paths.moves import apply
+from falsework.geometry.clearance.moves import apply
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
 from falsework.viewer.appearance import TRAVEL, Appearance, appearance_at, bounds_of, diagonal
@@ -252,7 +252,7 @@ def bounds_with_motions(timeline: Timeline) -> NDArray[np.float64]:
     # Half of the path suffices: farther out a part is nearly invisible.
     far, boxes = TRAVEL * diagonal(timeline.assembly), []
     for part, mesh in enumerate(timeline.assembly.meshes):
-        points = apply(timeline.displacement(part, 0.5, far), mesh.vertices)
+        points = apply(timeline.displacements(part, 0.5, far)[part], mesh.vertices)
         boxes.append([points.min(axis=0), points.max(axis=0)])
     boxes = np.array(boxes)
     wide = np.stack([np.minimum(box[0], boxes[:, 0].min(axis=0)), np.maximum(box[1], boxes[:, 1].max(axis=0))])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,31 +79,48 @@ ExitPath = tuple[PathMove, ...]
 """Moves in which a part leaves, from where all parts are in place."""
 
 
-def on_the_way(moves: ExitPath, points: Array, share: float, most: float) -> Array:
-    """Return the displacement of a part after a share of its way out, shape (4, 4).
+def way_back(way: ExitPath, part: int) -> ExitPath:
+    """Return the moves in which others go back as they came, the last one first, when a part is out."""
+    found = []
+    for move in reversed(way):
+        others = tuple(one for one in move.parts if one != part)
+        x, y, z = move.direction
+        if others:
+            found.append(replace(move, parts=others, direction=(-x, -y, -z)))
+    return tuple(found)
+
+
+def on_the_way(way: ExitPath, points: Callable[[int], Array], most: float) -> list[tuple[float, PathMove]]:
+    """Return the moves of a way with the lengths to be shown, metres, and those in which others go back.
 
     Args:
-        moves: in which it leaves.
-        points: of the part in place, shape (points, 3), metres.
-        share: of the length of the way, along which its farthest point turns as fast as others shift.
-        most: length of the last move that counts at most, metres.
+        way: in which the part of the last move leaves.
+        points: returns those of a part in place, shape (points, 3), metres.
+        most: length of the last move that is shown at most, metres.
     """
-    pose, lengths, kept = np.eye(4), [], []
-    for number, move in enumerate(moves):
-        arm = apply(pose, points) - np.array(move.point)
-        radius = np.linalg.norm(np.cross(arm, move.direction), axis=1).max()
+    found, poses = [], dict[int, Array]()
+    (part,) = way[-1].parts
+    for number, move in enumerate((*way, *way_back(way, part))):
+        radius = 0.0
+        for one in move.parts:
+            arm = apply(poses.get(one, np.eye(4)), points(one)) - np.array(move.point)
+            radius = max(radius, float(np.linalg.norm(np.cross(arm, move.direction), axis=1).max()))
+            poses[one] = move.displacement() @ poses.get(one, np.eye(4))
         length = float(np.hypot(move.distance, radius * move.angle))
-        part_of_it = min(1.0, most / length) if number + 1 == len(moves) else 1.0
-        lengths.append(part_of_it * length)
-        kept.append(move.until(part_of_it))
-        pose = move.displacement() @ pose
-    pose, left = np.eye(4), share * sum(lengths)
-    for move, length in zip(kept, lengths, strict=True):
-        pose = move.displacement(min(1.0, left / length)) @ pose
+        share = min(1.0, most / length) if number + 1 == len(way) else 1.0
+        found.append((share * length, move.until(share)))
+    return found
+
+
+def part_way(shown: Sequence[tuple[float, PathMove]], share: float) -> dict[int, Array]:
+    """Return the poses of the parts that move, after a share of the length of a way, as `on_the_way` returns it."""
+    done, left = list[PathMove](), share * sum(length for length, _ in shown)
+    for length, move in shown:
+        done.append(move.until(min(1.0, left / length)) if length > 0 else move)
         left -= length
         if left <= 0:
             break
-    return pose
+    return after(done)
 
 
 def after(moves: Sequence[PathMove]) -> dict[int, Array]:

@@ -1,46 +1,12 @@
-"""Ways out of parts, and of several that leave in one step, as tasks know them."""
+"""Rule that several parts leave in one step, as tasks know it."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Protocol
 
 from falsework.assembly.state import Mask, States
 from falsework.geometry.clearance.locked import PartSet
-from falsework.geometry.paths.moves import ExitPath
 from falsework.search.problem.oracle import Oracle
-
-
-class Clearance(Protocol):
-    """Clearance of parts: which of them have a way out.
-
-    A class that inherits from it has to define `can_leave` and `caveat` alone: by default ways are straight.
-    """
-
-    @property
-    def moves(self) -> int:
-        """Moves of a way out at most; 1 for straight ways."""
-        return 1
-
-    @property
-    def turns(self) -> bool:
-        """Whether a part that leaves may turn."""
-        return False
-
-    def judged_by(self, oracle: Any) -> Clearance:
-        """Return the same clearance, where parts move aside only if an oracle says that the rest stands."""
-        return self
-
-    def can_leave(self, states: States) -> Mask:
-        """Shape (batch, parts): part `i` has an exit that no other present part blocks."""
-        ...
-
-    def exit_path(self, state: States, part: int) -> ExitPath | None:
-        """Return the moves in which a part leaves a state, none of them where it leaves straight; None if it cannot."""
-        return () if self.can_leave(state[None])[0, part] else None
-
-    def caveat(self, parts: Mask) -> str:
-        """Explain why the absence of a plan would not be proven; empty if it would be."""
-        ...
 
 
 class Together(Protocol):
