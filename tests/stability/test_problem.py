@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework import Assembly, StabilitySettings
-from falsework.assembly import library
+from falsework import Assembly, StabilityOracle, StabilitySettings, load_structure
+from falsework.assembly import HELD, INSTALLED, REMOVED, complete_state, library
 from falsework.errors import AssemblyError, InputError
 from falsework.stability import ExactSolver, NumericalSettings
+from falsework.stability.certificate import residual_of_forces
 from falsework.stability.cpu.elimination import eliminate
 from falsework.stability.cpu.kernel import factor_admm
 from falsework.stability.cpu.layout import add_wrenches, build_structure, make_scratch, restrict
@@ -20,6 +22,7 @@ from falsework.stability.cpu.panels import factor_panels, solve_panels
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.exact_solver import wrench_matrix
 from falsework.stability.problem import Problem, build_problem
+from falsework.stability.settings import EQUILIBRIUM
 
 STRUCTURES = ("arch:blocks=7", "wall:bricks=3,courses=3", "dome")
 
@@ -186,3 +189,49 @@ def test_an_inertia_that_is_not_positive_is_named(scenes: Any) -> None:
     broken = dataclasses.replace(tower, mass=dataclasses.replace(tower.mass, inertia=inertia))
     with pytest.raises(AssemblyError, match="part 1"):
         build_problem(broken)
+
+
+def test_verdicts_on_joined_parts_are_verdicts_on_states() -> None:
+    """Of states that differ in a part from stable ones; held parts divide the others into pieces."""
+    assembly = load_structure("vault:parts=40")
+    problem, rng = build_problem(assembly), np.random.default_rng(0)
+    origins = np.repeat(complete_state(assembly.boundary)[None], 120, axis=0)
+    loose = np.flatnonzero(~assembly.boundary)
+    for origin in origins:
+        origin[rng.choice(loose, len(loose) // 2, replace=False)] = HELD
+        origin[rng.choice(loose, 3, replace=False)] = REMOVED
+    exact = ExactSolver(assembly, EQUILIBRIUM, problem)
+    origins = origins[exact.check(origins).stable]
+    states = origins.copy()
+    for state in states:
+        state[rng.choice(np.flatnonzero((state == HELD) & ~assembly.boundary))] = INSTALLED
+        state[rng.choice(np.flatnonzero((state != REMOVED) & ~assembly.boundary))] = REMOVED
+    joined = problem.hold_apart(states, origins)
+    apart = joined != states
+    assert (states[apart] == INSTALLED).all()
+    assert (joined[apart] == HELD).all()
+    assert apart.any(axis=1).sum() > len(states) // 3
+    expected = exact.check(states).verdict
+    assert {-1, 1} <= set(expected.tolist())
+    np.testing.assert_array_equal(exact.check(joined).verdict, expected)
+    np.testing.assert_array_equal(problem.hold_apart(states, states), states)
+
+
+def test_what_the_exact_solver_finds_on_joined_parts_starts_the_next_states() -> None:
+    """Forces elsewhere are those of the state near by, so that what is remembered balances the whole."""
+    assembly = load_structure("vault:parts=40")
+    settings = replace(EQUILIBRIUM, numerics=NumericalSettings(iterations=1, check_every=1, interior_steps=0))
+    oracle = StabilityOracle(assembly, settings)
+    complete = complete_state(assembly.boundary)
+    loose = np.flatnonzero(~assembly.boundary)
+    origin = complete.copy()
+    origin[loose[::2]] = HELD
+    state = origin.copy()
+    state[loose[0]] = INSTALLED
+    assert oracle.verdicts(origin).stable.all()
+    assert oracle.verdicts(state, near=origin).stable.all()
+    assert oracle.counters.exact > 0
+    forces = oracle.guesses.get(state)
+    assert forces is not None
+    claim = oracle.settings.claim
+    assert residual_of_forces(assembly, state[None], forces[None], claim)[0] <= claim.tolerance

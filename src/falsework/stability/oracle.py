@@ -270,9 +270,9 @@ class StabilityOracle:
             solver: who was asked.
             rest: rows of the states that it leaves.
             accept: whether verdicts count.
-            near: states near to these, and what is known of them: the exact solver decides on the parts that contacts
-                join to the difference alone.
-            known: one entry a state, where `near` is given.
+            near: states near to these. Where one is known to be stable, the exact solver decides on the parts that
+                contacts join to the difference alone.
+            known: what balances them, where that is known; one entry a state.
         """
         if not len(rest):
             return
@@ -282,10 +282,13 @@ class StabilityOracle:
             rest = rest[~accept(states[rest], again)]
         rest = rest[self._criterion.is_left_to_exact(verdicts[rest])]
         if len(rest):
-            joined = None if near is None else self.problem.hold_apart(states[rest], near[rest])
-            exact = self.exact.check(states[rest] if joined is None else joined)
+            joined, origins = states[rest], [None if near is None else known[row] for row in rest]
+            stable = np.array([origin is not None for origin in origins])
+            if near is not None and stable.any():
+                joined[stable] = self.problem.hold_apart(joined[stable], near[rest[stable]])
+            exact = self.exact.check(joined)
             self._criterion.read_exact(exact, verdicts[rest])
-            self._remember(states[rest], exact, joined, [] if joined is None else [known[row] for row in rest])
+            self._remember(states[rest], exact, joined, origins)
             verdicts.put(rest, exact)
 
     def _recall(self, states: States, near: States | None) -> Verdicts:
@@ -344,20 +347,17 @@ class StabilityOracle:
     ) -> None:
         """Remember the certificates of stable states, from which others start.
 
-        Verdicts on `joined`, see `Problem.hold_apart`, are completed by those of the states near by, where known.
+        Verdicts on `joined`, see `Problem.hold_apart`, are completed by what balances the states near by.
         """
         guess = self._criterion.guess_of(verdicts)
         if guess is None:
             return
-        whole = verdicts.stable.copy()
         if joined is not None:
-            for row in np.flatnonzero(whole & (joined != states).any(axis=1)).tolist():
-                start, whole[row] = origins[row], origins[row] is not None
-                if start is not None:
-                    one = slice(row, row + 1)
-                    kept = (self.problem.active(states[one]) & ~self.problem.active(joined[one]))[0]
-                    guess[row, kept] = start[kept]
-        self.guesses.remember(states[whole], guess[whole])
+            kept = self.problem.active(states) & ~self.problem.active(joined)
+            for row, origin in enumerate(origins):
+                if origin is not None:
+                    guess[row, kept[row]] = origin[kept[row]]
+        self.guesses.remember(states[verdicts.stable], guess[verdicts.stable])
 
     def _accept(self, states: States, verdicts: Verdicts) -> NDArray[np.bool_]:
         """Return whether the checker accepts each verdict; count the rejected ones."""

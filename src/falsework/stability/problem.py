@@ -98,8 +98,8 @@ class Problem:
     def hold_apart(self, states: States, origins: States) -> States:
         """Return states in which free parts that no contact between free parts joins to what changed are held.
 
-        What forces can balance there they balance in the states too, if the origins are stable; and what falls there
-        falls in the states, since holding fewer parts never helps.
+        Verdicts on these are verdicts on the states: elsewhere forces balance them as they do the origins, and what
+        falls here falls there, since holding fewer parts never helps. Where nothing changed, nothing is held.
 
         Args:
             states: shape (batch, parts).
@@ -111,6 +111,8 @@ class Problem:
         apart = states.copy()
         for state, origin in zip(apart, origins, strict=True):
             free, changed = state == INSTALLED, state != origin
+            if not changed.any():
+                continue
             a, b = self.pair_parts[(free | changed)[self.pair_parts].all(axis=1)].T
             graph = coo_array((np.ones(len(a), bool), (a, b)), (self.parts, self.parts))
             _, piece = connected_components(graph, directed=False)

@@ -135,7 +135,7 @@ def repair_state(structure, state, parent, reach, interior, options, work, near,
         state, parent: shape (parts,).
         reach: contacts by which the first region reaches beyond the change. The second has also the ways from there to
             a support that are longer than the shortest one by no more than that. Then it is extended by as much, and
-            by twice as much each further time. Without any the whole is balanced.
+            by twice as much each further time. Without any, or without a difference, the whole is balanced.
         interior: whether forces stay inside their cones, by `run_centring`; ADMM leaves them on the boundaries.
         near: scratch, shape (parts,).
         forces: in: contact forces in N that balance the parent; out: of the state if it is stable. Shape (points, 3).
@@ -153,9 +153,10 @@ def repair_state(structure, state, parent, reach, interior, options, work, near,
     local = reach > 0 and kept > 0
     while True:
         local = local and 2 * kept <= free
+        joined = 0
         if not local and reach > 0:
-            freeze_outside_ball(structure, state, parent, len(state), near)
-        elif not local:
+            joined, _ = freeze_outside_ball(structure, state, parent, len(state), near)
+        if not local and joined == 0:
             for part in range(len(state)):  # assigning the array would need what portable code has not
                 near[part] = state[part]
         pairs, _ = restrict(structure, near, work)
