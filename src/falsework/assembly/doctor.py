@@ -337,7 +337,8 @@ def _load(draft: Draft, options: dict[str, Any]) -> tuple[Assembly | None, str, 
             assembly, error = None, str(reason)
     texts = dict.fromkeys(str(warning.message) for warning in caught)
     # Those on the mesh of one part are told of the part.
-    return assembly, error, [text for text in texts if not re.match(r"part .* (was repaired: |consists of )", text)]
+    of_parts = re.compile(r"parts? .* ((was|were) repaired: |consists of )")
+    return assembly, error, [text for text in texts if not of_parts.match(text)]
 
 
 def _contacts(

@@ -19,7 +19,7 @@ from falsework.errors import AssemblyError, InputError, MeshError
 from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.read import read_surfaces, unit_length
-from falsework.geometry.mesh.repair import check_mesh, thicken_supports
+from falsework.geometry.mesh.repair import check_meshes, thicken_supports
 from falsework.geometry.mesh.surface import distinct_names, warn_of
 from falsework.utils.quantity import listed
 
@@ -202,7 +202,7 @@ class Draft:
             raise InputError(f"{self.path} stores no interfaces; leave out --interfaces {interfaces}")
         fixed = self.supports(boundary)
         solids = [block.triangles(self.scale) for block in self.blocks]
-        meshes = tuple(check_mesh(*solid) for solid in thicken_supports(solids, fixed))
+        meshes = check_meshes(thicken_supports(solids, fixed))
         frictions = set(self._values("friction"))
         if friction is None and len(frictions) > 1:
             raise AssemblyError(f"{self.path} has blocks of different friction; give one for all with --friction")

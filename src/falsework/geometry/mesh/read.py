@@ -15,7 +15,7 @@ from falsework.geometry.mesh.gltf import read_gltf
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.obj import read_obj
 from falsework.geometry.mesh.ply import read_ply
-from falsework.geometry.mesh.repair import check_mesh, thicken_supports
+from falsework.geometry.mesh.repair import check_meshes, thicken_supports
 from falsework.geometry.mesh.stl import read_stl
 from falsework.geometry.mesh.surface import PartSurface, distinct_names, joined, separated, warn_of
 from falsework.utils.quantity import listed
@@ -65,7 +65,7 @@ def load_meshes(path: str | Path, unit: str = "m", *, supports: Collection[int |
             raise MeshError(surface.error)
     named = [part for part, surface in enumerate(surfaces) if part in supports or surface.name in supports]
     parts = [(surface.name, surface.vertices * scale, surface.faces) for surface in surfaces]
-    return tuple(check_mesh(*part) for part in thicken_supports(parts, named))
+    return check_meshes(thicken_supports(parts, named))
 
 
 def read_surfaces(path: str | Path) -> list[PartSurface]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangulate
 from falsework.geometry.mesh.sheets import is_sheet, plane_normal, thickened
 from falsework.geometry.mesh.shells import Shells
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import format_quantity, listed
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -87,6 +87,36 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
         MeshError: NaN, no faces, larger than 1 km or smaller than 0.1 mm, not closed, without volume, or with
             surfaces that overlap where manifold3d is not installed.
     """
+    mesh, done = _check(name, vertices, faces)
+    if done:
+        warnings.warn(f"part {name} was repaired: {done}", RepairWarning, stacklevel=2)
+    return mesh
+
+
+def check_meshes(parts: Iterable[tuple[str, ArrayLike, ArrayLike]]) -> tuple[TriangleMesh, ...]:
+    """Turn raw arrays into the closed meshes of parts, as `check_mesh` does; parts repaired alike are one warning.
+
+    Args:
+        parts: name, vertices and faces of each.
+
+    Raises:
+        MeshError: as `check_mesh`.
+    """
+    meshes: list[TriangleMesh] = []
+    repaired: dict[str, list[str]] = {}
+    for name, vertices, faces in parts:
+        mesh, done = _check(name, vertices, faces)
+        meshes.append(mesh)
+        if done:
+            repaired.setdefault(done, []).append(name)
+    for done, names in repaired.items():
+        which = f"part {names[0]} was" if len(names) == 1 else f"parts {listed(names)} were"
+        warnings.warn(f"{which} repaired: {done}", RepairWarning, stacklevel=2)
+    return tuple(meshes)
+
+
+def _check(name: str, vertices: ArrayLike, faces: ArrayLike) -> tuple[TriangleMesh, str]:
+    """Return the closed mesh of a part and what was repaired; see `check_mesh`."""
     points, corners = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
     if not len(corners) or not len(points):
         raise MeshError(f"part {name} has no faces; export it as a mesh of triangles")
@@ -126,9 +156,7 @@ def check_mesh(name: str, vertices: ArrayLike, faces: ArrayLike) -> TriangleMesh
     mesh = TriangleMesh.from_arrays(name, points, turned)
     if mesh.volume <= 1e-12 * extent**3:
         raise MeshError(f"part {name} has no volume; export it as a solid that encloses space")
-    if done:
-        warnings.warn(f"part {name} was repaired: {', '.join(done)}", RepairWarning, stacklevel=2)
-    return mesh
+    return mesh, ", ".join(done)
 
 
 def closes(vertices: Array, faces: Faces) -> bool:
