@@ -137,7 +137,7 @@ def test_a_step_in_between_that_limits(falsework: Run, tmp_path: Path) -> None:
 def test_loads_that_no_state_can_bear(falsework: Run, tmp_path: Path) -> None:
     done = falsework("plan", "arch:blocks=7", "--out", tmp_path / "plan.json", "--margin", "load=100kN", "--json")
     assert done.code == 1
-    assert "the start state does not keep load=1e+05N on part" in done.error
+    assert "the start state does not keep load=100000N on part" in done.error
     best = done.answer["shortfall"]["load"]["best"]
     assert 0 < best < 1e5
     for share, code in ((0.9, 0), (2.0, 1)):

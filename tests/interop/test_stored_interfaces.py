@@ -84,7 +84,7 @@ def flatten(some: list[dict[str, Any]]) -> None:
 
 @pytest.mark.parametrize(
     ("change", "says"),
-    [(shift, r"do not fit the parts: that of .* mm away from part"), (flatten, "has no area")],
+    [(shift, r"do not fit the parts: that of .* m away from part"), (flatten, "has no area")],
 )
 def test_interfaces_that_do_not_fit_are_refused(change: Any, says: str, written: Path) -> None:
     changed(written, change)

@@ -205,7 +205,7 @@ def test_what_cannot_have_been_done_is_refused(since: SiteSteps, message: str) -
 
 
 def test_what_was_done_since_needs_a_step() -> None:
-    with pytest.raises(InputError, match="give the plan and its step"):
+    with pytest.raises(InputError, match="give plan and step"):
         replan("arch:blocks=7", since=SiteSteps(held=[0]))
 
 

@@ -636,7 +636,7 @@ def test_printed_sheets_list_and_point_at_each_part_of_a_step(
     for part in step.parts:
         x, y, z = shelf.mass.center[part].round(3) + 0.0
         mass = shelf.mass.mass[part]
-        assert f"{sheet.name(part)} {mass:.4g} {x:.3f}, {y:.3f}, {z:.3f} {step.number}" in stock
+        assert f"{sheet.name(part)} {mass:.2f} {x:.3f}, {y:.3f}, {z:.3f} {step.number}" in stock
 
 
 # What is refused

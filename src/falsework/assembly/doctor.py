@@ -336,8 +336,7 @@ def _load(draft: Draft, options: dict[str, Any]) -> tuple[Assembly | None, str, 
         except InputError as reason:
             assembly, error = None, str(reason)
     texts = dict.fromkeys(str(warning.message) for warning in caught)
-    # Those on the mesh of one part are told of the part.
-    of_parts = re.compile(r"parts? .* ((was|were) repaired: |consists of )")
+    of_parts = re.compile(r"parts? .* ((was|were) repaired: |consists of )")  # told of the parts
     return assembly, error, [text for text in texts if not of_parts.match(text)]
 
 

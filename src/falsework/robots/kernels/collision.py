@@ -75,7 +75,7 @@ class Rules(NamedTuple):
     """Distance to keep from obstacles and floor, metres."""
 
 
-class Scratch(NamedTuple):
+class QueryScratch(NamedTuple):
     """Scratch memory of one caller: not to be shared between threads."""
 
     frames: Array
@@ -100,13 +100,13 @@ class Query(NamedTuple):
     bodies: Bodies
     obstacles: Obstacles
     rules: Rules
-    scratch: Scratch
+    scratch: QueryScratch
 
 
 def make_query(chain: Chain, bodies: Bodies, obstacles: Obstacles, rules: Rules) -> Query:
     """Return a query with scratch of its own."""
     count, pairs = len(bodies.frame), len(rules.self_pairs)
-    scratch = Scratch(
+    scratch = QueryScratch(
         frames=np.empty((len(chain.origin) + 1, 3, 4)),
         vertices=np.empty_like(bodies.vertices),
         center=np.empty((count, 3)),

@@ -10,7 +10,7 @@ from falsework.assembly.state import States
 from falsework.stability.contact.kernel import rest_range
 from falsework.stability.contact.layout import ContactOptions, build_contact_structure
 from falsework.stability.cpu.panels import RIDGE
-from falsework.stability.cpu.solver import CpuSolver, Query
+from falsework.stability.cpu.solver import CpuSolver, StateQuery
 from falsework.stability.problem import Problem
 from falsework.stability.second_order.growing_motion import SecondOrder
 from falsework.stability.settings import StabilitySettings
@@ -79,7 +79,7 @@ class ContactSolver(CpuSolver):
         exact.verdict[slides] = Verdict.SLIDES
         exact.proof[:] = proof_of(exact.verdict, self.criterion)
 
-    def _attempt(self, query: Query, verdicts: Verdicts) -> Array:
+    def _attempt(self, query: StateQuery, verdicts: Verdicts) -> Array:
         """Make the attempts; guesses are displacements of the parents, from which iterations start.
 
         Without a guess, the displacement of a state that slides is the one at which parts were seen to move away; NaN

@@ -68,7 +68,7 @@ class Workers:
             list(self._pool.map(work, rows))
 
 
-class Query(NamedTuple):
+class StateQuery(NamedTuple):
     """States for the attempts of a solver."""
 
     states: States
@@ -189,14 +189,14 @@ class CpuSolver:
         seeks = parents is not None and not (certificates and guess is not None)
         resolution = self.settings.resolution if certificates and parents is None else self._options.resolution
         start = kept if guess is None else guess
-        found = self._attempt(Query(states, origins, start, known, seeks, resolution), verdicts)
+        found = self._attempt(StateQuery(states, origins, start, known, seeks, resolution), verdicts)
         if kept is not None and found is not kept:
             kept[:] = found
         verdicts.proof[:] = proof_of(verdicts.verdict, self.criterion)
         verdicts.decided_by[:] = np.where(verdicts.undecided, Solver.NONE, Solver.CPU)
         return verdicts
 
-    def _attempt(self, query: Query, verdicts: Verdicts) -> Array:
+    def _attempt(self, query: StateQuery, verdicts: Verdicts) -> Array:
         """Make the attempts, each on the states that those before leave undecided; return `query.start` or its like."""
         forces = self.no_guess(0) if query.start is None else query.start
         velocity = np.zeros((0, self.problem.parts, 6)) if verdicts.velocity is None else verdicts.velocity
