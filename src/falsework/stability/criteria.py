@@ -15,7 +15,7 @@ from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
 
 
-class Equilibrium(CpuSolver):
+class EquilibriumCriterion(CpuSolver):
     """Criterion `equilibrium` of one structure."""
 
     def __init__(self, assembly: Assembly, problem: Problem, settings: StabilitySettings) -> None:
@@ -38,7 +38,7 @@ class Equilibrium(CpuSolver):
         return Prober(self.assembly, self)
 
 
-class Contact(ContactSolver):
+class ContactCriterion(ContactSolver):
     """Criterion `contact` of one structure."""
 
     def replayer(self) -> Replayer | None:
@@ -51,5 +51,8 @@ class Contact(ContactSolver):
         return ContactProber(self.assembly, self)
 
 
-CRITERIA: dict[Criterion, type[Equilibrium | Contact]] = {"equilibrium": Equilibrium, "contact": Contact}
+CRITERIA: dict[Criterion, type[EquilibriumCriterion | ContactCriterion]] = {
+    "equilibrium": EquilibriumCriterion,
+    "contact": ContactCriterion,
+}
 """The criteria by name."""
