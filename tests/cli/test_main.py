@@ -127,6 +127,7 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
         ("train arch --policy cnn", "unknown policy kind 'cnn'; choose resmlp, transformer, local, gat, mlp, or"),
         ("plna arch", "there is no subcommand 'plna'; perhaps you meant: plan; for all, run falsework --help"),
         ("robot plan", "there is no subcommand 'robot'; perhaps you meant: robots plan; for all"),
+        ("cell check x.toml", "there is no subcommand 'cell check'; perhaps you meant: cell new; for all"),
     ],
 )
 def test_wrong_usage_names_options_without_their_help(

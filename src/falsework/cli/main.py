@@ -221,9 +221,13 @@ def _no_subcommand(arguments: list[str]) -> str:
         return f"give a subcommand: {', '.join(COMMANDS)}; for help, run falsework --help"
     from difflib import get_close_matches
 
-    near = get_close_matches(" ".join(arguments[:2]), COMMANDS, 1) or get_close_matches(arguments[0], COMMANDS, 1)
+    near = [name for name in COMMANDS if name.startswith(f"{arguments[0]} ")]
+    near = (
+        near or get_close_matches(" ".join(arguments[:2]), COMMANDS, 1) or get_close_matches(arguments[0], COMMANDS, 1)
+    )
     meant = f"perhaps you meant: {', '.join(near)}; " if near else ""
-    return f"there is no subcommand {arguments[0]!r}; {meant}for all, run falsework --help"
+    words = 2 if arguments[0] in _GROUPS else 1
+    return f"there is no subcommand {' '.join(arguments[:words])!r}; {meant}for all, run falsework --help"
 
 
 def _markers() -> tuple[Any, ...]:
