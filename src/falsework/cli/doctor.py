@@ -112,13 +112,11 @@ class Doctor(Command, LoadOptions):
 
 
 def stands(assembly: Assembly) -> bool:
-    """Return whether forces balance a complete structure."""
+    """Return whether a complete structure stands from rest, as `falsework stability` says."""
     from falsework.assembly.state import complete_state
     from falsework.stability.oracle import StabilityOracle
-    from falsework.stability.settings import StabilitySettings
 
-    oracle = StabilityOracle(assembly, StabilitySettings(criterion="equilibrium"))
-    return bool(oracle.verdicts(complete_state(assembly.boundary)[None]).stable[0])
+    return bool(StabilityOracle(assembly).verdicts(complete_state(assembly.boundary)[None]).stable[0])
 
 
 def _lines(found: Diagnosis) -> list[str]:
