@@ -13,10 +13,12 @@ import pytest
 
 from falsework import Assembly, Outcome, Plan, StabilityOracle, StabilitySettings, find_plans, make_task, replan
 from falsework import sheet as make_sheet
+from falsework.assembly import HELD, INSTALLED, REMOVED
 from falsework.assembly.library.blocks import gather
 from falsework.assembly.library.voxels import surface
 from falsework.errors import InputError, PlanError
 from falsework.geometry.clearance.moves import after
+from falsework.geometry.paths import waiting
 from falsework.geometry.paths.waiting import stages
 from falsework.interop.instruction_table import instructions_csv
 from falsework.interop.tracks import tracks_of
@@ -231,3 +233,8 @@ def test_pieces_leave_in_as_few_moves_as_by_cells_one_at_a_time(seed: int) -> No
             assert all(len(move.parts) == 1 for move in way)
             assert 0 in after(way) or way == ()
             return
+
+
+def test_values_of_parts_are_those_of_states() -> None:
+    """Geometry knows nothing of assemblies, so it names them itself."""
+    assert (waiting.REMOVED, waiting.INSTALLED, waiting.HELD) == (REMOVED, INSTALLED, HELD)

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from falsework.assembly.state import HELD, INSTALLED, States
 from falsework.errors import AssemblyError
@@ -108,6 +106,9 @@ class Problem:
         Returns:
             Shape (batch, parts).
         """
+        from scipy.sparse import coo_array  # few states need it
+        from scipy.sparse.csgraph import connected_components
+
         apart = states.copy()
         for state, origin in zip(apart, origins, strict=True):
             free, changed = state == INSTALLED, state != origin

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from falsework import Assembly, StabilityOracle, Verdict, verify_certificates
 from falsework.assembly import HELD, INSTALLED, REMOVED, complete_state
-from falsework.stability.cpu.neighbourhood import extend_region, freeze_outside_corridor
+from falsework.stability.cpu.neighbourhood import extend_region, freeze_outside_ball, freeze_outside_corridor
 from falsework.stability.cpu.repair import repair_range
 from falsework.stability.cpu.solver import CpuSolver, kernel_options
 from falsework.stability.problem import build_problem
@@ -67,6 +67,23 @@ def test_corridors_lead_from_the_change_to_a_support(vault: Assembly, released: 
             reached = reached | ahead
         assert reached == corridor
         assert any(vault.boundary[other] for part in reached for other in links[part])
+
+
+def test_the_last_region_is_what_the_other_solvers_decide_on(
+    vault: Assembly, released: tuple[NDArray, NDArray]
+) -> None:
+    states, before = (some.copy() for some in released)
+    problem = build_problem(vault)
+    structure, near = CpuSolver(problem).structure, np.empty(states.shape[1], np.uint8)
+    rows = np.flatnonzero(~vault.boundary)[::3]  # held, these divide the others into pieces
+    for some in (states, before):
+        some[:, rows] = np.where(some[:, rows] == INSTALLED, HELD, some[:, rows])
+    apart = problem.hold_apart(states, before)
+    assert (apart != states).any()
+    for state, parent, expected in zip(states, before, apart, strict=True):
+        if (state != parent).any():
+            freeze_outside_ball(structure, state, parent, len(state), near)
+            np.testing.assert_array_equal(near, expected)
 
 
 def test_regions_are_extended_where_they_press(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:

@@ -73,10 +73,8 @@ class Weakest:
         if near is not None and self._families:
             self._searches[self._families[0]].begin_near(near)
         self._first = max(min(map(guess, families), default=0.0) / (2.0 * GROWTH), (1.0 + 2.0 * ACCURACY) * low)
-        self._batch, self._time_limited = (
-            1 if time_limited else max(len(self._families), 1),
-            time_limited,
-        )  # one call is not cut short
+        self._time_limited = time_limited
+        self._batch = 1 if time_limited else max(len(self._families), 1)  # one call is not cut short
 
     def search(self, confirm: Callable[[int, float, Answer], tuple[float, Answer]]) -> tuple[int, Bracket] | None:
         """Return the weakest family and its bracket, without an outer end where none has a bound; None without any.
