@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.assembly_model import Prop
+from falsework.assembly.fits import clearance_hint
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
-from falsework.assembly.touching import check_touching, clearance_hint, contact_warnings, warn_of
+from falsework.assembly.touching import check_touching, contact_warnings, warn_of
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.part_sets import SetClearance
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table

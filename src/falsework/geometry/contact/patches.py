@@ -297,9 +297,7 @@ def _common(a: Array, b: Array) -> tuple[Array, NDArray[np.int64]]:
     return corners, count
 
 
-def _clipped(
-    corners: Array, count: NDArray[np.int64], uphill: Array, limit: Array
-) -> tuple[Array, NDArray[np.int64]]:
+def _clipped(corners: Array, count: NDArray[np.int64], uphill: Array, limit: Array) -> tuple[Array, NDArray[np.int64]]:
     """Clip convex polygons by a half plane each (Sutherland and Hodgman, 1974).
 
     Args:
