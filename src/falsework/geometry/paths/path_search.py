@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.clearance.moves import ExitPath, PathMove, apply
+from falsework.geometry.paths.cells import CellSearch
 from falsework.geometry.paths.motions import PartMotions
 from falsework.geometry.paths.straight_moves import Parts, StraightMoves
 from falsework.geometry.paths.turning_moves import TurningMoves
@@ -65,7 +66,7 @@ class PathSearch:
         aside: Parts = (),
         *,
         carried: Callable[[Parts], bool] = lambda parts: True,
-        stands: Callable[[ExitPath, bool], bool] = lambda way, out: True,
+        stands: Callable[[ExitPath, bool], bool] | None = None,
     ) -> None:
         """Take a structure.
 
@@ -75,10 +76,11 @@ class PathSearch:
             rest: parts that are there and do not move, shape (parts,).
             aside: parts that are there and may move aside.
             carried: whether robots can carry some parts as one body.
-            stands: whether everything stands along a way, and, if the part is out, until others are back in place.
+            stands: whether everything stands along a way, and, if the part is out, until others are back in place;
+                without it everything does.
         """
-        self._carried, self._stands = carried, stands
-        self._motions, self._part, self._movable = motions, part, (part, *aside)
+        self._carried, self._judge = carried, stands
+        self._motions, self._part, self._movable, self._rest = motions, part, (part, *aside), rest
         every = np.ones(len(rest), dtype=bool)
         self._homes = motions.bounds(every), motions.bounds(np.arange(len(rest)) != part)
         self._straight = StraightMoves(motions, self._movable, rest)
@@ -94,6 +96,9 @@ class PathSearch:
             moves: that number.
             turns: whether the part may also turn, and screw; others that move aside do not.
         """
+        by_cells = None if turns else self._by_cells(moves)
+        if by_cells is not None:
+            return by_cells
         straight = self._straight
         front, tried = [_Node({}, ())], 0
         seen = {self._key(front[0])}
@@ -127,6 +132,25 @@ class PathSearch:
             if not front:  # more moves would not lead farther
                 return Found(None, straight.walls, straight.exact and not turns and number + 1 < moves)
         return Found(None, straight.walls, False)
+
+    def _by_cells(self, moves: int) -> Found | None:
+        """Search by whole cells; None where parts are not made of cells of one grid, which leaves the answer open."""
+        grid = self._motions.grid(self._movable)
+        if grid is None:
+            return None
+        rest = tuple(np.flatnonzero(self._rest).tolist())
+        search = CellSearch(grid, self._movable, rest, *self._homes)
+        if not search.known:
+            return None
+        way, exact = search.run(moves, self._carried, self._judge)
+        if way is None and not search.fits:
+            return None
+        walls = np.zeros_like(self._rest)
+        walls[list(search.walls)] = True
+        return Found(way, walls, exact)
+
+    def _stands(self, way: ExitPath, out: bool) -> bool:
+        return self._judge is None or self._judge(way, out)
 
     def _key(self, node: _Node) -> bytes:
         """Return a name of poses: where they take the corners of the parts."""
