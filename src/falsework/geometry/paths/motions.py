@@ -121,7 +121,11 @@ class PartMotions:
                 times = np.linspace(begin, end, steps + 1)
                 frames = np.stack([apply(move.displacement(share), triangles) for share in times])
                 found = np.full(len(group), steps, dtype=np.int64)
-                walls = [apply(poses.get(other, _HOME), self._triangles(other, level)) for other in group]
+                walls = [self._triangles(other, level) for other in group]
+                walls = [
+                    apply(poses[other], wall) if other in poses else wall
+                    for other, wall in zip(group, walls, strict=True)
+                ]
                 owner = np.repeat(np.arange(len(group)), [len(wall) for wall in walls])
                 hulls = swept(frames).reshape(-1, 3)
                 first_hits(hulls, steps, np.concatenate(walls).reshape(-1, 3), owner, near, found, stop)
