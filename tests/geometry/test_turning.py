@@ -1,9 +1,10 @@
-"""Kinds of parts that leave by turning: bolts and nuts of either hand, and keys in slots."""
+"""Kinds of parts that leave by turning: bolts and nuts of either hand, keys in slots, plugs with lugs."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from falsework.assembly.library.blocks import gather
 from falsework.assembly.library.voxels import surface
@@ -12,8 +13,9 @@ from falsework.geometry.clearance.moves import ExitPath
 from falsework.geometry.paths.motions import PartMotions
 from falsework.geometry.paths.path_search import PathSearch
 from tests.assembly.test_settling import box
-from tests.search.test_exit_paths import bolt
+from tests.search.test_exit_paths import bolt, rings
 
+Array = NDArray[np.float64]
 TOLERANCE = 1e-4
 
 
@@ -79,3 +81,29 @@ def test_a_key_that_is_longer_than_its_slot_stays() -> None:
     longer = key(1e-3)
     longer[0] = TriangleMesh.from_arrays("key", longer[0].vertices * (1, 1.2, 1), longer[0].faces)
     assert way_out(longer, 2) is None
+
+
+def ring(name: str, outer: Array, inner: Array, low: float, high: float) -> TriangleMesh:
+    """A prism with a hole, both given by radii around the vertical."""
+    angle = 2 * np.pi * np.arange(len(outer)) / len(outer)
+    edges = [(outer, low), (outer, high), (inner, high), (inner, low)]
+    sections = [np.stack([r * np.cos(angle), r * np.sin(angle), np.full(len(r), z)], axis=1) for r, z in edges]
+    return rings(name, sections, close=True)
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_a_plug_turns_until_its_lugs_are_below_their_slots(count: int) -> None:
+    """A bayonet: a chamber, and a lid whose slots are half of the angle between two lugs away from these."""
+    angle, play = 2 * np.pi * np.arange(32) / 32, 1.03
+    lugs = np.where(np.cos(count * angle) > 0.7, 0.015, 0.01)
+    wall, slots = np.full(32, 0.025), play * np.roll(lugs, 16 // count)
+    meshes = [
+        ring("plug", lugs, np.full(32, 0.002), 0.0, 0.01),
+        box("floor", (-0.03, -0.03, -0.01), (0.03, 0.03, 0.0)),
+        ring("chamber", wall, np.full(32, 0.015 * play), 0.0, 0.0105),
+        ring("lid", wall, slots, 0.0105, 0.02),
+    ]
+    way = way_out(meshes, 2)
+    assert way is not None
+    assert np.cos(count * way[0].angle) == pytest.approx(-1.0, abs=1e-3)
+    assert way[1].direction == (0.0, 0.0, 1.0)
