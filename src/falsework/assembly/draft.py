@@ -11,7 +11,6 @@ from typing import Any, Literal, TypeGuard, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.fits import settled_if_loose
 from falsework.assembly.interfaces import StoredInterface, compare_interfaces, interface_contacts
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import GRAVITY, Loads
@@ -23,6 +22,7 @@ from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.read import read_surfaces, unit_length
 from falsework.geometry.mesh.repair import check_meshes, thicken_supports
 from falsework.geometry.mesh.surface import distinct_names, warn_of
+from falsework.geometry.settling.fits import settled_if_loose
 from falsework.utils.quantity import listed
 
 InterfaceSource = Literal["found", "stored", "compare"]

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.assembly_model import Prop
-from falsework.assembly.fits import clearance_hint
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
@@ -24,6 +23,7 @@ from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, ground_slab, mass_properties
+from falsework.geometry.settling.fits import clearance_hint
 from falsework.geometry.settling.settlement import Settlement
 from falsework.utils.display.notebook import Displayed
 from falsework.utils.quantity import counted

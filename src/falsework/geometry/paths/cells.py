@@ -46,6 +46,25 @@ def _decoded(code: int) -> tuple[int, int, int]:
     return found[0], found[1], found[2]
 
 
+def closed_sets(pushed: list[int], blocked: int) -> list[int]:
+    """Return the sets that can move as one body, the smaller ones first; a set is a number with a bit for each part.
+
+    Args:
+        pushed: for each part itself and those that it pushes.
+        blocked: parts that something at rest stops.
+    """
+    pushed = list(pushed)
+    for middle in range(len(pushed)):  # who pushes another moves with it
+        for part, some in enumerate(pushed):
+            if some >> middle & 1:
+                pushed[part] |= pushed[middle]
+    found: set[int] = set()
+    for some in pushed:
+        if not some & blocked:
+            found |= {some} | {some | other for other in found}
+    return sorted(found, key=lambda some: (some.bit_count(), some))
+
+
 @dataclass(frozen=True, eq=False)
 class Grid:
     """Grid along the axes of the world, the cells of parts in it, and which shifts make two of them overlap."""
@@ -203,15 +222,7 @@ class CellSearch:
             if here in self._stop[i]:
                 blocked |= 1 << i
                 self.walls.update(other for hits, other in self._walls[i] if here in hits)
-        for middle in every:  # who pushes another moves with it
-            for i in every:
-                if pushed[i] >> middle & 1:
-                    pushed[i] |= pushed[middle]
-        found: set[int] = set()
-        for some in pushed:
-            if not some & blocked:
-                found |= {some} | {some | other for other in found}
-        return sorted(found, key=lambda some: (some.bit_count(), some))
+        return closed_sets(pushed, blocked)
 
     def _free(self, at: State, some: int, step: int) -> int:
         """Return by how many cells a set that can begin to move goes until it hits another part."""

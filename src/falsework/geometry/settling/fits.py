@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,28 @@ from falsework.geometry.contact.interfaces import ContactSettings, default_gap
 from falsework.geometry.contact.near import near_points
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.surface import warn_of
+from falsework.geometry.settling.settlement import Settlement
 from falsework.utils.quantity import format_number, format_quantity
-
-if TYPE_CHECKING:
-    from falsework.assembly.model import Assembly
 
 _FIT = 1 / 20
 """Largest clearance of a fit, as a share of the thickness of the thinnest part."""
+
+
+class Settled(Protocol):
+    """Assembly, as far as its clearance goes."""
+
+    @property
+    def settlement(self) -> Settlement | None:
+        """Motion of its parts, if they settled."""
+        ...
+
+    @property
+    def clearance_hint(self) -> str:
+        """What to do about parts with clearance; empty if none has."""
+        ...
+
+
+Made = TypeVar("Made", bound=Settled)
 
 
 def clearance_hint(meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], settings: ContactSettings) -> str:
@@ -46,7 +61,7 @@ def clearance_hint(meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], 
     )
 
 
-def settled_if_loose(make: Callable[[float | None], Assembly], meshes: Sequence[TriangleMesh], path: Path) -> Assembly:
+def settled_if_loose(make: Callable[[float | None], Made], meshes: Sequence[TriangleMesh], path: Path) -> Made:
     """Make an assembly whose parts settle, with a warning, if they do not rest where they are modelled.
 
     That is, if a part touches no other, or if parts have clearance and move into it. Those in equilibrium do not.
