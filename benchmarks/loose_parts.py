@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Box = tuple[float, float, float, float, float, float]
 """Lowest and highest x, y and z: x0, x1, y0, y1, z0, z1."""
 Assembled = Sequence[TriangleMesh]
+Place = tuple[float, float, float]
 
 _SIDES = 32
 _UPRIGHT, _ALONG_Y, _ALONG_X = (0, 1, 2), (1, 2, 0), (2, 0, 1)
@@ -33,7 +34,7 @@ def boxed(name: str, solid: Sequence[Box], hollow: Sequence[Box] = ()) -> Triang
     middles = np.stack(np.meshgrid(*((line[1:] + line[:-1]) / 2 for line in lines), indexing="ij"), axis=-1)
     within = [((middles > box[:, 0]) & (middles < box[:, 1])).all(axis=-1) for box in boxes]
     filled = np.any(within[: len(solid)], axis=0) & ~np.any([np.zeros_like(within[0]), *within[len(solid) :]], axis=0)
-    cells = frozenset(map(tuple, np.argwhere(filled).tolist()))
+    cells = frozenset((x, y, z) for x, y, z in np.argwhere(filled).tolist())
     mesh = gather([surface(name, cells, (1, 1, 1), (0, 0, 0))]).meshes[0]
     places = np.round(mesh.vertices).astype(int).T
     return TriangleMesh.from_arrays(
@@ -42,16 +43,23 @@ def boxed(name: str, solid: Sequence[Box], hollow: Sequence[Box] = ()) -> Triang
 
 
 def turned(
-    name: str, profile: ArrayLike, axes: tuple[int, int, int] = _UPRIGHT, at: ArrayLike = (0, 0, 0)
+    name: str, profile: ArrayLike, axes: tuple[int, int, int] = _UPRIGHT, at: Place = (0.0, 0.0, 0.0)
 ) -> TriangleMesh:
     """Return a solid of revolution of a polygon of radii and heights; its axis has a bore."""
     mesh = solid_of_revolution(name, profile, _SIDES)
-    return TriangleMesh.from_arrays(name, mesh.vertices[:, np.argsort(axes)] + at, mesh.faces)
+    return TriangleMesh.from_arrays(name, mesh.vertices[:, np.argsort(axes)] + np.array(at), mesh.faces)
 
 
-def rod(name: str, radius: float, low: float, high: float, **where: ArrayLike) -> TriangleMesh:
+def rod(
+    name: str,
+    radius: float,
+    low: float,
+    high: float,
+    axes: tuple[int, int, int] = _UPRIGHT,
+    at: Place = (0.0, 0.0, 0.0),
+) -> TriangleMesh:
     """Return a cylinder with a fine bore."""
-    return turned(name, [(radius / 5, low), (radius, low), (radius, high), (radius / 5, high)], **where)
+    return turned(name, [(radius / 5, low), (radius, low), (radius, high), (radius / 5, high)], axes, at)
 
 
 def bored(
@@ -61,7 +69,7 @@ def bored(
     low: float,
     high: float,
     axes: tuple[int, int, int] = _UPRIGHT,
-    at: ArrayLike = (0, 0, 0),
+    at: Place = (0.0, 0.0, 0.0),
 ) -> TriangleMesh:
     """Return a prism with a hole through it, both given as radii over the angle about its axis."""
     angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
@@ -75,7 +83,7 @@ def bored(
             (a + i, a + j, b + j, b + i)
             for i, j in zip(range(_SIDES), np.roll(range(_SIDES), -1).tolist(), strict=True)
         ]
-    points = points[:, np.argsort(axes)] + at
+    points = points[:, np.argsort(axes)] + np.array(at)
     return TriangleMesh.from_arrays(name, points, triangles_of(name, points, faces))
 
 

@@ -166,6 +166,7 @@ def test_later_sticks_leave_at_their_levels(name: str) -> None:
     motions, left, levels = motions_of(*map(solid, sticks)), list(range(6)), list[int]()
     while len(left) > 1:
         level, some = Sliding([sticks[part] for part in left]).level()
+        assert level is not None
         fewest = {}
         for part in left:
             stays = next(other for other in left if other != part)

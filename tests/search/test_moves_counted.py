@@ -22,7 +22,7 @@ def drawn(seed: int, count: int) -> list[Cells]:
     """A cube of cells cut into pieces at random."""
     rng = np.random.default_rng(seed)
     while True:
-        pieces = grow_pieces([*product(range(3), repeat=3)], count, rng)
+        pieces = grow_pieces([(x, y, z) for x, y, z in product(range(3), repeat=3)], count, rng)
         if pieces:
             return [frozenset(piece) for piece in pieces]
 
