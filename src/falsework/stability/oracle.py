@@ -26,6 +26,7 @@ from falsework.stability.state_memory import Guesses
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
+    from falsework.stability.contact.history import History
     from falsework.assembly.model import Assembly
     from falsework.stability.contact.replay import Replayer
     from falsework.stability.exact_solver import ExactSolver
@@ -134,7 +135,12 @@ class StabilityOracle:
         return verdicts if verdicts.forces is None else verdicts.without_certificates()
 
     def margins(
-        self, states: ArrayLike, kinds: Sequence[str] | None = None, *, deadline: float | None = None
+        self,
+        states: ArrayLike,
+        kinds: Sequence[str] | None = None,
+        *,
+        deadline: float | None = None,
+        histories: Sequence[History] = (),
     ) -> list[StateMargins]:
         """Return how far friction, tilt, loads and pushes are from the limit of stability.
 
@@ -142,6 +148,8 @@ class StabilityOracle:
             states: one state `(parts,)` or a batch `(batch, parts)`.
             kinds: margins to compute; by default all but the polygon of tilts and the settlement of supports.
             deadline: seconds after which searches return what they have proven, see `StateMargins.unfinished`.
+            histories: of the contacts of each state, as `Replayer.replay` returns them; margins are then those of the
+                structure as built, else those of a structure that is loaded from rest. Not for joints with strength.
 
         Returns:
             One object per state, each value with a certificate on both sides of its bound.
@@ -150,7 +158,7 @@ class StabilityOracle:
             InputError: a margin that is not defined under the criterion, or a deadline of zero or less.
             StateError: states of the wrong length or with other values.
         """
-        return self._margins.margins(states, QUICK if kinds is None else kinds, deadline=deadline)
+        return self._margins.margins(states, QUICK if kinds is None else kinds, deadline=deadline, histories=histories)
 
     @cached_property
     def prober(self) -> Prober:
