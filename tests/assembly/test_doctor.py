@@ -147,7 +147,7 @@ def test_boundary_and_unit_are_proposed(tmp_path: Path, capsys: pytest.CaptureFi
     for level in range(3):
         write_box(tmp_path, f"{level}", (0, 0, 300 * level), (300, 300, 300 * level + 300))
     found = doctor(tmp_path)
-    assert found.unit == "mm"
+    assert found.units == ("mm",)
     assert found.additions == {"unit": "mm", "boundary": [0]}
     assert found.cured
     assert main(["doctor", str(tmp_path)]) == 1
@@ -355,7 +355,7 @@ def test_a_unit_is_proposed_only_where_there_is_one(tmp_path: Path) -> None:
     found = doctor(tmp_path)
     assert any("the unit may be mm or cm or in" in remark for remark in found.remarks)
     assert found.additions == {"boundary": [0]}
-    assert found.unit == ""
+    assert found.units == ("mm", "cm", "in")
 
 
 def test_what_was_read_in_another_way_is_told(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -41,6 +42,7 @@ class Doctor(Command, LoadOptions):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework doctor my-folder",
+        "falsework doctor my-folder --unit mm --write",
         "falsework doctor model.3dm --picture model.png",
         "falsework doctor my-folder --cell dome-37 --picture reach.png",
         "falsework doctor cell.toml",
@@ -54,6 +56,9 @@ class Doctor(Command, LoadOptions):
     picture: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
     """Draw the parts as PNG: doubtful ones red, repaired ones orange; with --cell a plan view of parts and robots,
     coloured by the number of robots that reach a part."""
+    write: bool = False
+    """Write what is proposed, with the options of the structure that are given, to assembly.json beside the parts. One
+    that is there is left as it is."""
     propose: Annotated[Propose | None, arg(help_behavior_hint="(default: auto)")] = None
     """Search for better bases; auto: if a robot cannot reach a part."""
 
@@ -61,6 +66,8 @@ class Doctor(Command, LoadOptions):
         """Diagnose, draw and report."""
         if self.cell is None and self.propose is not None:
             raise InputError("--propose is about the robots of a cell; name it with --cell")
+        if self.write and (self.cell is not None or self.path.suffix.lower() == ".toml"):
+            raise InputError("--write is about the file of a structure; leave out the cell")
         if self.path.suffix.lower() == ".toml":
             if self.cell is not None or self.picture is not None:
                 raise InputError(
@@ -85,7 +92,31 @@ class Doctor(Command, LoadOptions):
                 _draw(found, self.picture)
                 output.file(self.picture)
                 output.say(f"picture: {self.picture}")
+        if self.write:
+            self._write(found, output)
+            return Exit.DONE
         return Exit.DONE if found.loads else Exit.NO
+
+    def _write(self, found: Diagnosis, output: Output) -> None:
+        """Write `assembly.json` with what is proposed and given, if the structure loads with it."""
+        from falsework.assembly.store import FILE
+        from falsework.utils.json_file import write_json
+
+        file = (self.path if self.path.is_dir() else self.path.parent) / FILE
+        kept = ("unit", "density", "friction", "boundary", "settle")
+        entries = {name: value for name, value in self.given().items() if name in kept} | found.additions
+        if file.exists():
+            rest = f"add by hand: {found.line()}" if found.additions else "nothing is missing in it"
+            raise InputError(f"{file} is there already and stays as it is; {rest}")
+        if not (found.cured or found.loads):
+            raise InputError(f"{file} is not written: the structure does not load with it yet ({found.error})")
+        if not entries:
+            raise InputError(f"{file} is not written: {self.path} loads as it is, and no option is given to be kept")
+        if len(found.units) > 1 and self.unit is None:
+            raise InputError(f"{file} is not written: the unit may be {' or '.join(found.units)}; say which by --unit")
+        write_json(file, entries, ())
+        output.file(file)
+        output.say(f"{file} has now: {json.dumps(entries)[1:-1]}")
 
     def _diagnose(self, output: Output) -> Diagnosis:
         from falsework.assembly.doctor import doctor
@@ -129,7 +160,8 @@ def _lines(found: Diagnosis) -> list[str]:
         text = f"{counted(len(found.parts), 'part')} ({fixed} boundary), {_range(sizes, 'length')} long"
         if volumes:
             text += f", {_range(volumes, 'volume')}, {format_quantity(sum(volumes), 'volume')} in all"
-        lines += [text, counted(found.contacts, "contact")]
+        width, depth, height = (format_quantity(size, "length") for size in found.extent)
+        lines += [text, f"all together {width} by {depth} and {height} high", counted(found.contacts, "contact")]
     if found.stored is not None:
         lines.append(f"stored interfaces: {found.stored}")
     lines += list(found.remarks)
