@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.errors import DependencyError, InputError
+from falsework.errors import DependencyError
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import bars_of
-from falsework.utils.files.output_file import write_whole
 from falsework.viewer.palette import INK, ink_on, rgb, robot_color
 from falsework.viewer.pictures.graph_picture import figure_pixels
+from falsework.viewer.pictures.picture import save_figure
 
 _WIDTH, _ROW = 12.0, 0.55
 """Width of the chart and height of the row of an arm, inches."""
@@ -131,12 +131,8 @@ def draw_gantt(plan: RobotPlan, path: Path, *, width: int = 0, title: str = "") 
         DependencyError: matplotlib is not installed.
         InputError: a file that is neither PNG nor SVG, or that cannot be written.
     """
-    form = path.suffix.lower()[1:]
-    if form not in ("png", "svg"):
-        raise InputError(f"{path} is neither PNG nor SVG; name a file that ends in .png or .svg")
     chart = GanttChart.from_plan(plan, title=title)
-    dots = _DOTS if width == 0 else width / _WIDTH
-    write_whole(path, lambda file: chart.figure.savefig(file, format=form, dpi=dots))
+    save_figure(chart.figure, path, width / _WIDTH or _DOTS)
     return chart.bars
 
 
