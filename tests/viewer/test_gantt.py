@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from falsework import Direction
+from falsework.cli.command import ViewableOptions
 from falsework.cli.main import main
-from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
 from falsework.robots import Cell, Keyframe, Precedence, RobotPlan, RobotStep, Trajectory, nodes_of
 from falsework.robots.plans.robot_plan import RobotRecord

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from falsework.assembly.draft import Draft
 from falsework.assembly.fasteners import furnish
 from falsework.assembly.findings import (
+    compare_parts,
     inclination_findings,
     likely_units,
     lowest,
@@ -38,10 +38,6 @@ from falsework.geometry.mesh.repair import check_mesh, thicken_supports
 from falsework.utils.files.formats import reader_of
 from falsework.utils.quantity import format_quantity
 
-_TINY = 1e-3
-"""Volume below which a part is doubtful, as a share of the median."""
-_SAME = 1e-6
-"""Distance of the bounds of duplicates, as a share of a part's size."""
 _MANY = 2000
 """Faces of a pair of parts from which the depth of an overlap is measured at vertices and on a coarse grid."""
 _Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -77,8 +73,8 @@ class Diagnosis:
     remarks: tuple[str, ...]
     """Findings about the whole structure, and repairs of it."""
     units: tuple[str, ...]
-    """Likely units of the coordinates; empty where the present one raises no finding. With one alone, all but `error` is
-    said of parts with this unit."""
+    """Likely units of the coordinates; empty where the present one raises no finding. With one alone, all but `error`
+    is said of parts with this unit."""
     parts: tuple[PartReport, ...]
     contacts: int
     """Contacts of the structure; of one that does not load, those of the pairs of parts that can be judged."""
@@ -162,7 +158,8 @@ def doctor(
     likely = [] if path.suffix.lower() in _HAVE_UNITS else likely_units(middle, draft.scale)
     if len(likely) == 1:  # what else is found and proposed, parts of this size have
         found = doctor(path, likely[0], stands=stands, **given)
-        remark = f"a typical part would be {format_quantity(middle, 'length')} long: the unit is taken to be {likely[0]}"
+        typical = format_quantity(middle, "length")
+        remark = f"a typical part would be {typical} long: the unit is taken to be {likely[0]}"
         return replace(
             found,
             error=_load(draft, options)[1],
@@ -173,7 +170,7 @@ def doctor(
         )
     solids, repairs, errors, notes = _solids(draft, options.get("boundary"))
     findings = [[*([error] if error else []), *more] for error, more in zip(errors, notes, strict=True)]
-    _compare_parts(solids, findings)
+    compare_parts(solids, findings)
     assembly, error, remarks = _load(draft, options)
     remarks = list(dict.fromkeys(str(warning.message) for warning in caught) | dict.fromkeys(remarks))
     fixed = np.zeros(len(draft.blocks), dtype=bool)
@@ -306,23 +303,6 @@ def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], lis
 def _of_part(text: str, name: str) -> str:
     """Return a message on a part without the name of the part."""
     return text.removeprefix(f"part {name} ").removeprefix(f"part {name}: ")
-
-
-def _compare_parts(solids: Sequence[TriangleMesh | None], findings: list[list[str]]) -> None:
-    """Note parts that are tiny compared with the others, and duplicates."""
-    there = [number for number, solid in enumerate(solids) if solid is not None]
-    meshes = [solid for solid in solids if solid is not None]
-    if not meshes:
-        return
-    volume = np.array([mesh.volume for mesh in meshes])
-    for row in np.flatnonzero(volume < _TINY * np.median(volume)).tolist():
-        tiny, typical = (format_quantity(float(value), "volume") for value in (volume[row], np.median(volume)))
-        findings[there[row]].append(f"is tiny: {tiny}, where a typical part has {typical}")
-    corners = np.array([mesh.bounds.ravel() for mesh in meshes])
-    reach = _SAME * float(np.median(np.linalg.norm(corners[:, 3:] - corners[:, :3], axis=1)))
-    for i, j in sorted(KDTree(corners).query_pairs(reach)):
-        if abs(volume[i] - volume[j]) <= 1e-6 * volume[i]:
-            findings[there[j]].append(f"is a duplicate of part {meshes[i].name}")
 
 
 def _stands(

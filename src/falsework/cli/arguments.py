@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from falsework.assembly.part_numbers import part_id, part_range
+from falsework.assembly.part_numbers import alike, part_id, part_range
 from falsework.errors import InputError, PlanError, StateError
 from falsework.utils.json_text import parse_json
 
@@ -50,7 +50,10 @@ def parse_parts(text: str, option: str, names: Sequence[str]) -> tuple[int, ...]
         elif item.isdecimal() and len(item) < 10:
             parts.append(int(item))
         else:
-            raise InputError(f"{option} {text}: {item!r} is not a part; give numbers such as 3,4 or 0-16, or names")
+            near = alike(item, names)
+            raise InputError(
+                f"{option} {text}: {item!r} is not a part{near}; give numbers such as 3,4 or 0-16, or names"
+            )
     return tuple(parts)
 
 

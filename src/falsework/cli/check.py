@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 from falsework.cli.arguments import spell_options
 from falsework.cli.command import UNSET, ConeOption, JudgingCommand, LoadOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.overrides import exit_of_good
+from falsework.cli.output import exit_of_good
 from falsework.cli.planning import judge_text, load_record, load_text
 from falsework.errors import InputError
 from falsework.utils.quantity import counted, format_quantity

@@ -99,10 +99,10 @@ class Doctor(Command, LoadOptions):
 
     def _write(self, found: Diagnosis, output: Output) -> None:
         """Write `assembly.json` with what is proposed and given, if the structure loads with it."""
-        from falsework.assembly.store import FILE
+        from falsework.assembly.store import described_by
         from falsework.utils.json_file import write_json
 
-        file = (self.path if self.path.is_dir() else self.path.parent) / FILE
+        file = described_by(self.path)
         kept = ("unit", "density", "friction", "boundary", "settle")
         entries = {name: value for name, value in self.given().items() if name in kept} | found.additions
         if file.exists():

@@ -13,7 +13,7 @@ from falsework.cli.command import STATES, UNSET, Command, ConeOption, CriterionO
 from falsework.cli.exit_code import Exit
 from falsework.cli.margins_table import print_margins
 from falsework.errors import InputError
-from falsework.utils.quantity import counted, format_quantity
+from falsework.utils.quantity import format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -73,8 +73,8 @@ class FindMargins(Command):
     steps: bool = False
     """Print all steps of a plan, not the weakest alone."""
     out: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
-    """File to write the plan to with the margins of all its states, loaded at once, which instruction sheets and the page
-    show and `falsework check` verifies."""
+    """File to write the plan to with the margins of all its states, loaded at once, which instruction sheets and the
+    page show and `falsework check` verifies."""
 
     def run(self, output: Output) -> Exit:
         """Find and print the margins."""
@@ -146,7 +146,7 @@ class FindMargins(Command):
             subjects = [f"{row} {plan.steps[row - 1] if row else 'start'}" for row in range(len(records))]
         print_margins(records, subjects, output, everything=self.steps or plan is None)
         if histories:
-            output.say("measured in each state as it is built, with the loads that its contacts have taken on until then")
+            output.say("measured in each state as it is built, with the loads that its contacts have taken on by then")
         if interrupted:
             output.note(f"interrupted after {len(found)} of {len(states)} states")
             return Exit.INTERRUPTED
@@ -190,8 +190,8 @@ class FindMargins(Command):
         fallen = next((row for row, margins in enumerate(found) if not margins.stands), None)
         if fallen is not None:
             output.note(
-                f"falsework: {path} is not written: a plan carries margins of states that are loaded at once, and state "
-                f"{fallen} stands only as it is built"
+                f"falsework: {path} is not written: a plan carries margins of states that are loaded at once, and "
+                f"state {fallen} stands only as it is built"
             )
             return
         margins = PlanMargins.from_states(found)
@@ -226,7 +226,7 @@ class FindMargins(Command):
 
 
 def _histories(plan: Plan, assembly: Assembly, settings: StabilitySettings) -> tuple[History, ...]:
-    """Return the histories of the contacts in the states of a plan; none where its margins are those of loading at once."""
+    """Return the histories of the contacts in the states of a plan; none where they are loaded at once."""
     from falsework.stability.contact.replay import Replayer
 
     if settings.criterion != "contact" or plan.claim.criterion != "contact" or assembly.joints is not None:

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, JudgingCommand
+from falsework.cli.command import UNSET, JudgingCommand, ViewableOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import writable
-from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
 from falsework.utils.quantity import counted
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.search.plans.plan import PartDeadline, Plan
+    from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Direction, Task
     from falsework.search.task_rules import ExitRules, TaskRules
     from falsework.stability.contact.hold_loads import Loads
@@ -377,3 +378,13 @@ def refuse_unstable(
         output.note(f"falsework: {text}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}")
         return True
     return False
+
+
+def policy_guide(run: Path | None, assembly: Assembly, task: Task) -> Guide | None:
+    """Return the guide of the policy of a run; None without a run."""
+    if run is None:
+        return None
+    from falsework.learn import load_run  # says what to install where torch is missing
+    from falsework.replanning.policy_guide import PolicyGuide
+
+    return PolicyGuide(load_run(run, assembly=assembly).policy, task=task)

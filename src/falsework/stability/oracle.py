@@ -26,8 +26,8 @@ from falsework.stability.state_memory import Guesses
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
-    from falsework.stability.contact.history import History
     from falsework.assembly.model import Assembly
+    from falsework.stability.contact.history import History
     from falsework.stability.contact.replay import Replayer
     from falsework.stability.exact_solver import ExactSolver
     from falsework.stability.margins.prober import Prober
@@ -64,8 +64,7 @@ class Counters:
 class StabilityOracle:
     """Stability oracle of one structure, with proofs.
 
-    One object serves one structure under one set of settings. It caches verdicts, so reuse it instead of making a
-    new one.
+    One object serves one structure under one set of settings. It caches verdicts, so use it again.
     """
 
     def __init__(self, assembly: AnyStructure, settings: StabilitySettings = StabilitySettings()) -> None:
@@ -142,17 +141,13 @@ class StabilityOracle:
         deadline: float | None = None,
         histories: Sequence[History] = (),
     ) -> list[StateMargins]:
-        """Return how far friction, tilt, loads and pushes are from the limit of stability.
+        """Return how far friction, tilt, loads and pushes are from the limit, with certificates on both sides of each.
 
         Args:
             states: one state `(parts,)` or a batch `(batch, parts)`.
             kinds: margins to compute; by default all but the polygon of tilts and the settlement of supports.
             deadline: seconds after which searches return what they have proven, see `StateMargins.unfinished`.
-            histories: of the contacts of each state, as `Replayer.replay` returns them; margins are then those of the
-                structure as built, else those of a structure that is loaded from rest. Not for joints with strength.
-
-        Returns:
-            One object per state, each value with a certificate on both sides of its bound.
+            histories: of the contacts of each state (`Replayer.replay`), without joints: margins as built.
 
         Raises:
             InputError: a margin that is not defined under the criterion, or a deadline of zero or less.

@@ -292,7 +292,11 @@ def test_what_was_pressed_together_is_held_by_friction(scenes: Any, pressed: flo
     oracle, state = StabilityOracle(clamp), np.array([[2, 1, 2]], np.uint8)
     weight, contacts = 9.81 * clamp.mass.mass[1], clamp.contacts
     points = len(contacts.points)
-    upwards = np.where(contacts.parts[contacts.contact_of_point, 1] == 1, 1.0, -1.0)[:, None] * [0.0, 0.0, weight / points]
+    upwards = np.where(contacts.parts[contacts.contact_of_point, 1] == 1, 1.0, -1.0)[:, None] * [
+        0.0,
+        0.0,
+        weight / points,
+    ]
     forces = np.einsum("pij,pj->pi", contacts.point_frames, upwards)
     forces[:, 0] = 2 * pressed * weight / points
     history = History(

@@ -98,7 +98,8 @@ class ContactProber(Prober):
         if self._springs is None or not answer.stands:
             return super().certify(state, answer, near)
         verdicts = self.problem.undecided(1, displaced=True)
-        assert verdicts.forces is not None and verdicts.displacement is not None
+        assert verdicts.forces is not None
+        assert verdicts.displacement is not None
         verdicts.decided_by[:] = Solver.CPU
         verdicts.forces[0], verdicts.displacement[0] = self.forces(state, answer), answer.displacement
         changed, claim = answer.condition.applied_to(self.assembly), self.settings.claim
