@@ -42,7 +42,6 @@ class Doctor(Command, LoadOptions):
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework doctor my-folder",
-        "falsework doctor my-folder --unit mm --write",
         "falsework doctor model.3dm --picture model.png",
         "falsework doctor my-folder --cell dome-37 --picture reach.png",
         "falsework doctor cell.toml",

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.errors import DependencyError
 from falsework.robots.model.cell import Cell
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import schedule_of, segments_of
 from falsework.viewer.palette import INK
-from falsework.viewer.pictures.picture import save_figure
+from falsework.viewer.pictures.picture import figure_class, save_figure
 
 Array = NDArray[np.float64]
 
@@ -53,12 +52,8 @@ def draw_joints(plan: RobotPlan, cell: Cell, path: Path, *, width: int = 0, titl
         DependencyError: matplotlib is not installed.
         InputError: a file that is neither PNG nor SVG, or that cannot be written.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise DependencyError("a plot of joints needs matplotlib: pip install 'falsework[picture]'") from None
     rows = len(plan.robots)
-    figure = Figure(figsize=(_WIDTH, 0.8 + _ROW * rows), layout="constrained")
+    figure = figure_class("plots of joints")(figsize=(_WIDTH, 0.8 + _ROW * rows), layout="constrained")
     grid, fastest = figure.subplots(rows, 2, sharex=True, squeeze=False), 0.0
     for robot, (record, axes) in enumerate(zip(plan.robots, grid, strict=True)):
         times, positions, rates = joint_values(plan, robot)

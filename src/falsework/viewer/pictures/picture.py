@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from falsework.errors import InputError
+from falsework.errors import DependencyError, InputError
 from falsework.utils.files.output_file import write_whole
 from falsework.viewer.pictures.contact_sheet import check_suffix, import_pillow
 
@@ -63,6 +63,22 @@ def png_of(pixels: NDArray[np.uint8]) -> bytes:
 def svg_of(text: str) -> bytes:
     """Return an SVG file of its text."""
     return text.encode("utf-8", "backslashreplace")
+
+
+def figure_class(what: str) -> Any:
+    """Return the class of figures of matplotlib.
+
+    Args:
+        what: needs it, in the plural.
+
+    Raises:
+        DependencyError: it is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise DependencyError(f"{what} need matplotlib; pip install 'falsework[picture]'") from None
+    return Figure
 
 
 def save_figure(figure: Any, path: Path, dpi: float) -> None:
