@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from falsework.assembly.part_numbers import alike, part_id, part_range
 from falsework.errors import InputError, PlanError, StateError
 from falsework.utils.json_text import parse_json
+from falsework.utils.quantity import parse_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -223,3 +224,15 @@ def _state_of_parts(text: str, option: str, assembly: Assembly) -> States:
             raise StateError(f"{name!r} is neither a part nor a file; give {STATE_FORMS}")
         parts["held" if held else "standing"] += parse_parts(name, option, assembly.names)
     return named_state(parts, assembly)
+
+
+def parse_limits(force: str | None, moment: str | None) -> tuple[float | None, float | None]:
+    """Read the largest force and moment of a robot, such as `300N` and `40Nm`; numbers alone are N and Nm."""
+
+    def limit(text: str | None, kind: str) -> float | None:
+        try:
+            return None if text is None else float(text)
+        except ValueError:
+            return parse_quantity(text or "", kind, f"--hold-{kind}")
+
+    return limit(force, "force"), limit(moment, "moment")
