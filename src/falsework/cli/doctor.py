@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
-from falsework.cli.cell_reach import Propose, examine_cell, report_reach
+from falsework.cli.cell_reach import examine_cell, report_reach
 from falsework.cli.command import UNSET, Command, LoadOptions
 from falsework.cli.exit_code import Exit
 from falsework.errors import InputError
@@ -34,11 +34,9 @@ class Doctor(Command, LoadOptions):
     Works on structures that do not load, too: open, tiny, overlapping, duplicate and isolated parts are listed. Ends
     with the entries to add to assembly.json, and states whether the structure loads with them. With --cell it also
     reports which robot can hold which part, each alone on the boundary with the other robots at home, and proposes
-    better bases. The file of a cell is examined by itself. Exit code 1 if something does not load as it is, or if a
-    part is out of reach of all robots.
+    better bases where a robot does not reach a part. The file of a cell is examined by itself. Exit code 1 if something
+    does not load as it is, or if a part is out of reach of all robots.
     """
-
-    rare: ClassVar[tuple[str, ...]] = ("propose",)
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework doctor my-folder",
@@ -58,13 +56,9 @@ class Doctor(Command, LoadOptions):
     write: bool = False
     """Write what is proposed, with the options of the structure that are given, to assembly.json beside the parts. One
     that is there is left as it is."""
-    propose: Annotated[Propose | None, arg(help_behavior_hint="(default: auto)")] = None
-    """Search for better bases; auto: if a robot cannot reach a part."""
 
     def run(self, output: Output) -> Exit:
         """Diagnose, draw and report."""
-        if self.cell is None and self.propose is not None:
-            raise InputError("--propose is about the robots of a cell; name it with --cell")
         if self.write and (self.cell is not None or self.path.suffix.lower() == ".toml"):
             raise InputError("--write is about the file of a structure; leave out the cell")
         if self.path.suffix.lower() == ".toml":
@@ -138,7 +132,7 @@ class Doctor(Command, LoadOptions):
         if self.path.exists() and not self._diagnose(output).loads:
             return Exit.NO
         assembly = load_structure(str(self.path), **self.given())
-        return report_reach(assembly, cell, self.propose or "auto", self.picture, output)
+        return report_reach(assembly, cell, self.picture, output)
 
 
 def stands(assembly: Assembly) -> bool:
