@@ -472,7 +472,7 @@ def test_a_file_plays_without_a_server(browser: Any, arch: Any, tmp_path: Path) 
     tab = browser.new_page()
     wrong: list[str] = []
     tab.on("pageerror", lambda error: wrong.append(str(error)))
-    tab.goto((tmp_path / "plan.html").as_uri())
+    tab.goto((tmp_path / "plan.html").as_uri(), timeout=1000 * PATIENCE)
     tab.locator("canvas").first.wait_for(timeout=1000 * PATIENCE)
     tab.add_style_tag(content=".mantine-Notifications-root { display: none }")
     tab.locator("summary").click()
