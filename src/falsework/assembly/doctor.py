@@ -120,6 +120,7 @@ class Diagnosis:
             "remarks": list(self.remarks),
             "unit": self.units[0] if len(self.units) == 1 else None,
             "contacts": self.contacts,
+            "extent_m": list(self.extent),
             "stored_interfaces": self.stored.to_dict() if self.stored else None,
             "add": self.additions,
             "loads_with_it": self.cured,

@@ -221,7 +221,7 @@ def _state_of_parts(text: str, option: str, assembly: Assembly) -> States:
         held = item.startswith(_HELD) and item not in assembly.names
         name = item.removeprefix(_HELD) if held else item
         if part_range(name, assembly.names) is None and name not in assembly.names and not name.isdecimal():
-            raise StateError(f"{name!r} is neither a part nor a file; give {STATE_FORMS}")
+            raise StateError(f"{name!r} is neither a part nor a file{alike(name, assembly.names)}; give {STATE_FORMS}")
         parts["held" if held else "standing"] += parse_parts(name, option, assembly.names)
     return named_state(parts, assembly)
 

@@ -182,7 +182,7 @@ class MakePicture(JudgingCommand):
             output.record({"kind": "gantt", "bars": bars})
         else:
             fastest = draw_joints(plan, subject.arms.cell, self.out, width=self.width, title=self.title)
-            output.record({"kind": "joints", "largest_share_of_velocity_limit": round(fastest, 4)})
+            output.record({"kind": "joints", "velocity_share": round(fastest, 4)})
             text += f", joints at up to {fastest:.0%} of their largest speed"
         output.file(self.out)
         output.record({"makespan_s": round(seconds, 3)})
