@@ -132,8 +132,11 @@ def test_one_file_with_its_description_beside_it(tmp_path: Path):
             {"boundary": ["roof"]},
             "assembly.json: boundary is part 'roof', which does not exist; give an id from 0 to 2",
         ),
-        ({"boundary": [[0]]}, r"boundary is \[\[0\]\]; give ids of parts, 0 to 2, or names"),
-        ({"boundary": [[0, 1], [2]]}, r"boundary is \[\[0, 1\], \[2\]\]; give ids of parts, 0 to 2, or names"),
+        ({"boundary": [[0]]}, r"assembly\.json: boundary parts are \[\[0\]\]; give a list of part numbers or names"),
+        (
+            {"boundary": [[0, 1], [2]]},
+            r"assembly\.json: boundary parts are \[\[0, 1\], \[2\]\]; give a list of part numbers or names",
+        ),
         ({"boundary": [[0], "0"]}, "boundary parts are"),
         ({"boundary": []}, "--ground"),
         ({"unit": "furlong"}, "unknown unit 'furlong'"),
