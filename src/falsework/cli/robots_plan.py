@@ -14,7 +14,7 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, CriterionOfPlan, SeedOption, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.interrupted_robot_plan import InterruptedPlan
-from falsework.cli.planning import HoldOptions, lacks_reserve, press_text, refuse_unstable, writable
+from falsework.cli.planning import ExitOptions, HoldOptions, lacks_reserve, press_text, refuse_unstable, writable
 from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
     can_schedule,
@@ -56,7 +56,15 @@ class PlanRobots(Command):
     reach, obstacles, and the progress of the search. A partial plan is saved, except where an assembly is continued.
     """
 
-    rare: ClassVar[tuple[str, ...]] = ("seed", "target", "grips", "proofs", "criterion", "sequential", "parts_at_once")
+    rare: ClassVar[tuple[str, ...]] = (
+        "seed",
+        "target",
+        "grips",
+        "proofs",
+        "criterion",
+        "sequential",
+        *ExitOptions.rare,
+    )
     outcomes: ClassVar[tuple[str, str]] = ("found", "not_found")
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -104,8 +112,7 @@ class PlanRobots(Command):
     allow_regrasp: bool = False
     """Let arms release parts that stand without them and hold them again with another grasp, hand other parts to
     another arm, and put parts down on the way to grip them in another way, where there is no other way."""
-    parts_at_once: Annotated[int, arg(metavar="K")] = 1
-    """Largest number of parts that lock each other and that one arm may carry at once, holding one of them."""
+    exits: ExitOptions
     sequential: bool = False
     """One robot moves at a time; without this, robots move together wherever that is proven safe."""
     proofs: bool = False
@@ -219,7 +226,7 @@ class PlanRobots(Command):
             missing=missing,
             removable_only_if_clear=True,
             allow_regrasp=self.allow_regrasp,
-            parts_at_once=self.parts_at_once,
+            **self.exits.exits(),
         )
 
     def _guide(self, assembly: Assembly, task: Task) -> Guide | None:

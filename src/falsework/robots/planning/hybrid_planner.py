@@ -21,7 +21,7 @@ from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.cell_holds import stability_in
 from falsework.robots.planning.boundary_motions import BoundaryMotions, graph_parts, leading_insertions
-from falsework.robots.planning.carried_groups import plan_groups
+from falsework.robots.planning.carried_groups import plan_sets
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.hybrid_search import HybridSearch
 from falsework.robots.planning.initial_keyframe import given_keyframe, task_in_cell
@@ -67,9 +67,9 @@ def plan_robots(
         cell: the robots and their surroundings, or the name or file of the cell.
         task: states and rules; by default the whole structure is assembled. As in all tasks the start state is the one
             with more parts: an assembly begins in the target state. The number of robots is that of the cell, and
-            every part needs a free exit direction, not downwards. Of a task with several parts in one step, sets are
-            carried by one robot: the plan is for the structure in which each is one part (`Assembly.groups`), and is
-            checked with loose parts.
+            every part needs a free way out, not downwards. Of a task with several parts in one step, one robot carries
+            a set, or each part has a robot of its own, at the same instant. The plan is for the structure in which each
+            set that one robot carries is one part (`Assembly.groups`), and is checked with loose parts.
         concurrent: robots move at the same time: motions are shortened, steps reordered, and the plan has a schedule.
         configurations: joint values of the robots before the first step that is executed, shape (joints,) each. By
             default they are at home in disassembly, and in assembly where the first motion begins.
@@ -97,14 +97,14 @@ def plan_robots(
     if concurrent:
         import_ortools()
     assembly, cell = as_assembly(assembly), as_cell(cell)
-    if task is not None and task.together is not None:
+    if task is not None and task.together is not None and task.together.by_one:
         if any(given is not None for given in (configurations, held, gripped, oracle, guide, graph)):
             raise InputError(
-                "robots carry groups of parts only in whole plans without a policy; leave out what is held, joint "
+                "robots move several parts at once only in whole plans without a policy; leave out what is held, joint "
                 "values, oracle, guide and graph, or plan without parts_at_once"
             )
         options: dict[str, Any] = {"concurrent": concurrent, "settings": settings, "progress": progress}
-        return plan_groups(
+        return plan_sets(
             lambda structure, task, left: plan_robots(
                 structure, cell, task=task, deadline=left, stability=stability, forces=forces, **options
             ),
