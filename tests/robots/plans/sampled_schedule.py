@@ -114,7 +114,7 @@ def _prepare(
 def _first_hit(query: PreparedQuery, values: Array) -> tuple[int, tuple[str, str]] | None:
     for row, entry in enumerate(values):
         query.values[:] = entry
-        pair = query.hits(entry[query.slot])
+        pair = query.hits(entry[query.slots[query.robot]])
         if pair is not None:
             return row, pair
     return None

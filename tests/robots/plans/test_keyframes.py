@@ -10,9 +10,10 @@ import pytest
 from falsework import Assembly
 from falsework.assembly import complete_state
 from falsework.robots import Cell, KeyframeGraph
-from falsework.robots.grasping.exit_directions import ExitDirections
+from falsework.robots.grasping.exit_ways import ExitWays
 from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.model.cell import Placement
 
 
 @pytest.fixture(scope="module")
@@ -91,26 +92,26 @@ def test_what_was_computed_is_kept(graph: KeyframeGraph, column: Assembly, cell:
 def test_a_part_under_another_cannot_leave(graph: KeyframeGraph, column: Assembly) -> None:
     state = complete_state(column.boundary)
     assert graph.blocked_by(1, state) == 0
-    later, ways = graph.exit_direction_of(0, state)
+    later, ways = graph.exits.free_later(0, state)
     assert len(ways)
     assert later[0] == 1
 
 
 def test_exits_agree_with_the_clearance_table(column: Assembly) -> None:
     """A fan of directions finds a way out only where the table finds one."""
-    exits = ExitDirections(column, np.eye(3))
+    exits = ExitWays(column, Placement())
     rng = np.random.default_rng(0)
     free = ~column.boundary
     for _ in range(30):
         state = np.where(free, rng.integers(0, 2, column.part_count), 2).astype(np.uint8)
         clear = column.clearance.can_leave(state[None])[0]
         for part in np.flatnonzero(free):
-            ways = exits.free(int(part), state)
+            ways = np.array([move.direction for (move,) in exits.free(int(part), state)]).reshape(-1, 3)
             assert len(ways) == 0 or clear[part]
             assert (ways[:, 2] >= -1e-6).all()
             assert (np.diff(ways[:, 2]) <= 1e-8).all()
     top = exits.free(1, complete_state(column.boundary))
-    np.testing.assert_allclose(top[0], (0, 0, 1), atol=1e-9)
+    np.testing.assert_allclose(top[0][0].direction, (0, 0, 1), atol=1e-9)
 
 
 def test_too_heavy_and_out_of_reach_are_reasons(column: Assembly, cell_of: Callable[..., Cell]) -> None:

@@ -64,8 +64,9 @@ Task = int | Pressing
 """Node of the schedule, by its index, or the beginning or end of a press."""
 
 
-def events_of(plan: RobotPlan, step: int, robot: int) -> Iterator[Trajectory | Grip]:
-    """Yield the motions of a robot in a step and the gripper actions before or after them, in time."""
+def events_of(plan: RobotPlan, step: int, robot: int | None = None) -> Iterator[Trajectory | Grip]:
+    """Yield the motions of a robot, by default the first, in a step and the gripper actions around them, in time."""
+    robot = plan.steps[step].robot if robot is None else robot
     grip, apart, moves = plan.grip(step), plan.direction is Direction.DISASSEMBLY, plan.steps[step].of(robot)
     before, after = plan.keyframes[step].load(robot) is not None, plan.keyframes[step + 1].load(robot) is not None
     if plan.steps[step].transit:
