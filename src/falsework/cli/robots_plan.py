@@ -64,6 +64,7 @@ class PlanRobots(Command):
         "criterion",
         "sequential",
         *ExitOptions.rare,
+        "parts_at_once",
     )
     outcomes: ClassVar[tuple[str, str]] = ("found", "not_found")
 

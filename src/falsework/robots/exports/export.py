@@ -83,7 +83,7 @@ def export_plan(
     if joint is not None and form in ONE_CLOCK_EACH:
         others = ", ".join(kept for kept in FORMATS if kept not in ONE_CLOCK_EACH)
         raise InputError(
-            f"in step {joint + 1} ({plan.does(joint)}) several robots move at the same instant, which {form} cannot say: "
+            f"in step {plan.number(joint)} ({plan.does(joint)}) several robots move at the same instant, which {form} cannot say: "
             f"each robot has a clock of its own; choose {others}"
         )
     writers: dict[str, Callable[[], Iterable[tuple[str, str]]]] = {
