@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -11,7 +12,6 @@ from falsework import Assembly
 from falsework.assembly import complete_state
 from falsework.robots import Cell, KeyframeGraph
 from falsework.robots.grasping.exit_ways import ExitWays
-from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Placement
 
@@ -21,36 +21,19 @@ def graph(column: Assembly, cell: Cell) -> KeyframeGraph:
     return KeyframeGraph(column, cell)
 
 
-def test_keyframes_of_a_state_are_all_assignments_and_branches(
-    graph: KeyframeGraph, column: Assembly, cell: Cell
-) -> None:
-    state = complete_state(column.boundary)
-    assert [node.held for node in graph.keyframes(state)] == [(None, None)]
-    state[1] = 2
-    graph = KeyframeGraph(column, cell, settings=KeyframeSettings(grasps=3))
-    nodes = list(graph.keyframes(state))
-    assert {node.held for node in nodes} == {(1, None), (None, 1)}
-    for node in nodes:
-        robot = node.held.index(1)
-        assert any(
-            np.allclose(tool_pose(cell.robots[robot], node.configurations[robot]), grip.grasp.tool, atol=1e-5)
-            for grip in graph.grips(robot, 1, state)
-        )
-    # Several branches of the same grasp are different keyframes.
-    assert len({node.key for node in nodes}) == len(nodes) > 8
-
-
-def test_two_robots_never_hold_one_part_nor_meet(graph: KeyframeGraph, column: Assembly) -> None:
-    state = complete_state(column.boundary)
-    state[[1, 2]] = 2
-    count = 0
-    for node in graph.keyframes(state):
-        assert sorted(part for part in node.held if part is not None) == [1, 2]
-        assert graph.collision(node, 0) is None
-        count += 1
-        if count == 20:
-            break
-    assert count == 20
+def test_two_robots_never_hold_one_part_nor_meet(graph: KeyframeGraph, column: Assembly, cell: Cell) -> None:
+    """Grasps have several branches, and two arms that hold neighbours keep apart."""
+    root, branches = graph.start(complete_state(column.boundary), cell.homes, (None, None)), 0
+    for first in itertools.islice(graph.edges(root, 1), 4):
+        branches += len(graph.grips(first.robot, 1, root.state)) > 8
+        for second in itertools.islice(graph.edges(first.node, 2), 3):
+            assert {first.robot, second.robot} == {0, 1}
+            assert sorted(second.node.held) == [1, 2]
+            assert graph.collision(second.node, 0) is None
+            grips = graph.grips(second.robot, 2, first.node.state)
+            tool = tool_pose(cell.robots[second.robot], second.node.configurations[second.robot])
+            assert any(np.allclose(tool, grip.grasp.tool, atol=1e-5) for grip in grips)
+    assert branches
 
 
 def test_an_edge_moves_one_robot_from_where_it_stands(graph: KeyframeGraph, column: Assembly, cell: Cell) -> None:

@@ -25,9 +25,8 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.loads import load_of, loads_at, loads_beside, step_fault
-from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_forces import GripLoad, grip_loads, overloads, press_fault
-from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.robot_plan import PlanProblem, RobotPlan
 from falsework.robots.plans.trajectory import OUTSIDE, check_limits
 from falsework.search.plans.plan_report import PlanReport
 from falsework.search.problem.task import Direction

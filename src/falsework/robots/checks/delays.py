@@ -23,9 +23,8 @@ import numpy as np
 from falsework.assembly.state import REMOVED
 from falsework.robots.checks.pinocchio_checker import WORLD, CollisionBody, PinocchioCollisionChecker, import_pinocchio
 from falsework.robots.model.shapes import Array
-from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.reachable_positions import ReachablePositions
-from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.robot_plan import PlanProblem, RobotPlan
 from falsework.robots.plans.timeline import Segment
 from falsework.robots.plans.trajectory import Trajectory
 

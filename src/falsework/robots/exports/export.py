@@ -83,8 +83,8 @@ def export_plan(
     if joint is not None and form in ONE_CLOCK_EACH:
         others = ", ".join(kept for kept in FORMATS if kept not in ONE_CLOCK_EACH)
         raise InputError(
-            f"in step {plan.number(joint)} ({plan.does(joint)}) several robots move at the same instant, which {form} cannot say: "
-            f"each robot has a clock of its own; choose {others}"
+            f"in step {plan.number(joint)} ({plan.does(joint)}) several robots move at the same instant, which {form} "
+            f"cannot say: each robot has a clock of its own; choose {others}"
         )
     writers: dict[str, Callable[[], Iterable[tuple[str, str]]]] = {
         "ros2-json": lambda: ros2_messages(plan, presses, "json", joint_prefix),

@@ -7,7 +7,6 @@ completely: edges are computed on demand and cached.
 
 from __future__ import annotations
 
-import itertools
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -126,25 +125,6 @@ class KeyframeGraph:
         """Yield edges on which the first of two robots that hold a part leaves it to the other."""
         assert node.handed is not None
         return self._release(node, node.handed)
-
-    def keyframes(self, state: States) -> Iterator[Node]:
-        """Yield every keyframe of a state: every assignment of robots to held parts, every grasp and joint branch.
-
-        Robots that hold nothing are at home. Yields only those in which nothing collides.
-        """
-        state = np.asarray(state, np.uint8)
-        wanted = np.flatnonzero((state == HELD) & ~self.assembly.boundary).tolist()
-        robots, line = range(self.cell.robot_count), self.cell.margins.line
-        for chosen in itertools.permutations(robots, len(wanted)):
-            options = [self.grips(robot, part, state) for robot, part in zip(chosen, wanted, strict=True)]
-            for grips in itertools.product(*options):
-                values = list(self.cell.homes)
-                held: list[int | None] = [None] * self.cell.robot_count
-                for grip, part in zip(grips, wanted, strict=True):
-                    values[grip.robot], held[grip.robot] = grip.configuration, part
-                node = Node(state, tuple(values), tuple(held))
-                if not any(self._view(node, r, line).collides(node.configurations[r])[0] for r in robots):
-                    yield node
 
     def grips(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
         """Return all grasps of a part by a robot among the parts of a state; other robots are ignored."""

@@ -201,12 +201,9 @@ class SolvabilityCheck:
             scores = np.asarray(self._guide(states, actions, direction), dtype=np.float64)
             return scores + rng.normal(scale=0.3 * (scores.std() + 1e-3), size=scores.shape)
 
-        directions = [Direction.DISASSEMBLY, Direction.ASSEMBLY]
-        for direction in reversed(directions) if seed % 2 else directions:
+        for direction in [*Direction][:: -1 if seed % 2 else 1]:
             beam = self._beam(self.task, direction, seed, disturbed)
-            routes = self._search(beam, _VARIED_WIDTH, self._varied_verdicts)
-            if routes:
-                self.follow(routes)
+            if self.follow(self._search(beam, _VARIED_WIDTH, self._varied_verdicts)):
                 return
 
     def falls(self, route: Route) -> int | None:
@@ -240,11 +237,10 @@ class SolvabilityCheck:
             return False
         task = replace(self.task, start=state)
         for _ in range(MAX_FALLEN_REPLAYS):
-            beam = self._beam(task)
+            beam = self._beam(task, seed=self._seed)
             routes = self._search(beam, _VARIED_WIDTH, self._varied_verdicts)
             if not routes or not any(self.joint.learn_from(route.states) for route in routes):
-                self.follow(routes)
-                return bool(routes)
+                return self.follow(routes)
         return False
 
     def _prune(self) -> None:
@@ -268,14 +264,10 @@ class SolvabilityCheck:
         self._preferred = {state: place for state, place in self._preferred.items() if state in left}
 
     def _beam(
-        self,
-        task: Task,
-        direction: Direction = Direction.DISASSEMBLY,
-        seed: int | None = None,
-        guide: Guide | None = None,
+        self, task: Task, direction: Direction = Direction.DISASSEMBLY, seed: int = 0, guide: Guide | None = None
     ) -> Search:
-        """Return a beam over the states of a task, by default with the guide and seed of this search."""
-        guide, seed = guide or self._guide, self._seed if seed is None else seed
+        """Return a beam over the states of a task, by default with the guide of this search."""
+        guide = guide or self._guide
         if task.together is not None:
             return TogetherBeam(replace(task, allow_regrasp=False), self.oracle, direction, guide=guide)
         return BackjumpingBeam(task, self.oracle, BackjumpingSettings(direction, seed=seed), guide=guide)
@@ -337,11 +329,12 @@ class SolvabilityCheck:
         place = self._preferred.get(state_after(state, action).tobytes(), -1)
         return place > self._preferred.get(state.tobytes(), -1)
 
-    def follow(self, routes: Sequence[Route]) -> None:
-        """Take the states of routes for solvable, and prefer the steps along them."""
+    def follow(self, routes: Sequence[Route]) -> bool:
+        """Take the states of routes for solvable, and prefer the steps along them; return whether there are any."""
         if routes:
             self._preferred = {state.tobytes(): k for route in routes for k, state in enumerate(route.states)}
             self._solvable |= self._preferred.keys()
+        return bool(routes)
 
     def relax(self, share: float) -> None:
         """Let missing parts come after a share of the steps that stability alone allows them to wait."""
@@ -351,7 +344,7 @@ class SolvabilityCheck:
         self._moves.clear()
         self._not_found.clear()
         # The known states surround the plan with the latest parts: add one for the new rules.
-        beam = self._beam(self.task)
+        beam = self._beam(self.task, seed=self._seed)
         self.follow(self._search(beam, _FIRST_BEAM_WIDTH))
 
     def legal(self, state: States) -> list[int]:

@@ -109,10 +109,6 @@ class Itineraries:
                 self._known[key] = (found, found), np.zeros(1)
         return self._known[key]
 
-    def of_robot(self, robot: int) -> list[int]:
-        """Return the nodes of one arm in their order."""
-        return [index for index, node in enumerate(self.nodes) if robot in node.robots]
-
     def present(self, node: int) -> NDArray[np.bool_]:
         """Return the parts that were in place when a motion was planned, shape (parts,)."""
         return self.plan.resting(self.nodes[node].step)
@@ -145,7 +141,8 @@ def fixed_precedences(rows: Itineraries) -> list[Precedence]:
     """Return the precedences of every schedule of a plan: of each arm, of the states, of parts in place."""
     found = []
     for robot in range(len(rows.rows)):
-        found += [Precedence(a, rows.nodes[a].seconds, b, "arm") for a, b in pairwise(rows.of_robot(robot))]
+        own = [index for index, node in enumerate(rows.nodes) if robot in node.robots]
+        found += [Precedence(a, rows.nodes[a].seconds, b, "arm") for a, b in pairwise(own)]
     for one, other in pairwise(rows.events):
         offset = rows.nodes[one.node].seconds if one.at_end else 0.0
         found.append(Precedence(one.node, offset, other.node, "state"))
