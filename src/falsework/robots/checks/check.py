@@ -333,7 +333,8 @@ def check_robot_plan(
             loads = tuple(grip_loads(plan, assembly, cell))
             checker.problems += overloads(list(loads), plan, cell)
     delays = None
-    if plan.schedule is not None and bounded and not checker.full():
+    in_step = not any(step.partners and step_fault(plan, index) for index, step in enumerate(plan.steps))
+    if plan.schedule is not None and bounded and in_step and not checker.full():
         delays = check_delays(plan, checker.judge, most=_MAX_PROBLEMS)
         checker.problems += delays.problems
     return CheckReport(

@@ -151,7 +151,8 @@ class HandlingChecker:
     def _moves(self, index: int) -> list[PathMove]:
         """Return the moves in the world on which the part of a step leaves, or came, in the order of leaving."""
         paths, rows = self.plan.plan.exit_paths, self.plan.rows[index : index + 2]
-        way = paths[rows.min()] if paths and rows[0] != rows[1] else ()
+        alone = rows[0] != rows[1] and not self.plan.steps[index].partners
+        way = paths[rows.min()] if paths and alone else ()
         return [placed_move(move, self.cell.placement) for move in way]
 
 

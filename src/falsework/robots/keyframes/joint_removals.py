@@ -181,11 +181,9 @@ class JointRemovals:
         for (_, one), (_, other) in itertools.combinations(robots, 2):
             for mine, theirs in ((grips[one], None), (None, grips[other])):
                 for pieces in _PIECES:
-                    swept = (
-                        self._bodies.along(robot, paths[robot], load, pieces)
-                        for robot, load in ((one, mine), (other, theirs))
-                    )
-                    if not conflicts(*swept, margin).diagonal().any():
+                    first = self._bodies.along(one, paths[one], mine, pieces)
+                    second = self._bodies.along(other, paths[other], theirs, pieces)
+                    if not conflicts(first, second, margin).diagonal().any():
                         break
                 else:
                     return False

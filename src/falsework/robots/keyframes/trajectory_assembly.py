@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +90,7 @@ def timed_legs(
     if np.abs(np.diff(path, axis=0)).sum() < STANDSTILL:
         return (None,) * len(segments)
     names = "velocity", "acceleration", "lower", "upper", "prismatic", "joint_names"
-    joined = {name: np.concatenate([getattr(model, name) for model in models]) for name in names}
+    joined: dict[str, Any] = {name: np.concatenate([getattr(model, name) for model in models]) for name in names}
     whole = replace(max(models, key=lambda model: model.reach), **joined) if len(models) > 1 else models[0]
     timed = time_path(whole, path, speed)
     knots = _enough(timed.times, timed.positions, timed.velocities, whole.acceleration * speed**2)

@@ -267,10 +267,9 @@ class SolvabilityCheck:
         self, task: Task, direction: Direction = Direction.DISASSEMBLY, seed: int = 0, guide: Guide | None = None
     ) -> Search:
         """Return a beam over the states of a task, by default with the guide of this search."""
-        guide = guide or self._guide
         if task.together is not None:
-            return TogetherBeam(replace(task, allow_regrasp=False), self.oracle, direction, guide=guide)
-        return BackjumpingBeam(task, self.oracle, BackjumpingSettings(direction, seed=seed), guide=guide)
+            return TogetherBeam(replace(task, allow_regrasp=False), self.oracle, direction, guide=guide or self._guide)
+        return BackjumpingBeam(task, self.oracle, BackjumpingSettings(direction, seed=seed), guide=guide or self._guide)
 
     def _search(self, beam: Search, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
         """Return routes of a beam search with successful replays; none if time or verdicts do not suffice."""
@@ -385,7 +384,7 @@ class SolvabilityCheck:
         if self.joint is not None and not self.joint.possible(after[None])[0]:
             return False
         release = action < len(state) and state[action] == HELD
-        number = np.array([min(action, len(state))])  # any removal is like another
+        number = np.array([min(action, len(state))])
         asked = release or self.task.needs_verdict(number, Direction.DISASSEMBLY)[0]
         if (asked and not self.oracle.verdicts(after[None], near=state[None]).stable[0]) or not self._join(after):
             self._not_found.add(key)

@@ -129,7 +129,7 @@ def partner_fault(plan: RobotPlan, step: int) -> str:
         return "several robots move at the same instant although no parts leave the structure or come to it"
     if len(set(entry.robots)) < len(entry.robots):
         return "a robot moves twice at the same instant"
-    if sorted({plan.part_of(step, robot) for robot in entry.robots} - {None}) != np.flatnonzero(parts).tolist():
+    if {plan.part_of(step, robot) for robot in entry.robots} != {*np.flatnonzero(parts).tolist()}:
         return "its robots do not move one each of the parts that leave or come"
     for partner in entry.partners:
         if [*map(_clock, partner.trajectories)] != [*map(_clock, entry.trajectories)]:
@@ -207,10 +207,9 @@ def transit_fault(plan: RobotPlan, step: int) -> str:
             return f"{plan.robots[robot].name} comes to carry another part without a motion"
         if any(part is not None and (plan.states[k][part] != REMOVED) for k, part in ((step, old), (step + 1, new))):
             return f"{plan.robots[robot].name} carries a part that is in place"
-    removal = int(plan.actions[step]) >= len(plan.plan.boundary)
-    for robot in entry.robots[::-1]:
-        ends = before.load(robot), after.load(robot)
-        parts = [trajectory.part for trajectory in entry.of(robot)]
+    removal, ends, parts = int(plan.actions[step]) >= len(plan.plan.boundary), (None, None), list[int | None]()
+    for robot in entry.robots[::-1]:  # the first one last: of a transit more is said below
+        ends, parts = (before.load(robot), after.load(robot)), [leg.part for leg in entry.of(robot)]
         if ends != (None, None) and not (entry.transit or removal):
             return "a robot that carries a part can neither hold nor release one"
         if any(end is not None and part != end for end, part in zip(ends, (*parts[:1], *parts[-1:]), strict=False)):
