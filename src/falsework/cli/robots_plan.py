@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from falsework.robots.model.cell import Cell
     from falsework.robots.planning.hybrid_result import HybridResult
     from falsework.robots.plans.robot_plan import RobotPlan
+    from falsework.search.plans.plan import Plan
     from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Task
 
@@ -141,7 +142,7 @@ class PlanRobots(Command):
         building = order is Direction.ASSEMBLY
         if begun is not None:
             held, joints, grips = [*begun.now.held], [*begun.now.configurations], [*begun.now.gripped]
-            task = self._task(assembly, cell, begun.now.state, held)
+            task = self._task(assembly, cell, begun.now.state, held, begun.plan.plan)
         else:
             held, joints = parse_holding(self.holding, cell, assembly), parse_joints(self.joints, cell)
             task = self._task(assembly, cell, parse_now(self.state or self._beginning, held, assembly), held)
@@ -206,7 +207,9 @@ class PlanRobots(Command):
         cell = load_cell(self.cell or "")
         return self.structure.load(), cell
 
-    def _task(self, assembly: Assembly, cell: Cell, now: States, held: Sequence[int | None]) -> Task:
+    def _task(
+        self, assembly: Assembly, cell: Cell, now: States, held: Sequence[int | None], begun: Plan | None = None
+    ) -> Task:
         from falsework.search.find import make_task
 
         building = self.order == "assembly"
@@ -219,6 +222,10 @@ class PlanRobots(Command):
                 raise InputError(f"part {name} is said to be missing, yet it is {where}; name parts that are not there")
         end = None if self.target is None else parse_state(self.target, "--target", assembly)
         start, target = (end, now) if building else (now, end)  # plans are found as disassembly
+        rules = self.exits.exits()
+        if begun is not None:  # what it allows goes on
+            rules["parts_at_once"] = max(self.exits.parts_at_once, begun.parts_at_once)
+            rules["moves"], rules["turns"] = max(self.exits.moves, begun.moves), self.exits.turns or begun.turns
         return make_task(
             assembly,
             cell.robot_count,
@@ -227,7 +234,7 @@ class PlanRobots(Command):
             missing=missing,
             removable_only_if_clear=True,
             allow_regrasp=self.allow_regrasp,
-            **self.exits.exits(),
+            **rules,
         )
 
     def _guide(self, assembly: Assembly, task: Task) -> Guide | None:

@@ -132,5 +132,3 @@ def test_what_is_not_joined(shelf: Assembly, strong: Cell) -> None:
         join_parts(light, [(2, 3)])
     with pytest.raises(InputError, match="arms let go of no part half way out"):
         plan_robots(shelf, strong, task=make_task(shelf, 2, moves=2, waiting=True))
-    with pytest.raises(InputError, match="robots move several parts at once only in whole plans"):
-        plan_robots(shelf, strong, task=make_task(shelf, 2, parts_at_once=2), held=(None, None))

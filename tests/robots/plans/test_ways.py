@@ -27,12 +27,14 @@ from falsework.robots.exports.export import export_plan
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Placement
 from falsework.robots.planning.hybrid_result import HybridResult
+from falsework.robots.plans.continued import continued
 from falsework.robots.plans.robot_plan_file import (
     load_robot_plan,
     robot_plan_from_dict,
     robot_plan_to_dict,
     save_robot_plan,
 )
+from falsework.robots.plans.timeline import interruption, schedule_of
 from falsework.robots.plans.trajectory import Trajectory, move_fault
 from falsework.robots.schedule.simulation import simulate
 from tests.robots.plans.conftest import make_cell
@@ -241,6 +243,24 @@ def test_boards_that_lift_off_together_come_apart_in_the_air(lifted: tuple[Assem
     assert len(plan.steps[joint].trajectories) == 2
     assert [step.transit for step in plan.steps[joint - 2 : joint]] == [True, True]
     assert check(assembly, plan.reverse(), cell).good
+
+
+def test_an_interrupted_assembly_goes_on_with_parts_at_one_instant(lifted: tuple[Assembly, Cell, RobotPlan]) -> None:
+    """From where both arms carry their boards; what was begun and what follows are one plan."""
+    assembly, cell, plan = lifted
+    (joint,) = [k for k, step in enumerate(plan.steps) if step.partners]
+    graph = schedule_of(plan)
+    begins = next(start for start, node in zip(graph.starts(), graph.nodes, strict=True) if node.step == joint)
+    now = interruption(plan, begins - 0.05)
+    assert sorted(part for part in now.held if part is not None) == [2, 3]
+    task = make_task(assembly, 2, target=now.state, parts_at_once=2)
+    given = {"configurations": now.configurations, "held": now.held, "gripped": now.gripped}
+    rest = value(plan_robots(assembly, cell, task=task, **given))
+    whole, fails = continued(rest, plan, now.done, assembly)
+    assert fails is None
+    assert whole.plan.parts_at_once == 2
+    report = check(assembly, whole, cell)
+    assert report.good, report.problems
 
 
 def test_arms_that_are_out_of_step_are_refused(spread: tuple[Assembly, Cell, RobotPlan], tmp_path: Path) -> None:

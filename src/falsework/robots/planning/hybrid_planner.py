@@ -17,7 +17,6 @@ from falsework.assembly.groups import groups_of, join_parts
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED
-from falsework.errors import InputError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.keyframes.failure_report import Explanation
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
@@ -76,7 +75,8 @@ def plan_robots(
             with more parts: an assembly begins in the target state. The number of robots is that of the cell, and
             every part needs a free way out, not downwards. Of a task with several parts in one step, one robot carries
             a set, or each part has a robot of its own, at the same instant. The plan is for the structure in which each
-            set that one robot carries is one part (`Assembly.groups`), and is checked with loose parts.
+            set that one robot carries is one part (`Assembly.groups`), and is checked with loose parts. With an oracle,
+            a guide, a graph or a beginning each part has a robot of its own.
         concurrent: robots move at the same time: motions are shortened, steps reordered, and the plan has a schedule.
         configurations: joint values of the robots before the first step that is executed, shape (joints,) each. By
             default they are at home in disassembly, and in assembly where the first motion begins.
@@ -104,12 +104,10 @@ def plan_robots(
     if concurrent:
         import_ortools()
     assembly, cell = as_assembly(assembly), as_cell(cell)
-    if task is not None and task.together is not None and task.together.by_one:
-        if any(given is not None for given in (configurations, held, gripped, oracle, guide, graph)):
-            raise InputError(
-                "robots move several parts at once only in whole plans without a policy; leave out what is held, joint "
-                "values, oracle, guide and graph, or plan without parts_at_once"
-            )
+    begun = any(given is not None for given in (configurations, held, gripped, oracle, guide, graph))
+    if task is not None and task.together is not None and begun:  # of which parts are joined is not known
+        task = replace(task, together=task.together.held)
+    elif task is not None and task.together is not None and task.together.by_one:
         options: dict[str, Any] = {"concurrent": concurrent, "settings": settings, "progress": progress}
         return _plan_sets(
             lambda structure, task, left: plan_robots(
