@@ -162,10 +162,7 @@ def follow_move(view: CollisionQuery, start: ArrayLike, move: PathMove, *, point
     tail = tail_of(view.model, robot.gripper.tool)
     for halving in range(LINE_HALVINGS + 1):
         count = max(points - 1, int(np.ceil(steps * 2**halving)))
-        targets, middle = (
-            np.array([move.displacement(share) for share in shares]) @ home
-            for shares in (np.linspace(0.0, 1.0, count + 1), (np.arange(count) + 0.5) / count)
-        )
+        targets = _poses(move, home, np.linspace(0.0, 1.0, count + 1))
         values = np.repeat(first[None], count + 1, axis=0)
         reached = np.zeros(count + 1, bool)
         wanted = np.ascontiguousarray(targets[:, :3])
@@ -174,7 +171,8 @@ def follow_move(view: CollisionQuery, start: ArrayLike, move: PathMove, *, point
         path = values[:good]
         smooth = (np.abs(np.diff(path, axis=0)).max(axis=1, initial=0.0) <= LINE_JOINT_STEP).all()
         if smooth and good > 1:
-            away = tool_pose(robot, (path[:-1] + path[1:]) / 2) - middle[: good - 1]
+            middle = _poses(move, home, (np.arange(good - 1) + 0.5) / count)
+            away = tool_pose(robot, (path[:-1] + path[1:]) / 2) - middle
             smooth = bool((np.linalg.norm(away[:, :3, 3], axis=1) <= LINE_DEVIATION).all())
             smooth &= not move.turns or bool((np.abs(away[:, :3, :3]) <= TURN_DEVIATION).all())
         if smooth and good == count + 1:
@@ -189,6 +187,15 @@ def follow_move(view: CollisionQuery, start: ArrayLike, move: PathMove, *, point
     if free < len(path) - 1:
         return _blocked(view, path, free)
     return Motion("found", path)
+
+
+def _poses(move: PathMove, home: Array, shares: Array) -> Array:
+    """Return where a move brings a frame, shape (4, 4), after shares of it, shape (shares, 4, 4)."""
+    if move.turns:
+        return np.array([move.displacement(float(share)) for share in shares]).reshape(-1, 4, 4) @ home
+    found = np.repeat(home[None], len(shares), axis=0)
+    found[:, :3, 3] += np.outer(shares * move.distance, move.direction)
+    return found
 
 
 def _branch(tree: Array, parents: NDArray[np.int64], leaf: int) -> list[Array]:
