@@ -13,7 +13,7 @@ from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
 from falsework.robots.keyframes.keyframes import PathSegment
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import Array
-from falsework.robots.motion.collision_world import LIFT, NO_CONTACT, CollisionQuery, Scene, withdrawal_contact
+from falsework.robots.motion.collision_world import LIFT, NO_CONTACT, CollisionQuery, Contact, Scene, withdrawal_contact
 from falsework.robots.motion.path_planner import Motion, MotionCache, follow_line, follow_move
 
 _ROOM = 2.0
@@ -21,6 +21,8 @@ _ROOM = 2.0
 bodies hardly any motion is free."""
 _MAX_WAYS = 16
 """Ways out that are tried for a part."""
+_LIFT = 0.3
+"""Length of the line on which a part that was withdrawn along the floor is lifted off it, in approach margins."""
 _MAX_PLACES = 4
 """Number of free motions to a drop-off pose that are tried."""
 
@@ -94,7 +96,7 @@ class Withdrawal:
                 continue
             if tight is not None:
                 break
-            lift = self._lift(scene, robot, path[-1], free)
+            lift = lifted(self.cache, scene, robot, path[-1], LIFT, _LIFT)
             if lift is not None:
                 yield path, lift
                 return
@@ -126,19 +128,19 @@ class Withdrawal:
             self.reasons.add("remove", part, robot, what, free.pair, free.at)
         return None
 
-    def _lift(self, scene: Scene, robot: int, here: Array, free: CollisionQuery) -> Array | None:
-        """Return the path on which a part that was withdrawn along the floor is lifted off it; None if blocked."""
-        view = self.cache.view(scene, robot, LIFT)
-        up = follow_line(view, here, (0.0, 0.0, 1.0), 0.3 * self.cell.margins.approach)
-        if up.path is None or free.collides(up.path[-1])[0]:
-            return None
-        return up.path
-
     def _ordered(self, ways: Sequence[ExitPath], tool: Array) -> list[ExitPath]:
         """Return the ways to try, best first: away from the gripper's pointing direction, then upwards."""
         directions = np.array([way[0].direction for way in ways]).reshape(-1, 3)
         score = directions @ -tool[:3, 2] + 0.5 * directions[:, 2]
         return [ways[row] for row in np.argsort(-score, kind="stable")[:_MAX_WAYS]]
+
+
+def lifted(cache: MotionCache, scene: Scene, robot: int, here: Array, contact: Contact, share: float) -> Array | None:
+    """Return the line on which a part is lifted off the floor, a share of the approach margin; None if blocked."""
+    up = follow_line(
+        cache.view(scene, robot, contact), here, (0.0, 0.0, 1.0), share * cache.world.cell.margins.approach
+    )
+    return None if up.path is None or cache.view(scene, robot).collides(up.path[-1])[0] else up.path
 
 
 def told(way: ExitPath, number: int, what: str) -> str:
