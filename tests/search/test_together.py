@@ -38,15 +38,14 @@ from falsework.errors import AssemblyError, InputError, PlanError
 from falsework.interop.instruction_table import instructions_csv
 from falsework.interop.tracks import tracks_of
 from falsework.search import Demands, ExhaustiveSearch, Oracle
+from falsework.search.beam.state_beam import StateBeam
 from falsework.search.margins.demands import MarginOracle
 from falsework.search.plans import plan_rules
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict, save_plan
 from falsework.search.plans.plan_model import plan_schema
-from falsework.search.together.carried_group import carried_group, holds_together
-from falsework.search.together.moves import TogetherMoves
-from falsework.search.together.rule import InterlockedSets
-from falsework.search.together_beam import TogetherBeam
+from falsework.search.together.moves import TaskMoves
+from falsework.search.together.rule import InterlockedSets, carried_group, holds_together
 from falsework.stability import HoldSettings, Verdicts
 from falsework.stability.judges.discrete_elements import BuildJudge
 from falsework.viewer import Timeline
@@ -227,14 +226,14 @@ class Enumeration:
 
 def plans_of(task: Task, oracle) -> int:
     """Count the plans of a task by its own moves."""
-    moves = TogetherMoves(task, oracle)
+    moves = TaskMoves(task, oracle)
 
     @lru_cache(None)
     def count(key: bytes) -> int:
         state = np.frombuffer(key, dtype=np.uint8)
         if (state == task.target).all():
             return 1
-        after, _ = moves.after(state, Direction.DISASSEMBLY)
+        _, after, _ = moves.after(state[None], Direction.DISASSEMBLY)
         stable = oracle.verdicts(after).stable if len(after) else ()
         return sum(count(row.tobytes()) for row, good in zip(after, stable, strict=True) if good)
 
@@ -303,7 +302,7 @@ def test_three_parts_that_leave_only_together(robots: int) -> None:
     bars, frame = three_bars()
     assembly = assembly_of(bars, frame)
     assert Enumeration(bars, robots, 2, fixed=frame).plans() == 0
-    two = TogetherBeam(make_task(assembly, robots, parts_at_once=2), EveryStateStands(), Direction.DISASSEMBLY)
+    two = StateBeam(make_task(assembly, robots, parts_at_once=2), EveryStateStands(), width=1)
     result = two.run(64)
     assert result.outcome is Outcome.PROVED_IMPOSSIBLE
     assert result.notes == ("no part there, and no set of up to 2, can begin to move, not even by turning",)
@@ -329,7 +328,7 @@ def test_beams_find_a_plan_where_there_is_one(seed: int, count: int, possible: b
     assembly = assembly_of(pieces)
     expected = Enumeration(pieces, 1, 2).plans() > 0
     assert possible is None or expected == possible
-    beam = TogetherBeam(make_task(assembly, 1, parts_at_once=2), EveryStateStands(), direction)
+    beam = StateBeam(make_task(assembly, 1, parts_at_once=2), EveryStateStands(), direction, width=1)
     result = beam.run(64)
     assert result.found == expected
     assert beam.examined_all or expected
@@ -338,9 +337,9 @@ def test_beams_find_a_plan_where_there_is_one(seed: int, count: int, possible: b
         return
     (route,) = result.routes
     np.testing.assert_array_equal(route.states[[0, -1]], [beam.task.start, beam.task.target])
-    follow = TogetherMoves(beam.task, EveryStateStands())
+    follow = TaskMoves(beam.task, EveryStateStands())
     for before, after, action in zip(route.states, route.states[1:], route.actions, strict=False):
-        states, actions = follow.after(before, Direction.DISASSEMBLY)
+        _, states, actions = follow.after(before[None], Direction.DISASSEMBLY)
         assert action in actions[(states == after).all(axis=1)]
 
 

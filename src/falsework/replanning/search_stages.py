@@ -19,7 +19,7 @@ from falsework.search.exhaustive import ExhaustiveSearch
 from falsework.search.planner import Planner
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide
-from falsework.search.problem.result import Outcome, SearchResult, Stop
+from falsework.search.problem.result import Outcome, Progress, SearchProgress, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction
 from falsework.search.settings import PlannerSettings
@@ -36,7 +36,7 @@ _TURN_LEVELS = 8
 
 
 class _Search(Protocol):
-    def run(self, *, stop: Stop | None = None) -> SearchResult:
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
         """Run as `BeamSearch.run`."""
         ...
 
@@ -48,8 +48,8 @@ class _ReachabilityStage:
         self._session = session
         self._search = ExhaustiveSearch(session.task, session.oracle, state_limit=session.context.settings.state_limit)
 
-    def run(self, *, stop: Stop | None = None) -> SearchResult:
-        session, census = self._session, self._search.run(stop=stop)
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        session, census = self._session, self._search.run(progress=progress, stop=stop)
         result, states = census.result, census.graph.states
         while result.found and not session.stands(result.routes[0], Stage.EXHAUSTIVE):
             # Each turn excludes a state, so that the loop ends; but a route of one step has none to exclude.
@@ -187,17 +187,19 @@ class TimeSlices:
     def run(self, stop: Stop) -> SearchResult | None:
         """Run the search; None if the deadline passed before it had anything to report."""
         try:
-            return self.search.run(stop=stop)
+            return self.search.run(progress=self._count, stop=stop)
         except DeadlineExceeded:
             return None
 
     def _over(self) -> bool:
         session = self._session
         if session is not None:
-            session.yield_control()
-        self._told = self._left == 0 or (session is not None and session.clock.passed)
-        self._left -= 1
+            session.clock.between()
+        self._told = self._left <= 0 or (session is not None and session.clock.passed)
         return self._told
+
+    def _count(self, _: SearchProgress) -> None:
+        self._left -= 1
 
 
 class _WideningBeam:
@@ -209,14 +211,14 @@ class _WideningBeam:
         self._number = 0
         self._beam: BeamSearch | None = None
 
-    def run(self, *, stop: Stop | None = None) -> SearchResult:
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
         widths = self._session.context.settings.widths
         while True:
             if self._beam is None:
                 width, seed = widths[self._number], self._session.request.seed
                 settings = BeamSettings(width, Direction.DISASSEMBLY, "none", seed=seed)
                 self._beam = BeamSearch(self._session.task, self._session.oracle, settings, guide=self._guide)
-            result = self._beam.run(stop=stop)
+            result = self._beam.run(progress=progress, stop=stop)
             if result.found and not self._session.stands(result.routes[0], Stage.GUIDED):
                 states = result.routes[0].states
                 self._beam.forbid(states[self._session.oracle.rules_out(states)])

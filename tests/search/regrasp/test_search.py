@@ -13,10 +13,10 @@ import pytest
 
 from falsework import Direction, Outcome, PlannerSettings, Task
 from falsework.search import ExhaustiveSearch, Oracle
+from falsework.search.beam.regrasp_beam import RegraspBeam
+from falsework.search.beam.state_beam import StateBeam
 from falsework.search.planner import Planner
 from falsework.search.problem.regrasp_moves import RegraspMoves
-from falsework.search.regrasp.beam import RegraspBeam
-from falsework.search.regrasp.exhaustive import ExhaustiveRegraspSearch
 
 State = tuple[int, ...]
 
@@ -65,7 +65,7 @@ def test_agrees_with_plain_recursion(rules: Any, seed: int, robots: int) -> None
     if seed % 4 > 1:
         oracle = rules.pressing(seed, 6)
     task = Task.from_rules(rules.ground(6), robots, clearance=clearance if seed % 2 else None, allow_regrasp=True)
-    search = ExhaustiveRegraspSearch(task, oracle)
+    search = StateBeam(task, oracle)
     result = search.run()
     reachable = all_reachable(task, oracle)
     possible = tuple(task.target.tolist()) in reachable
@@ -102,7 +102,7 @@ def test_agrees_with_the_exhaustive_search(rules: Any, seed: int) -> None:
     oracle, _ = rules.random(seed, 6)
     for robots in (1, 2):
         once = ExhaustiveSearch(Task.from_rules(rules.ground(6), robots), oracle).run()
-        again = ExhaustiveRegraspSearch(Task.from_rules(rules.ground(6), robots, allow_regrasp=True), oracle).run()
+        again = StateBeam(Task.from_rules(rules.ground(6), robots, allow_regrasp=True), oracle).run()
         assert again.found or not once.result.found
         if robots == 1:
             assert again.found == once.result.found

@@ -21,8 +21,9 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.robots.keyframes.joint_holds import HoldingOracle, JointHolds
 from falsework.robots.keyframes.keyframes import state_after
-from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
-from falsework.search.planner import Planner
+from falsework.search.beam.beam import BeamSearch
+from falsework.search.beam.settings import BeamSettings
+from falsework.search.planner import MOST_FALLS, Planner
 from falsework.search.plans.plan_replay import Acceptance
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.result import Route, SearchResult, Stop, barred_row
@@ -46,8 +47,6 @@ _VARIED_WIDTH = 16
 """Widest beam for a varied plan, and number of simultaneous rollouts with random actions."""
 _VARIED_VERDICTS = 2000
 """Verdict budget for a varied plan from each end: a beam that needs more is stuck, and slow under `contact`."""
-MAX_FALLEN_REPLAYS = 40
-"""Plans of one search, abstract or with motions, whose replay may fail before the search ends."""
 
 
 class ConnectingSearch:
@@ -199,7 +198,8 @@ class SolvabilityCheck:
 
         directions = [Direction.DISASSEMBLY, Direction.ASSEMBLY]
         for direction in reversed(directions) if seed % 2 else directions:
-            beam = BackjumpingBeam(self.task, self.oracle, BackjumpingSettings(direction, seed=seed), guide=disturbed)
+            settings = BeamSettings.from_width(1, direction, seed=seed)
+            beam = BeamSearch(self.task, self.oracle, settings, guide=disturbed)
             routes = self._search(beam, _VARIED_WIDTH, self._varied_verdicts)
             if routes:
                 self.follow(routes)
@@ -235,8 +235,8 @@ class SolvabilityCheck:
         if self.joint is None or self.task.missing:
             return False
         task = replace(self.task, start=state)
-        for _ in range(MAX_FALLEN_REPLAYS):
-            beam = BackjumpingBeam(task, self.oracle, BackjumpingSettings(seed=self._seed), guide=self._guide)
+        for _ in range(MOST_FALLS):
+            beam = BeamSearch(task, self.oracle, BeamSettings.from_width(seed=self._seed), guide=self._guide)
             routes = self._search(beam, _VARIED_WIDTH, self._varied_verdicts)
             if not routes or not any(self.joint.learn_from(route.states) for route in routes):
                 self.follow(routes)
@@ -260,15 +260,15 @@ class SolvabilityCheck:
         self._solvable = left
         self._preferred = {state: place for state, place in self._preferred.items() if state in left}
 
-    def _search(self, beam: BackjumpingBeam, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
+    def _search(self, beam: BeamSearch, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
         """Return routes of a beam search with successful replays; none if time or verdicts do not suffice."""
 
         def stop() -> bool:
-            return beam.search.counters.asked >= verdicts or self._stop()
+            return beam.asked >= verdicts or self._stop()
 
-        for _ in range(MAX_FALLEN_REPLAYS):
+        for _ in range(MOST_FALLS):
             if self._forbidden:
-                beam.search.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
+                beam.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
             routes = beam.run(widest, stop=stop).unless_interrupted(stop).routes
             row = self.falls(routes[0]) if routes else None
             if row is None:
@@ -286,7 +286,7 @@ class SolvabilityCheck:
         if score is None or self.task.steps == 0:
             return None
         rows = 1 if rng is None else _VARIED_WIDTH
-        for _ in range(MAX_FALLEN_REPLAYS):
+        for _ in range(MOST_FALLS):
             rollouts = follow_scores(
                 [self.task],
                 np.repeat(self.task.start[None], rows, axis=0),
@@ -331,7 +331,7 @@ class SolvabilityCheck:
         self._moves.clear()
         self._not_found.clear()
         # The known states surround the plan with the latest parts: add one for the new rules.
-        beam = BackjumpingBeam(self.task, self.oracle, BackjumpingSettings(seed=self._seed), guide=self._guide)
+        beam = BeamSearch(self.task, self.oracle, BeamSettings.from_width(seed=self._seed), guide=self._guide)
         self.follow(self._search(beam, _FIRST_BEAM_WIDTH))
 
     def legal(self, state: States) -> list[int]:

@@ -13,7 +13,7 @@ from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError, PlanError
 from falsework.search.margins.demands import Demands, MarginOracle
-from falsework.search.plans.build_proofs import carried_steps, check_build
+from falsework.search.plans.build_proofs import check_build
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_report import (
     PROOF_NAMES,
@@ -30,7 +30,6 @@ from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.plans.state_proofs import PROVED_AT_ONCE
 from falsework.search.problem.hashing import chunks
 from falsework.stability.certificate import StabilityCriterion, residuals_in_order, verify_certificates
-from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_arrays import StateArrays
@@ -130,7 +129,7 @@ def validate_plan(
         else:
             report = replace(report, checked=broken[0])
     else:
-        proven = _residuals_of_proofs(plan, assembly, settings.claim) if carried and not misfit else None
+        proven = _residuals_of_forces(plan, assembly, settings.claim) if carried and not misfit else None
         report = _solve(report, plan, assembly, settings, count, proven, progress)
     weak = _weak(plan, assembly, settings, demands) if report.good and broken is None else None
     if weak is not None:
@@ -215,18 +214,12 @@ def _misfit(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> str:
     return "" if shape == wanted else f"the plan has {name} of shape {shape}; expected {wanted}; plan again"
 
 
-def _residuals_of_proofs(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> NDArray[np.float64]:
-    """Return the residuals that the certificates in a plan leave, which fit its states."""
-    proofs = _proofs_under(plan, claim)
-    assert proofs is not None
+def _residuals_of_forces(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> NDArray[np.float64]:
+    """Return the residuals that the contact forces in a plan leave, which fit its states."""
+    assert plan.forces is not None
     # Numbers from a file may overflow; what is not finite leaves an infinite residual.
     with np.errstate(over="ignore", invalid="ignore"):
-        if claim.criterion == "equilibrium":
-            return residuals_in_order(assembly, plan.states, proofs, claim)
-        verifier, found = BuildVerifier(assembly, claim), np.empty(len(plan.states))
-        for row, (state, step) in enumerate(zip(plan.states, carried_steps(plan), strict=True)):
-            found[row] = verifier.step(state, step).residual
-        return found
+        return residuals_in_order(assembly, plan.states, plan.forces, claim)
 
 
 def _unproven(plan: Plan, row: int, residual: float, claim: StabilityCriterion) -> str:
@@ -253,36 +246,3 @@ def _weak(
         return row, f"the structure does not keep {oracle.broken(plan.states[row])}"
     found = None if plan.margins is None else plan.margins.overstated(oracle, plan.states)
     return None if found is None else (found[0], f"the structure {found[1]}")
-
-
-def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> PlanReport:
-    """Check the rules and, by the displacements or forces in the plan, the stability; needs no solver.
-
-    Args:
-        plan: plan to check.
-        assembly: the structure.
-        settings: stability criterion.
-
-    Raises:
-        PlanError: the plan is for another structure, carries no proofs, or not one for each part or contact point.
-    """
-    check_identity(plan, assembly)
-    begun, claim = time.perf_counter(), settings.claim
-    report = _blank(plan, assembly, claim)
-    if not report.good:
-        return report
-    if claim.criterion == "contact":
-        claim = replace(claim, reserve=plan.claim.reserve, holds=plan.claim.holds.within(claim.holds))
-        report = replace(report, claim=claim)
-    misfit = _misfit(plan, assembly, claim)
-    if misfit:
-        raise PlanError(misfit)
-    broken = broken_rule(plan, assembly, settings)
-    residual = _residuals_of_proofs(plan, assembly, claim)
-    count, reason = (len(plan.states), "") if broken is None else broken
-    bad = np.flatnonzero(~(residual[:count] <= claim.tolerance))
-    if len(bad):
-        count = int(bad[0])
-        reason = _unproven(plan, count, float(residual[count]), claim)
-    largest, seconds = float(residual[:count].max(initial=0.0)), time.perf_counter() - begun
-    return replace(report, checked=count, reason=reason, residual=largest, certified=count, seconds=seconds)

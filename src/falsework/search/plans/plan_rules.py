@@ -13,8 +13,8 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import moved_parts
 from falsework.search.problem.regrasp_moves import RegraspMoves
 from falsework.search.problem.task import Direction, Task
-from falsework.search.together.carried_group import holds_together
 from falsework.search.together.posed_states import PosedStates
+from falsework.search.together.rule import holds_together
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 
