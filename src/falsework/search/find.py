@@ -25,11 +25,10 @@ from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
 from falsework.search.planning import Planning
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
-from falsework.search.plans.build_proofs import prove_build
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_replay import Acceptance, PlanReplay
+from falsework.search.plans.proofs import prove, prove_build
 from falsework.search.plans.route_tests import barred_state
-from falsework.search.plans.state_proofs import prove
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.hold_bound import HoldBound

@@ -15,9 +15,9 @@ from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, Task, 
 from falsework.assembly import HELD
 from falsework.errors import PlanError
 from falsework.geometry import TriangleMesh
-from falsework.search.plans.build_proofs import prove_build
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
+from falsework.search.plans.proofs import prove_build
 from falsework.search.problem.result import Route
 from falsework.stability import HoldSettings
 from falsework.stability.contact.hold_loads import largest_load

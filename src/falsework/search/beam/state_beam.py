@@ -142,8 +142,9 @@ class StateBeam(StateSearch):
 
     def _failure(self) -> tuple[Outcome, str]:
         if self.gave_up:
-            what = "holding again" if self.moves.again is not None else f"up to {self.moves.largest} parts at once"
-            return Outcome.NOT_FOUND, f"gave up after {self._limit} states with {what}"
+            again, several = self.moves.again is not None, self.moves.largest > 1
+            more = " with holding again" * again + f" with up to {self.moves.largest} parts at once" * several
+            return Outcome.NOT_FOUND, f"gave up after {self._limit} states{more}"
         return beam_failure(self._limit, not self._left_out, *self._open(), self.moves.caveat)
 
     def _farthest_states(self) -> tuple[int, States, States]:

@@ -59,6 +59,9 @@ class StateSearch(Search):
         self._forget()
         self._restart(self.width)
 
+    def _open(self) -> tuple[int, int]:
+        return self.judge.undecided, self.judge.sliding + len(self.judge.forbidden)
+
     @property
     def found(self) -> bool:
         """See `Search.found`."""

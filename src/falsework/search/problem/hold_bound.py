@@ -233,7 +233,7 @@ class HoldBound:
         speed = np.where(free, np.abs(velocity).max(axis=1), 0.0)
         claim, assembly = self._oracle.settings.claim, self._oracle.assembly
         # Speeds below such a share of the fastest part's are taken as zero, where what is left is a proof as well.
-        for share in (claim.tolerance, claim.tolerance**2):
+        for share in (claim.tolerance / 10, claim.tolerance**2):
             moving = speed > share * speed.max()
             kept = np.where(moving[:, None], velocity, 0.0)
             if residual_bound_of_velocity(assembly, state[None], kept[None], claim)[0] > claim.tolerance:
