@@ -58,6 +58,8 @@ FIRST_SHARE = 0.5
 """Share of a deadline for plans with the reserve; the rest is for plans without, where there are none."""
 PLANS = StabilitySettings(reserve=1.1)
 """Stability of plans by default: parts come to rest with friction divided by 1.1, and with the true one."""
+_CHOICE_SECONDS = 1.0
+"""Seconds in which to choose among plans where the deadline leaves less."""
 
 
 def find_plans(
@@ -166,7 +168,8 @@ def find_plans(
             fallen = prove_route(planner.tests.fallen[0], assembly, task, oracle, forces=forces)
         return Planning(result, (), Alternatives.from_routes([]), fallen, result.interrupted and clock.passed)
     late = result.interrupted and clock.passed
-    chosen = _choose(planner, result, settings, assembly, oracle, lambda: clock.passed)
+    choice = Deadline(max(clock.left, _CHOICE_SECONDS))
+    chosen = _choose(planner, result, settings, assembly, oracle, lambda: choice.passed)
     plans = tuple(
         prove_route(
             route, assembly, task, oracle, forces=forces, replay=planner.tests.replays.get(route.states.tobytes())

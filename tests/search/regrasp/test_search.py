@@ -197,3 +197,18 @@ def test_seesaws_that_do_not_come_apart(rules: Any, seed: int) -> None:
     result = Planner(task, oracle, PlannerSettings(width=4), guide=level_guide).run()
     possible = tuple(task.target.tolist()) in all_reachable(task, oracle)
     assert result.outcome is (Outcome.FOUND if possible else Outcome.PROVED_IMPOSSIBLE)
+
+
+@pytest.mark.parametrize("allow_regrasp", [False, True])
+def test_states_that_were_ruled_out_prove_nothing(rules: Any, allow_regrasp: bool) -> None:
+    """A replay excludes states that stand by themselves, so that no plan without them is no proof."""
+    search = StateBeam(Task.from_rules(rules.ground(4), 1, allow_regrasp=allow_regrasp), rules.blocks(4))
+    found = 0
+    while (result := search.run()).found:
+        found += 1
+        assert not {state.tobytes() for state in result.routes[0].states} & search.judge.forbidden
+        search.forbid(result.routes[0].states[1:-1])
+    assert found
+    assert result.outcome is Outcome.NOT_FOUND
+    assert "states slide" in result.limit
+    assert not search.examined_all
