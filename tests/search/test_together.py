@@ -45,8 +45,8 @@ from falsework.search.plans import plan_rules
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict, save_plan
 from falsework.search.plans.plan_model import plan_schema
+from falsework.search.problem.part_sets import InterlockedSets, carried_group, holds_together
 from falsework.search.together.moves import TaskMoves
-from falsework.search.together.rule import InterlockedSets, carried_group, holds_together
 from falsework.stability import HoldSettings, Verdicts
 from falsework.stability.judges.discrete_elements import BuildJudge
 from falsework.viewer import Timeline

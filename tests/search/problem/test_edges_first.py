@@ -19,7 +19,7 @@ from falsework import (
 from falsework.assembly import complete_state
 from falsework.search import SupportGuide
 from falsework.search.planner import Planner
-from falsework.search.problem.edge_rows import edge_rows
+from falsework.search.problem.guide import edge_rows
 from falsework.stability.settings import EQUILIBRIUM
 
 _LENGTH, _COURSES = 12, 13

@@ -17,7 +17,7 @@ from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, find_p
 from falsework.assembly import complete_state, library
 from falsework.errors import InputError
 from falsework.search import BeamSearch, BeamSettings
-from falsework.search.plans.plan_replay import PlanReplay
+from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.contact.history import ReplaySettings
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.varied_replay import replay_varied

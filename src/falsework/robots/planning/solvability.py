@@ -24,7 +24,7 @@ from falsework.robots.keyframes.keyframes import state_after
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.planner import MOST_FALLS, Planner
-from falsework.search.plans.plan_replay import Acceptance
+from falsework.search.plans.acceptance import Acceptance
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.result import Route, SearchResult, Stop, barred_row
 from falsework.search.problem.rollout import follow_scores

@@ -17,10 +17,10 @@ from falsework.search.beam.paths import BeamPaths
 from falsework.search.beam.scores import Scores
 from falsework.search.beam.selection import Selector
 from falsework.search.beam.settings import BeamSettings
-from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.oracle import CountingOracle, Oracle
+from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import REPORTED_STATES, SearchCounters
 from falsework.search.problem.task import Direction, Task
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.search.beam.frontier import Frontier, Level, PackedLevel, Rows
-from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.oracle import CountingOracle
+from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.contact.build_verifier import StepCertificate
 
 if TYPE_CHECKING:

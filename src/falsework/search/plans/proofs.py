@@ -10,8 +10,8 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.problem.hashing import chunks
+from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
 from falsework.stability.contact.build_verifier import BuildVerifier

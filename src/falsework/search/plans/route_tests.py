@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.assembly.state import States
-from falsework.search.plans.plan_replay import Acceptance, PlanReplay
+from falsework.search.plans.acceptance import Acceptance
 from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route, Stop, barred_row
 from falsework.search.settings import PlannerSettings
 from falsework.stability.contact.varied_replay import AnyReplayer

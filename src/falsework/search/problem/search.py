@@ -19,8 +19,8 @@ from falsework.search.problem.result import (
 from falsework.search.problem.task import Direction, Task
 
 if TYPE_CHECKING:
-    from falsework.search.plans.plan_replay import PlanReplay
     from falsework.search.problem.oracle import CountingOracle
+    from falsework.search.problem.plan_replay import PlanReplay
 
 
 class Search(ABC):

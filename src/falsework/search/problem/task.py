@@ -32,7 +32,7 @@ from falsework.search.problem.oracle import Criterion
 from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
-    from falsework.search.together.rule import InterlockedSets
+    from falsework.search.problem.part_sets import InterlockedSets
 
 STAGE = np.array([2, 0, 1], dtype=np.int64)
 """Steps of disassembly that a part has behind it, indexed by its value: installed 0, held 1, removed 2."""
