@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Protocol
 
@@ -15,12 +15,12 @@ from falsework.replanning.result import Stage
 from falsework.replanning.session import ReplanSession
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
-from falsework.search.beam.state_beam import StateBeam
+from falsework.search.exhaustive import ExhaustiveSearch
 from falsework.search.planner import Planner
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.result import Outcome, Progress, SearchProgress, SearchResult, Stop
-from falsework.search.problem.search import Search
+from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction
 from falsework.search.settings import PlannerSettings
 
@@ -41,29 +41,55 @@ class _Search(Protocol):
         ...
 
 
-class _Tested:
-    """Searches one after the other until one finds a route whose replay succeeds, or proves that there is none."""
+class _ReachabilityStage:
+    """Exhaustive search behind the interface of the other searches."""
 
-    def __init__(self, session: ReplanSession, by: Stage, searches: Iterable[Search]) -> None:
-        self._session, self._by, self._searches = session, by, iter(searches)
-        self._search = next(self._searches)
+    def __init__(self, session: ReplanSession) -> None:
+        self._session = session
+        self._search = ExhaustiveSearch(session.task, session.oracle, state_limit=session.context.settings.state_limit)
+
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        session, census = self._session, self._search.run(progress=progress, stop=stop)
+        result, states = census.result, census.graph.states
+        while result.found and not session.stands(result.routes[0], Stage.EXHAUSTIVE):
+            # Each turn excludes a state, so that the loop ends; but a route of one step has none to exclude.
+            left = states[~session.oracle.rules_out(states)]
+            graph = StateGraph.from_states(session.task, left)
+            route = graph.sample_route(np.random.default_rng(session.request.seed)) if len(left) < len(states) else None
+            states = left
+            if route is None:
+                return replace(result, outcome=Outcome.NOT_FOUND, routes=())
+            result = replace(result, routes=(route,))
+        return result
+
+
+class _GuidedBeams:
+    """Beams that the policy guides, each wider than the one before, until the replay of a route succeeds."""
+
+    def __init__(self, session: ReplanSession, guide: Guide) -> None:
+        self._session, self._guide = session, guide
+        self._widths = iter(session.context.settings.widths)
+        self._search = self._beam(next(self._widths))
+
+    def _beam(self, width: int) -> BeamSearch:
+        settings = BeamSettings(width, Direction.DISASSEMBLY, "none", seed=self._session.request.seed)
+        return BeamSearch(self._session.task, self._session.oracle, settings, guide=self._guide)
 
     def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
         session = self._session
         while True:
             result = self._search.run(progress=progress, stop=stop)
-            if result.found and not session.stands(result.routes[0], self._by):
+            if result.found and not session.stands(result.routes[0], Stage.GUIDED):
                 states = result.routes[0].states
                 self._search.forbid(states[session.oracle.rules_out(states)])
                 if self._search.found:  # nothing lies between the ends
                     return replace(result, outcome=Outcome.NOT_FOUND, routes=())
                 continue
-            following = None
-            if not (result.interrupted or result.found or result.outcome is Outcome.PROVED_IMPOSSIBLE):
-                following = next(self._searches, None)
-            if following is None:
+            ended = result.interrupted or result.found or result.outcome is Outcome.PROVED_IMPOSSIBLE
+            wider = None if ended else next(self._widths, None)
+            if wider is None:
                 return result
-            self._search = following
+            self._search = self._beam(wider)
 
 
 class _TimedGuide:
@@ -96,9 +122,7 @@ def search_on(session: ReplanSession, guide: Guide) -> Iterator[None]:
         yield from _better_plans(session, guide)
     task = session.task  # searches that hold parts again, or move several, end by examining every state themselves
     if not (session.decided or session.clock.passed or task.allow_regrasp or task.together is not None):
-        every = StateBeam(task, session.oracle, state_limit=session.context.settings.state_limit)
-        search = _Tested(session, Stage.EXHAUSTIVE, [every])
-        yield from _finish([TimeSlices(search, Stage.EXHAUSTIVE, _TURN_LEVELS)], session)
+        yield from _finish([TimeSlices(_ReachabilityStage(session), Stage.EXHAUSTIVE, _TURN_LEVELS)], session)
 
 
 def _first_plan(session: ReplanSession, guide: Guide) -> Iterator[None]:
@@ -109,14 +133,8 @@ def _first_plan(session: ReplanSession, guide: Guide) -> Iterator[None]:
     policy = session.context.guide
     if policy is not None and _affordable(session, policy):
         timed = _TimedGuide(policy.for_task(session.task), session.clock)
-        wider = (_guided_beam(session, timed, width) for width in session.context.settings.widths)
-        rivals.insert(0, TimeSlices(_Tested(session, Stage.GUIDED, wider), Stage.GUIDED, 1))
+        rivals.insert(0, TimeSlices(_GuidedBeams(session, timed), Stage.GUIDED, 1))
     yield from _finish(rivals, session)
-
-
-def _guided_beam(session: ReplanSession, guide: Guide, width: int) -> BeamSearch:
-    settings = BeamSettings(width, Direction.DISASSEMBLY, "none", seed=session.request.seed)
-    return BeamSearch(session.task, session.oracle, settings, guide=guide)
 
 
 def _affordable(session: ReplanSession, policy: PolicyGuide) -> bool:
