@@ -39,8 +39,8 @@ class InterlockedSets:
                 f"to {max(most, 1)}"
             )
         self.largest, self._assembly = int(largest), assembly
-        self.each_held = True
-        """Whether several robots may move a set, each with a part of its own; else one robot carries it."""
+        self.each_held = self.by_one = True
+        """Whether several robots may move a set, each with a part of its own; and whether one robot may carry it."""
         self._carriers: dict[tuple[PartSet, StabilitySettings], tuple[int, ...]] = {}
 
     @property
@@ -48,6 +48,13 @@ class InterlockedSets:
         """The same rule for sets that one robot carries."""
         new = copy(self)
         new.each_held = False
+        return new
+
+    @property
+    def held(self) -> InterlockedSets:
+        """The same rule for sets of which a robot of its own holds each part."""
+        new = copy(self)
+        new.by_one = False
         return new
 
     def sets(self, movable: Mask) -> tuple[PartSet, ...]:
@@ -64,7 +71,7 @@ class InterlockedSets:
         None if no contacts connect the set, or the oracle has no settings.
         """
         settings = oracle.settings
-        if settings is None:
+        if settings is None or not self.by_one:
             return ()
         if (parts, settings) not in self._carriers:
             try:
