@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from falsework.stability.cpu.layout import FAST
 from falsework.stability.cpu.products import product
 from falsework.utils.kernels import njit
 
