@@ -74,7 +74,8 @@ class BuildVerifier:
         self._law = _Law(assembly, claim)
         self._limits = limits_of(assembly, claim.holds, claim.gravity)
         self._stiffness, self._hybrid = claim.holds.stiffness, claim.holds.mode is HoldMode.HYBRID
-        self._size = structure_size(assembly)
+        self._size, self._names = structure_size(assembly), assembly.names
+        self._loads = assembly.applied_wrench(claim.gravity)
         self._before: States | None = None
         self._residual = RunningResidual(assembly, claim)
         self._springs, self._forces = np.zeros((self._law.points, 3)), np.zeros((self._law.points, 3))
@@ -83,7 +84,7 @@ class BuildVerifier:
 
     def step(self, state: States, certificate: StepCertificate) -> StepProof:
         """Evaluate the step to the next state, shape (parts,); the first one is loaded from rest."""
-        assembly, claim, law = self._assembly, self._claim, self._law
+        assembly, law = self._assembly, self._law
         before = np.zeros_like(state) if self._before is None else self._before
         there, was = law.geometry.present(state), law.geometry.present(before)
         if self._before is not None:
@@ -100,14 +101,14 @@ class BuildVerifier:
         residual = self._residual.step(state, forces)
         held = np.flatnonzero((state == HELD) & ~assembly.immovable)
         borne = np.zeros_like(moved)
-        borne[held] = -(law.geometry.wrenches_on(held, forces) + assembly.applied_wrench(claim.gravity)[held])
+        borne[held] = -(law.geometry.wrenches_on(held, forces) + self._loads[held])
         farthest = float(np.abs(moved[:, :3]).max(initial=0.0))
         limit = float(movement_limit(self._size, law.compression(springs)))
         reason = self._broken(before, state, certificate.presses, steps.sum(axis=0), borne)
         if not (sound and whole):
             reason = "the certificate is damaged, or calls a contact whole that breaks"
         elif farthest > limit * (1 + _CLOSE):
-            part = assembly.names[int(np.abs(moved[:, :3]).max(axis=1).argmax())]
+            part = self._names[int(np.abs(moved[:, :3]).max(axis=1).argmax())]
             reason = (
                 f"{part} moves by {format_quantity(farthest, 'length')}, more than the limit of "
                 f"{format_quantity(limit, 'length')}"
@@ -126,18 +127,18 @@ class BuildVerifier:
         """
         assembly, limits = self._assembly, self._limits
         added = {press.part: np.asarray(press.wrench) for press in presses}
-        mass, inertia, gyration = assembly.mass.mass, assembly.mass.inertia, assembly.mass.gyration
+        mass, inertia, gyration = assembly.mass.mass, assembly.mass.inertia, self._law.geometry.gyration
         held = (state == HELD) & (before == HELD) & ~assembly.immovable
         stray = [part for part in added if not held[part]]
         if stray:
-            return f"a robot presses {assembly.names[stray[0]]}, which it does not hold"
+            return f"a robot presses {self._names[stray[0]]}, which it does not hold"
         if len(added) < len(presses):
             return "a part is pressed twice in one step"
         turning = [part for part, wrench in added.items() if self._hybrid and wrench[3:].any()]
         if turning:
-            return f"the robot that presses {assembly.names[turning[0]]} adds a moment, which hybrid control does not"
+            return f"the robot that presses {self._names[turning[0]]} adds a moment, which hybrid control does not"
         for part in np.flatnonzero((state == HELD) & ~assembly.immovable).tolist():
-            name, weight = assembly.names[part], mass[part] * self._claim.gravity
+            name, weight = self._names[part], mass[part] * self._claim.gravity
             force, moment = np.linalg.norm(borne[part, :3]), np.linalg.norm(borne[part, 3:])
             if force > limits.force[part] * (1 + _CLOSE) or moment > limits.moment[part] * (1 + _CLOSE):
                 return (
