@@ -54,7 +54,7 @@ class Selector:
     judge: CountingOracle
     """Asked for verdicts."""
     failures: FailedMoves | None = None
-    """Moves that failed before, which are tried last."""
+    """Moves that failed before, which are tried last, or where replays decide only if no robot is free."""
 
     def order(self, rows: Rows, score: Callable[[Rows], NDArray[np.float64]], count: int) -> Rows:
         """Return rows in the order in which they are to be taken, where about `count` are wanted.
