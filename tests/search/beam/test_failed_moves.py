@@ -77,10 +77,14 @@ class Recording(StabilityOracle):
     """Oracle whose replayer notes what it is asked for."""
 
     @cached_property
-    def replayer(self) -> Recorded:  # type: ignore[override]
+    def recorded(self) -> Recorded:
         replayer = Recorded(self.assembly, self.settings)
         replayer.steps = []
         return replayer
+
+    @property
+    def replayer(self) -> Replayer:
+        return self.recorded
 
 
 def test_what_slid_waits_until_no_robot_is_free() -> None:
@@ -91,7 +95,7 @@ def test_what_slid_waits_until_no_robot_is_free() -> None:
     search = BackjumpingBeam(task, oracle, guide=SupportGuide(assembly))
     search.run(1)
     known, failed = FailedMoves(task.neighbours), 0
-    for before, after, rests in oracle.replayer.steps:
+    for before, after, rests in oracle.recorded.steps:
         part = np.flatnonzero((before != after) & (after == INSTALLED))
         keys = known.keys(np.repeat(after[None], len(part), axis=0), part)
         left = (before == REMOVED).any() and ((before == HELD) & ~assembly.boundary).sum() < task.robots

@@ -140,7 +140,7 @@ class Selector:
         failed = self.failures.failed(keys)
         again = np.flatnonzero(failed)
         if self.judge.replayed:
-            again = again[~frontier.fixing.any(axis=1)[frontier.parent(waiting[again])]]
+            again = again[~frontier.fixing[frontier.parent(waiting[again])].any(axis=1)]
         again = again[: AHEAD * wanted]
         order = np.concatenate([np.flatnonzero(~failed), again])
         waiting, keys = waiting[order], keys[order]

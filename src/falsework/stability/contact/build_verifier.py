@@ -204,7 +204,7 @@ class _Law:
         """
         if self.whole.pull.any() or self.whole.stick.any():
             return np.flatnonzero(there)
-        moves = steps.any(axis=(0, 2))
+        moves = np.asarray(steps.any(axis=(0, 2)))
         return np.flatnonzero(there & (moves[self.geometry.part_a] | moves[self.geometry.part_b]))
 
     def follow(
