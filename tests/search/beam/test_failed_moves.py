@@ -88,7 +88,7 @@ class Recording(StabilityOracle):
 
 
 def test_what_slid_waits_until_no_robot_is_free() -> None:
-    """A part that does not come to rest is let go of again once something beside it is different, or nothing is left."""
+    """A part that slides is let go of again once something beside it is different, or nothing else is left to do."""
     assembly = library.build("vault:parts=60,span=4,rise=1.2,thickness=0.2")
     task, oracle = make_task(assembly, 2), Recording(assembly, StabilitySettings(reserve=1.1))
     assert task.neighbours is not None
