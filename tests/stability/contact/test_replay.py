@@ -208,8 +208,8 @@ def test_certificates_are_the_same_where_all_contacts_are_evaluated(dome: Assemb
         scale = np.abs(other.forces).max(initial=1.0)
         np.testing.assert_allclose(one.forces, other.forces, rtol=0, atol=1e-9 * scale)
         np.testing.assert_allclose(one.wrenches, other.wrenches, rtol=0, atol=1e-9 * scale)
-        residual = residual_of_forces(dome, state[None], one.forces[None], claim)
-        np.testing.assert_allclose([one.residual, other.residual], residual, rtol=1e-6, atol=1e-12)
+        (residual,) = residual_of_forces(dome, state[None], one.forces[None], claim)
+        np.testing.assert_allclose([one.residual, other.residual], [residual] * 2, rtol=1e-6, atol=1e-12)
 
 
 @pytest.mark.parametrize("robust", [False, True])

@@ -143,20 +143,21 @@ class Acceptance:
             return found
         presses = _of_all(found.presses, states)
         loads: list[tuple[HoldLoad, ...]] = []
-        row = None
+        row, done = None, 0
         try:
             for first, histories in _pieces(plain, states, presses):
-                some, known = states[first : first + len(histories)], len(loads) - first
+                some, known = states[first : first + len(histories)], done - first
                 row = plain.first_tipping(some, histories, known)
                 if row is not None:
                     row += first
                     break
                 loads += plain.loads(some[known:], histories[known:])
+                done = first + len(histories)
         except DeadlineExceeded:
             plain.replay(states, presses=presses)  # which notes that this route was not replayed to its end
             raise
-        if row is None and len(loads) < len(states):
-            row = len(loads)
+        if row is None and done < len(states):
+            row = done
         if row is None and self._variations is not None:
             row = self._variations.falls_at(states, presses)
         if row is not None:
