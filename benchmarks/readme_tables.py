@@ -149,7 +149,7 @@ LARGE = (
     _vault(510, "contact", 2),
     _vault(510, "contact", 3),
     _vault(510, "contact", 4),
-    _vault(989, "contact", 4),
+    _vault(989, "contact", 2),
     _public("pavilion-vault-387", "pavilion of 387 parts", 2),
     _public("armadillo-399", "Armadillo, a shell of 399 parts", 4),
 )

@@ -57,7 +57,7 @@ class RuleReplayer:
         part = zeros.astype(np.int32) - 1
         return Replay(stands, zeros, part, zeros, 1.0, (none,) * reached, ((),) * reached)
 
-    def first_tipping(self, states: States, histories: Sequence[History]) -> int | None:
+    def first_tipping(self, states: States, histories: Sequence[History], known: int = 0) -> int | None:
         return None
 
     def loads(self, states: States, histories: Sequence[History]) -> tuple[()]:

@@ -221,6 +221,22 @@ def test_turned_and_shifted_structures_tip_alike(scenes: Any) -> None:
         assert verdict_of(scenes.make(meshes, [0])) == verdict_of(plain)
 
 
+@pytest.mark.parametrize("tips", [True, False])
+def test_motions_grow_alike_whatever_stands_elsewhere(scenes: Any, tips: bool) -> None:
+    """Parts of other blocks, held or free, change nothing for a cube on its edge, or on its face."""
+    cube = on_edge(scenes) if tips else box(scenes, [-0.5, -0.5, 0], [0.5, 0.5, 1])
+    towers = [box(scenes, [x, 3, 0.5 * k], [x + 0.5, 3.5, 0.5 * k + 0.5]) for x in (-3, 0, 3) for k in range(4)]
+    alone, among = on_ground(scenes, cube), on_ground(scenes, *towers[:6], cube, *towers[6:])
+    motion = motion_of(alone, checked(alone), 0)
+    for free in (1, 2):
+        state = np.full(among.part_count, free, dtype=np.uint8)
+        state[0], state[7] = 2, 1
+        other = motion_of(among, checked(among, state), 0)
+        assert (other is not None) == (motion is not None) == tips
+        if other is not None and motion is not None:
+            np.testing.assert_allclose(np.abs(other[7]), np.abs(motion[1]), atol=1e-4)
+
+
 def test_plans_leave_out_states_that_tip() -> None:
     """In a wall in running bond the last brick of a course may balance on half a brick, as it is reached."""
     assembly = library.build("wall:bricks=3,courses=4")

@@ -155,11 +155,7 @@ def residuals_in_order(
     forces: Array | StateArrays | list[Array],
     claim: StabilityCriterion = StabilityCriterion(),
 ) -> Array:
-    """Return the residuals of `residual_of_forces` for states one after the other, as in a plan.
-
-    Most forces in a state of a plan are, bit by bit, those of the state before. So only the parts are evaluated
-    where forces or the presence of parts differ from those of the state before, which is found by comparing them; all
-    other parts keep their residual.
+    """Return the residuals of `residual_of_forces` for states one after the other, see `RunningResidual`.
 
     Args:
         states: shape (batch, parts).
@@ -169,20 +165,38 @@ def residuals_in_order(
     Returns:
         Shares of gravity, shape (batch,).
     """
-    residual, points = np.empty(len(states)), len(assembly.contacts.points)
-    strength, geometry = (
-        strength_of(assembly, claim.gravity, claim.reserve),
-        geometry_of(assembly.contacts, assembly.mass),
-    )
-    weight, most, owners = _weight(assembly, claim), _most(assembly, claim), (geometry.part_a, geometry.part_b)
-    inside, refused = np.zeros((points, 3)), np.zeros(points, dtype=bool)
-    share, known = np.zeros(states.shape[1]), None
-    for row, state in enumerate(states):
-        force = np.ascontiguousarray(forces[row], dtype=np.float64)
+    running = RunningResidual(assembly, claim)
+    return np.array([running.step(state, forces[row]) for row, state in enumerate(states)], dtype=np.float64)
+
+
+class RunningResidual:
+    """Residual of states one after the other, as in a plan.
+
+    Most forces in a state of a plan are, bit by bit, those of the state before. So only the parts are evaluated
+    where forces or the presence of parts differ from those of the state before, which is found by comparing them; all
+    other parts keep their residual.
+    """
+
+    def __init__(self, assembly: Assembly, claim: StabilityCriterion) -> None:
+        """Begin before the first state; `claim` has cone, gravity and force bound."""
+        self._assembly, self._claim = assembly, claim
+        self._strength = strength_of(assembly, claim.gravity, claim.reserve)
+        self._geometry = geometry_of(assembly.contacts, assembly.mass)
+        points = len(assembly.contacts.points)
+        self._inside, self._refused = np.zeros((points, 3)), np.zeros(points, dtype=bool)
+        self._share = np.zeros(assembly.part_count)
+        self._before: tuple[States, Array] | None = None
+
+    def step(self, state: States, forces: Array) -> float:
+        """Return the residual of the next state, of shape (parts,), as `residual_of_forces`; shape (points, 3)."""
+        assembly, claim, geometry = self._assembly, self._claim, self._geometry
+        owners, weight = (geometry.part_a, geometry.part_b), _weight(assembly, claim)
+        force = np.array(forces, dtype=np.float64, order="C")
         changed = np.ones(len(state), dtype=bool)
-        if known is not None:
-            changed = state != known[0]
-            other = np.flatnonzero(force.view(np.uint64).ravel() != known[1].view(np.uint64).ravel()) // 3
+        if self._before is not None:
+            known, before = self._before
+            changed = state != known
+            other = np.flatnonzero(force.view(np.uint64).ravel() != before.view(np.uint64).ravel()) // 3
             for owner in owners:
                 changed[owner[other]] = True
         # Whether a force acts depends on both parts, so their neighbours may lose or gain one.
@@ -190,14 +204,14 @@ def residuals_in_order(
         for owner in owners:
             changed[owner[at]] = True
         acts = geometry.acts(state[None], at)
-        good, bad = _admit(force[None, at], acts, strength.take(at), claim.cone, weight)
-        inside[at], refused[at] = good[0], bad[0]
+        good, bad = _admit(force[None, at], acts, self._strength.take(at), claim.cone, weight)
+        self._inside[at], self._refused[at] = good[0], bad[0]
         parts = np.flatnonzero(changed)
-        share[parts] = _share_of_gravity(assembly, geometry.wrenches_on(parts, inside), parts, claim)
-        admissible = not refused.any() and inside[:, 0].sum() <= most
-        residual[row] = np.where(state == 1, share, 0.0).max(initial=0.0) if admissible else np.inf
-        known = state, force
-    return residual
+        self._share[parts] = _share_of_gravity(assembly, geometry.wrenches_on(parts, self._inside), parts, claim)
+        self._before = state, force
+        if self._refused.any() or self._inside[:, 0].sum() > _most(assembly, claim):
+            return np.inf
+        return float(np.where(state == 1, self._share, 0.0).max(initial=0.0))
 
 
 def _weight(assembly: Assembly, claim: StabilityCriterion) -> float:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pytest
 
-from falsework import Direction, Outcome, Task
-from falsework.search import BeamSearch, BeamSettings
+from falsework import Direction, Outcome, StabilityOracle, StabilitySettings, Task, make_task
+from falsework.assembly import HELD, INSTALLED, REMOVED, States, library
+from falsework.search import BeamSearch, BeamSettings, SupportGuide
+from falsework.search.beam.backjumping import BackjumpingBeam
 from falsework.search.beam.failed_moves import FailedMoves
+from falsework.stability.contact.history import History
+from falsework.stability.contact.replay import Replayer
+from falsework.stability.holds import Press
 
 CHAIN = [(k, k + 1) for k in range(1, 7)]
 
@@ -51,3 +58,48 @@ def test_impossible_stays_proven(rules: Any, direction: Direction) -> None:
     for task in (plain, learning):
         assert BeamSearch(task, oracle, settings).run().outcome is Outcome.PROVED_IMPOSSIBLE
     assert BeamSearch(replace(learning, robots=6), oracle, settings).run().found
+
+
+class Recorded(Replayer):
+    """Replayer that notes the steps that it is asked for, and whether they come to rest."""
+
+    steps: list[tuple[States, States, bool]]
+
+    def step(
+        self, history: History, before: States, after: States, presses: Sequence[Press] | None = None
+    ) -> tuple[bool, History]:
+        rests, found = super().step(history, before, after, presses)
+        self.steps.append((before.copy(), after.copy(), rests))
+        return rests, found
+
+
+class Recording(StabilityOracle):
+    """Oracle whose replayer notes what it is asked for."""
+
+    @cached_property
+    def recorded(self) -> Recorded:
+        replayer = Recorded(self.assembly, self.settings)
+        replayer.steps = []
+        return replayer
+
+    @property
+    def replayer(self) -> Replayer:
+        return self.recorded
+
+
+def test_what_slid_waits_until_no_robot_is_free() -> None:
+    """A part that slides is let go of again once something beside it is different, or nothing else is left to do."""
+    assembly = library.build("vault:parts=60,span=4,rise=1.2,thickness=0.2")
+    task, oracle = make_task(assembly, 2), Recording(assembly, StabilitySettings(reserve=1.1))
+    assert task.neighbours is not None
+    search = BackjumpingBeam(task, oracle, guide=SupportGuide(assembly))
+    search.run(1)
+    known, failed = FailedMoves(task.neighbours), 0
+    for before, after, rests in oracle.recorded.steps:
+        part = np.flatnonzero((before != after) & (after == INSTALLED))
+        keys = known.keys(np.repeat(after[None], len(part), axis=0), part)
+        left = (before == REMOVED).any() and ((before == HELD) & ~assembly.boundary).sum() < task.robots
+        assert not (known.failed(keys).any() and left)
+        known.learn(keys, np.full(len(part), rests))
+        failed += not rests
+    assert failed > 0

@@ -14,10 +14,14 @@ from numpy.typing import NDArray
 from settling import replay_by_discrete_elements
 
 from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, find_plans, load_structure, make_task
-from falsework.assembly import complete_state, library
+from falsework.assembly import INSTALLED, complete_state, library
 from falsework.errors import InputError
 from falsework.search import BeamSearch, BeamSettings
+from falsework.search.plans.acceptance import Acceptance
+from falsework.search.problem.deadline import PIECE
 from falsework.search.problem.plan_replay import PlanReplay
+from falsework.stability.certificate import residual_of_forces
+from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.contact.history import ReplaySettings
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.varied_replay import replay_varied
@@ -189,3 +193,39 @@ def test_parts_that_settle_first_near_a_change_end_where_the_whole_would(dome: A
     scale = whole.largest
     for one, other in zip(near.histories, whole.histories, strict=True):
         assert np.abs(one.displacement - other.displacement).max() <= 0.02 * scale
+
+
+def test_certificates_are_the_same_where_all_contacts_are_evaluated(dome: Assembly, dome_states: NDArray) -> None:
+    """The verifier evaluates the contacts of parts that move; here it is made to evaluate those of all."""
+    replayer = Replayer(dome)
+    claim = replayer.settings.claim
+    near, whole = BuildVerifier(dome, claim), BuildVerifier(dome, claim)
+    found = replayer.replay(dome_states)
+    for state, step in zip(dome_states, replayer.certificates(dome_states, found.presses), strict=True):
+        moves = 1e-300 * (state == INSTALLED)[None, :, None]
+        one, other = near.step(state, step), whole.step(state, step._replace(displacement=step.displacement + moves))
+        assert not one.reason
+        assert not other.reason
+        scale = np.abs(other.forces).max(initial=1.0)
+        np.testing.assert_allclose(one.forces, other.forces, rtol=0, atol=1e-9 * scale)
+        np.testing.assert_allclose(one.wrenches, other.wrenches, rtol=0, atol=1e-9 * scale)
+        (residual,) = residual_of_forces(dome, state[None], one.forces[None], claim)
+        np.testing.assert_allclose([one.residual, other.residual], [residual] * 2, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("robust", [False, True])
+def test_routes_are_tested_piece_by_piece(dome: Assembly, dome_states: NDArray, robust: bool) -> None:
+    """A route that falls, and one that does not, tested a few states at a time: as replayed in one piece."""
+    assert len(dome_states) > PIECE
+    acceptance = Acceptance(Replayer(dome, StabilitySettings(reserve=1.1)), robust=robust)
+    tested = acceptance.tested(dome_states, PlanReplay(True, 0.0, -1))
+    true = Replayer(dome)
+    assert tested.stands
+    assert tested.loads == true.loads(dome_states, true.replay(dome_states).histories)
+    slippery = replace(dome, friction=0.1)
+    plain = Replayer(slippery).replay(dome_states, presses=[()] * len(dome_states))
+    found = Acceptance(Replayer(slippery, StabilitySettings(reserve=1.1)), robust=robust).tested(
+        dome_states, PlanReplay(True, 0.0, -1)
+    )
+    assert not found.stands
+    assert found.falls_at == plain.falls_at

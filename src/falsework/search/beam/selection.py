@@ -54,7 +54,7 @@ class Selector:
     judge: CountingOracle
     """Asked for verdicts."""
     failures: FailedMoves | None = None
-    """Moves that failed before, which are tried last."""
+    """Moves that failed before, which are tried last, or where replays decide only if no robot is free."""
 
     def order(self, rows: Rows, score: Callable[[Rows], NDArray[np.float64]], count: int) -> Rows:
         """Return rows in the order in which they are to be taken, where about `count` are wanted.
@@ -128,13 +128,20 @@ class Selector:
         return np.concatenate([fixed[: count // 2], rest[: count - count // 2]])
 
     def _verify_untried_first(self, waiting: Rows, wanted: int, paths: BeamPaths) -> tuple[Rows, Rows]:
-        """As `_verify_in_order`; moves that failed before are tried last."""
+        """As `_verify_in_order`; moves that failed before are tried last.
+
+        Where replays decide they are tried again only from states in which no robot is free: with the same parts around
+        it a part that slid once slides again, and until then something around it may still change.
+        """
         if self.failures is None or not len(waiting):
             return self._verify_in_order(waiting, wanted, paths)
         frontier = self.frontier
         keys = self.failures.keys(frontier.states(waiting), frontier.part(waiting))
         failed = self.failures.failed(keys)
-        again = np.flatnonzero(failed)[: AHEAD * wanted]
+        again = np.flatnonzero(failed)
+        if self.judge.replayed:
+            again = again[~frontier.fixing[frontier.parent(waiting[again])].any(axis=1)]
+        again = again[: AHEAD * wanted]
         order = np.concatenate([np.flatnonzero(~failed), again])
         waiting, keys = waiting[order], keys[order]
         kept, rejected = self._verify_in_order(waiting, wanted, paths)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from falsework.search.problem.deadline import PIECE, DeadlineExceeded
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.contact.history import ReplaySettings
 from falsework.stability.contact.varied_replay import AllVariations
-from falsework.stability.holds import Press
+from falsework.stability.holds import HoldLoad, Press
 
 if TYPE_CHECKING:
     from falsework.search.problem.result import Stop
@@ -19,19 +20,24 @@ if TYPE_CHECKING:
     from falsework.stability.contact.varied_replay import AnyReplayer
 
 
-def _histories(replayer: AnyReplayer, states: States, presses: tuple[tuple[Press, ...], ...]) -> list[History]:
-    """Return the histories along a route, up to the first state that does not come to rest.
+def _pieces(
+    replayer: AnyReplayer, states: States, presses: tuple[tuple[Press, ...], ...]
+) -> Iterator[tuple[int, Sequence[History]]]:
+    """Yield the histories of a few states along a route at a time, up to the first that does not come to rest.
 
-    A few steps at a time: a replayer with a deadline looks at the clock between them, and keeps no histories of more.
+    A replayer with a deadline looks at the clock between them, and those of a whole route take much memory.
+
+    Yields:
+        Number of the first state, which but for the first time is the last one before; histories.
     """
-    found = list(replayer.replay(states[:1], presses=presses[:1]).histories)
-    while 0 < (done := len(found)) < len(states):
+    piece, done = replayer.replay(states[:1], presses=presses[:1]), 0
+    while piece.histories:
+        yield max(done - 1, 0), piece.histories
+        done = max(done - 1, 0) + len(piece.histories)
+        if not piece.good or done == len(states):
+            return
         rows = slice(done - 1, done + PIECE)
-        step = replayer.replay(states[rows], found[-1], presses[rows])
-        found += step.histories[1:]
-        if not step.good:
-            break
-    return found
+        piece = replayer.replay(states[rows], piece.histories[-1], presses[rows])
 
 
 def _of_all(presses: tuple[tuple[Press, ...], ...], states: States) -> tuple[tuple[Press, ...], ...]:
@@ -74,17 +80,27 @@ class Acceptance:
         if plain is None or self._replayer is None:
             return found
         presses = _of_all(found.presses, states)
+        loads: list[tuple[HoldLoad, ...]] = []
+        row, done = None, 0
         try:
-            histories = _histories(plain, states, presses)
+            for first, histories in _pieces(plain, states, presses):
+                some, known = states[first : first + len(histories)], done - first
+                row = plain.first_tipping(some, histories, known)
+                if row is not None:
+                    row += first
+                    break
+                loads += plain.loads(some[known:], histories[known:])
+                done = first + len(histories)
         except DeadlineExceeded:
             plain.replay(states, presses=presses)  # which notes that this route was not replayed to its end
             raise
-        row = len(histories) if len(histories) < len(states) else plain.first_tipping(states, histories)
+        if row is None and done < len(states):
+            row = done
         if row is None and self._variations is not None:
             row = self._variations.falls_at(states, presses)
         if row is not None:
             return replace(found, stands=False, falls_at=row)
-        return replace(found, loads=plain.loads(states, histories), varied=self._replayer.varies)
+        return replace(found, loads=tuple(loads), varied=self._replayer.varies)
 
     def judged(self, states: States, found: PlanReplay, stop: Stop | None = None) -> PlanReplay:
         """Return the replay of a route that stands with how far discrete elements built it, if that is asked for.

@@ -158,10 +158,10 @@ class DeadlineReplayer:
             self._varied[key] = varied
         return self._varied[key]
 
-    def first_tipping(self, states: States, histories: Sequence[History]) -> int | None:
+    def first_tipping(self, states: States, histories: Sequence[History], known: int = 0) -> int | None:
         """Return the first state that a small motion leaves, see `Replayer.first_tipping`."""
         with self._clock.piece("replays"):
-            return self._replayer.first_tipping(states, histories)
+            return self._replayer.first_tipping(states, histories, known)
 
     def loads(self, states: States, histories: Sequence[History]) -> Loads:
         """Return what robots bear, see `Replayer.loads`."""

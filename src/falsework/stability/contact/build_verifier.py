@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from falsework.assembly.joints import SET
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
-from falsework.stability.certificate import residual_of_forces
+from falsework.stability.certificate import RunningResidual
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import StabilityCriterion
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, Press, limits_of
@@ -74,47 +74,46 @@ class BuildVerifier:
         self._law = _Law(assembly, claim)
         self._limits = limits_of(assembly, claim.holds, claim.gravity)
         self._stiffness, self._hybrid = claim.holds.stiffness, claim.holds.mode is HoldMode.HYBRID
-        self._size = structure_size(assembly)
+        self._size, self._names = structure_size(assembly), assembly.names
+        self._loads = assembly.applied_wrench(claim.gravity)
         self._before: States | None = None
-        self._springs = np.zeros((self._law.points, 3))
+        self._residual = RunningResidual(assembly, claim)
+        self._springs, self._forces = np.zeros((self._law.points, 3)), np.zeros((self._law.points, 3))
         self._age = np.full(self._law.points, SET, np.int32)
         self._moved, self._borne = np.zeros((assembly.part_count, 6)), np.zeros((assembly.part_count, 6))
 
     def step(self, state: States, certificate: StepCertificate) -> StepProof:
         """Evaluate the step to the next state, shape (parts,); the first one is loaded from rest."""
-        assembly, claim, law = self._assembly, self._claim, self._law
+        assembly, law = self._assembly, self._law
         before = np.zeros_like(state) if self._before is None else self._before
         there, was = law.geometry.present(state), law.geometry.present(before)
         if self._before is not None:
             self._age = np.where(there & was, self._age + 1, 0)
-        springs = np.where((there & was)[:, None], self._springs, 0.0)
-        moved = np.where(((before != REMOVED) & (state != REMOVED))[:, None], self._moved, 0.0)
         steps = certificate.displacement * (state != REMOVED)[None, :, None]
         sound = bool(np.isfinite(steps).all())
+        steps = steps if sound else np.zeros_like(steps)
         torn = certificate.torn if len(certificate.torn) else np.zeros(law.points, dtype=bool)
         strength = law.whole.at(torn, self._age, assembly.joints)
-        for step in steps if sound else ():
-            springs, whole = law.follow(springs, step, strength, torn, there)
-            sound = sound and whole
-        moved = moved + steps.sum(axis=0)
-        forces = np.where(there[:, None], into_cone(springs[None], strength, claim.cone)[0][0], 0.0)
-        residual = float(residual_of_forces(assembly, state[None], forces[None], claim)[0])
-        loads = assembly.applied_wrench(claim.gravity)
-        borne = np.where(
-            ((state == HELD) & ~assembly.immovable)[:, None], -(law.geometry.wrenches(forces[None])[0] + loads), 0.0
-        )
+        springs, forces = (np.where((there & was)[:, None], kept, 0.0) for kept in (self._springs, self._forces))
+        points = law.points_of(steps, there)
+        springs[points], forces[points], whole = law.follow(springs[points], steps, points, strength.take(points), torn)
+        moved = np.where(((before != REMOVED) & (state != REMOVED))[:, None], self._moved, 0.0) + steps.sum(axis=0)
+        residual = self._residual.step(state, forces)
+        held = np.flatnonzero((state == HELD) & ~assembly.immovable)
+        borne = np.zeros_like(moved)
+        borne[held] = -(law.geometry.wrenches_on(held, forces) + self._loads[held])
         farthest = float(np.abs(moved[:, :3]).max(initial=0.0))
         limit = float(movement_limit(self._size, law.compression(springs)))
         reason = self._broken(before, state, certificate.presses, steps.sum(axis=0), borne)
-        if not sound:
+        if not (sound and whole):
             reason = "the certificate is damaged, or calls a contact whole that breaks"
         elif farthest > limit * (1 + _CLOSE):
-            part = assembly.names[int(np.abs(moved[:, :3]).max(axis=1).argmax())]
+            part = self._names[int(np.abs(moved[:, :3]).max(axis=1).argmax())]
             reason = (
                 f"{part} moves by {format_quantity(farthest, 'length')}, more than the limit of "
                 f"{format_quantity(limit, 'length')}"
             )
-        self._before, self._springs, self._moved, self._borne = state, springs, moved, borne
+        self._before, self._springs, self._forces, self._moved, self._borne = state, springs, forces, moved, borne
         return StepProof(residual if not reason else np.inf, forces, borne, farthest, reason)
 
     def _broken(self, before: States, state: States, presses: Sequence[Press], step: Array, borne: Array) -> str:
@@ -128,18 +127,18 @@ class BuildVerifier:
         """
         assembly, limits = self._assembly, self._limits
         added = {press.part: np.asarray(press.wrench) for press in presses}
-        mass, inertia, gyration = assembly.mass.mass, assembly.mass.inertia, assembly.mass.gyration
+        mass, inertia, gyration = assembly.mass.mass, assembly.mass.inertia, self._law.geometry.gyration
         held = (state == HELD) & (before == HELD) & ~assembly.immovable
         stray = [part for part in added if not held[part]]
         if stray:
-            return f"a robot presses {assembly.names[stray[0]]}, which it does not hold"
+            return f"a robot presses {self._names[stray[0]]}, which it does not hold"
         if len(added) < len(presses):
             return "a part is pressed twice in one step"
         turning = [part for part, wrench in added.items() if self._hybrid and wrench[3:].any()]
         if turning:
-            return f"the robot that presses {assembly.names[turning[0]]} adds a moment, which hybrid control does not"
+            return f"the robot that presses {self._names[turning[0]]} adds a moment, which hybrid control does not"
         for part in np.flatnonzero((state == HELD) & ~assembly.immovable).tolist():
-            name, weight = assembly.names[part], mass[part] * self._claim.gravity
+            name, weight = self._names[part], mass[part] * self._claim.gravity
             force, moment = np.linalg.norm(borne[part, :3]), np.linalg.norm(borne[part, 3:])
             if force > limits.force[part] * (1 + _CLOSE) or moment > limits.moment[part] * (1 + _CLOSE):
                 return (
@@ -198,12 +197,33 @@ class _Law:
         """Return the largest compression of a contact point at spring forces of shape (points, 3), m, shape ()."""
         return (springs[:, 0] / self._stiffness[:, 0]).max(initial=0.0)
 
+    def points_of(self, steps: Array, there: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return the contact points whose springs may change in increments of shape (increments, parts, 6).
+
+        Where points may break or joints set, these are all.
+        """
+        if self.whole.pull.any() or self.whole.stick.any():
+            return np.flatnonzero(there)
+        moves = np.asarray(steps.any(axis=(0, 2)))
+        return np.flatnonzero(there & (moves[self.geometry.part_a] | moves[self.geometry.part_b]))
+
     def follow(
-        self, springs: Array, step: Array, strength: Strength, torn: NDArray[np.bool_], there: NDArray[np.bool_]
-    ) -> tuple[Array, bool]:
-        """Return the spring forces after an increment, and whether no point breaks that is called whole."""
-        change = self._stiffness * self.geometry.relative(step[None])[0]
-        trial = springs - np.where(there[:, None], change, 0.0)
-        breaks = strength.tears & ~torn & (strength.pull > 0) & (trial[:, 0] < -TEARS * strength.pull)
-        force = into_cone(trial[None], strength, self._cone)[0][0]
-        return np.column_stack([trial[:, 0], force[:, 1:]]), not breaks.any()
+        self, springs: Array, steps: Array, points: NDArray[np.int64], strength: Strength, torn: NDArray[np.bool_]
+    ) -> tuple[Array, Array, bool]:
+        """Return spring and contact forces after increments, and whether no point breaks that is called whole.
+
+        Args:
+            springs: spring forces of some points before, shape (some, 3).
+            steps: displacement in the increments, shape (increments, parts, 6).
+            points: these points, shape (some,).
+            strength: theirs.
+            torn: shape (points,).
+        """
+        motion = self.geometry.motion[(3 * points[:, None] + np.arange(3)).ravel()]
+        force, tears, broken = springs, strength.tears & ~torn[points] & (strength.pull > 0), False
+        for step in steps:
+            trial = springs - self._stiffness[points] * (motion @ step.ravel()).reshape(-1, 3)
+            broken = broken or bool((tears & (trial[:, 0] < -TEARS * strength.pull)).any())
+            force = into_cone(trial[None], strength, self._cone)[0][0]
+            springs = np.column_stack([trial[:, 0], force[:, 1:]])
+        return springs, force, not broken

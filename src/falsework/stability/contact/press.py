@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, States
+from falsework.stability.contact.hold_loads import CLOSE
 from falsework.stability.contact.press_kernel import press_responses
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.holds import Press, inexact_wrenches
@@ -28,10 +29,6 @@ _WEAK = 1e-3
 """Weight of the robots' wrenches beside the energy of the forces outside the cones: the least that help are chosen."""
 _HELPS = 0.5
 """A press must leave less than this share of the energy of forces outside the cones to be tried."""
-_STEPS = 50
-"""Newton steps of the choice."""
-_SAME = 0.05
-"""Relative difference below which two proposals count as one."""
 
 
 class PressPlanner:
@@ -81,7 +78,7 @@ class PressPlanner:
                 start = still
             for gain in _GAINS if helps else ():
                 choice = _within(start + gain * (added - start), limit)
-                if not any(np.allclose(choice, other, rtol=_SAME) for other in seen):
+                if not any(np.allclose(choice, other, rtol=CLOSE) for other in seen):
                     seen.append(choice)
                     yield self._presses(held, choice)
 
@@ -186,7 +183,7 @@ def _least_outside(
     x = still
     value, energy, outside = measure(x)
     without = energy
-    for _ in range(_STEPS):
+    while True:  # until the value falls by less than rounding matters
         gradient = response @ (weight * outside) + weak * (x - still)
         active = np.repeat((outside.reshape(-1, 3) != 0).any(axis=1), 3)
         some = response[:, active]

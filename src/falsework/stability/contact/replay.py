@@ -148,15 +148,16 @@ class Replayer:
                 return
             history = found.histories[-1]
 
-    def first_tipping(self, states: States, histories: Sequence[History]) -> int | None:
+    def first_tipping(self, states: States, histories: Sequence[History], known: int = 0) -> int | None:
         """Return the first state that a small motion of parts near its change leaves, though it is at rest.
 
         Args:
             states: in assembly order, shape (states, parts).
             histories: of these states.
+            known: number of states at the beginning that are known not to tip.
         """
         for row, (state, history) in enumerate(zip(states, histories, strict=True)):
-            if row and not ((state != states[row - 1]) & (state != HELD)).any():
+            if row < known or (row and not ((state != states[row - 1]) & (state != HELD)).any()):
                 continue  # a part that is held or placed changes no force, and only hinders others
             changed = state != states[row - 1] if row else np.ones(len(state), dtype=bool)
             near = np.asarray(changed, dtype=np.float64)

@@ -60,7 +60,7 @@ class AnyReplayer(Protocol):
     def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> Self:
         """Return a replayer of the same structure under other settings."""
 
-    def first_tipping(self, states: States, histories: Sequence[History]) -> int | None:
+    def first_tipping(self, states: States, histories: Sequence[History], known: int = 0) -> int | None:
         """Return the first state that a small motion leaves, though it is at rest; None if there is none."""
 
     def loads(self, states: States, histories: Sequence[History]) -> Loads:

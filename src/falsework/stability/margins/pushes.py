@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import INSTALLED, REMOVED, States
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
+from falsework.stability.margins.brackets import ACCURACY
 
 Array = NDArray[np.float64]
 
 _FLAT = np.cos(np.radians(15.0))
 """Cosine of the largest angle between the triangles of a face and its largest triangle."""
-_SMALLEST = 0.01
-"""Faces below this share of the largest face of their part are left out."""
 _COVERED = 0.5
 """Share of a face in contact above which a gripper has no room on it."""
 
@@ -78,7 +77,7 @@ def _faces(mesh: TriangleMesh) -> list[tuple[Array, Array, float]]:
         middle = twice[members] @ middles[members] / twice[members].sum()
         found.append((total / np.linalg.norm(total), middle, float(np.linalg.norm(total)) / 2))
     found.sort(key=lambda face: -face[2])
-    return [face for face in found if face[2] >= _SMALLEST * found[0][2]]
+    return [face for face in found if face[2] >= ACCURACY * found[0][2]]  # smaller faces are left out
 
 
 def _cover(assembly: Assembly, part: NDArray[np.int32], inward: Array, areas: Array) -> Array:

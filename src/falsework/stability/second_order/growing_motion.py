@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,15 +53,11 @@ class SecondOrder:
         geometry = self._geometry = geometry_of(assembly.contacts, assembly.mass)
         self._axes = assembly.contacts.frames[assembly.contacts.contact_of_point]
         points, parts = len(self._axes), assembly.part_count
+        self._friction = strength_of(assembly, claim.gravity, claim.reserve).friction
         self._motion = geometry.motion.data.reshape(points, 3, 12)
         both = np.stack([geometry.part_a, geometry.part_b], axis=1)
-        self._first = np.flatnonzero(np.r_[True, (both[1:] != both[:-1]).any(axis=1)][:points])
-        pairs = both[self._first]
-        # Blocks of the stiffness matrix: four for every pair of parts and one for every part, row by row.
-        each = np.arange(parts)
-        rows, columns = np.r_[pairs[:, [0, 0, 1, 1]].ravel(), each], np.r_[pairs[:, [0, 1, 0, 1]].ravel(), each]
-        self._order = np.lexsort((columns, rows))
-        self._rows, self._columns = rows[self._order], columns[self._order]
+        first = np.flatnonzero(np.r_[True, (both[1:] != both[:-1]).any(axis=1)][:points])
+        self._pairs, self._count = both[first], np.diff(np.r_[first, points])
         self._own = np.zeros((parts, 6, 6))
         self._own[:, :3, :3] = assembly.mass.mass[:, None, None] * np.eye(3)
         self._own[:, 3:, 3:] = assembly.mass.inertia
@@ -101,22 +98,23 @@ class SecondOrder:
             above `NEUTRAL`.
         """
         free = state == 1
-        if not free.any() or not len(self._first):
+        if not free.any() or not len(self._pairs):
             return None
+        around = _Around.of(free, self._pairs, self._count)
         known = state[None], np.where(free[:, None], displacement, 0.0)[None]
         history, springs = springs, springs or springs_of_displacement(self.assembly, *known, self.claim)
-        turning = self._turning(springs)
+        turning = self._turning(springs, around)
         none, trials = np.zeros(len(self._axes), dtype=bool), 0
-        waiting = [(none, none, lean) for lean in self._leaning(springs)]
+        waiting = [(none, none, lean) for lean in self._leaning(springs, around)]
         while waiting and trials < _TRIALS:
             closed, gripped, lean = waiting.pop()
             trials += 1
-            pairs = self._of_springs(springs, closed, gripped, lean)
-            if _is_positive(self._matrix(free, pairs, turning + NEUTRAL * self._own)):
+            pairs = self._of_springs(springs, closed, gripped, lean, around)
+            if _is_positive(around.matrix(pairs, turning + NEUTRAL * self._own)):
                 continue
-            own = self._matrix(free, np.zeros_like(pairs), self._own)
-            dragged = self._dragged(springs, gripped)
-            stiffness = self._matrix(free, pairs if dragged is None else pairs + dragged, turning)
+            own = around.matrix(np.zeros_like(pairs), self._own)
+            dragged = self._dragged(springs, gripped, around)
+            stiffness = around.matrix(pairs if dragged is None else pairs + dragged, turning)
             least = _lowest(stiffness, own, symmetric=dragged is None)
             if least is None:
                 continue
@@ -133,84 +131,125 @@ class SecondOrder:
                     waiting.append((closes, grips, lean))
         return None
 
-    def _of_springs(self, springs: Springs, closed: Mask, gripped: Mask, lean: Array) -> Array:
-        """Return the stiffness of the contact springs of every pair of parts, shape (pairs, 12, 12).
+    def _of_springs(self, springs: Springs, closed: Mask, gripped: Mask, lean: Array, around: _Around) -> Array:
+        """Return the stiffness of the contact springs of pairs of parts, shape (pairs, 12, 12).
 
         Args:
             springs: at rest.
             closed: open points that count as closed, without friction, shape (points,).
             gripped: points whose friction at its limit counts as sticking, shape (points,).
-            lean: stiffness of normal forces that turn with a surface, shape (points, 12, 12) or (1, 1, 1).
+            lean: stiffness of normal forces that turn with a surface, shape (points around, 12, 12) or (1, 1, 1).
+            around: the pairs.
         """
-        bears, pull = springs.closed[0], springs.pull[0]
-        law = np.zeros((len(bears), 3, 3))
-        law[:, 0, 0] = np.where(bears | closed, springs.normal[0], 0.0)
+        at = around.points
+        bears, pull, grips = springs.closed[0, at], springs.pull[0, at], gripped[at]
+        law = np.zeros((len(at), 3, 3))
+        law[:, 0, 0] = np.where(bears | closed[at], springs.normal[0, at], 0.0)
         along = pull[:, :, None] * pull[:, None, :]
-        across = np.where(gripped, 1.0, springs.across[0])[:, None, None] * (np.eye(2) - along)
-        lateral = across + np.where(gripped, 1.0, 0.0)[:, None, None] * along
-        law[:, 1:, 1:] = np.where(bears, springs.tangential[0], 0.0)[:, None, None] * lateral
-        each = self._motion.transpose(0, 2, 1) @ (law @ self._motion) + lean
-        return np.add.reduceat(each, self._first, axis=0)
+        across = np.where(grips, 1.0, springs.across[0, at])[:, None, None] * (np.eye(2) - along)
+        lateral = across + np.where(grips, 1.0, 0.0)[:, None, None] * along
+        law[:, 1:, 1:] = np.where(bears, springs.tangential[0, at], 0.0)[:, None, None] * lateral
+        motion = self._motion[at]
+        return around.by_pair(motion.transpose(0, 2, 1) @ (law @ motion) + lean)
 
-    def _dragged(self, springs: Springs, gripped: Mask) -> Array | None:
+    def _dragged(self, springs: Springs, gripped: Mask, around: _Around) -> Array | None:
         """Return what friction at its limit adds, since it follows the normal force; None where there is none.
 
         Unsymmetric, shape (pairs, 12, 12).
         """
-        friction = strength_of(self.assembly, self.claim.gravity, self.claim.reserve).friction
-        slips = springs.closed[0] & springs.slips[0, :, 0] & ~gripped & (friction > 0.0)
+        at = around.points
+        friction = self._friction[at]
+        slips = springs.closed[0, at] & springs.slips[0, at, 0] & ~gripped[at] & (friction > 0.0)
         if not slips.any():
             return None
-        law = np.zeros((len(slips), 3, 3))
-        law[slips, 1:, 0] = (friction * springs.normal[0])[slips, None] * springs.pull[0, slips]
-        each = self._motion.transpose(0, 2, 1) @ (law @ self._motion)
-        return np.add.reduceat(each, self._first, axis=0)
+        law = np.zeros((len(at), 3, 3))
+        law[slips, 1:, 0] = (friction * springs.normal[0, at])[slips, None] * springs.pull[0, at][slips]
+        motion = self._motion[at]
+        return around.by_pair(motion.transpose(0, 2, 1) @ (law @ motion))
 
-    def _turning(self, springs: Springs) -> Array:
+    def _turning(self, springs: Springs, around: _Around) -> Array:
         """Return the stiffness of contact forces whose points turn with the parts, shape (parts, 6, 6)."""
-        force = np.einsum("pi,pij->pj", springs.forces[0], self._axes)
+        at = around.points
+        force = np.einsum("pi,pij->pj", springs.forces[0, at], self._axes[at])
         virial = np.zeros((self.assembly.part_count, 3, 3))
-        for part, sign in ((self._geometry.part_a, -1.0), (self._geometry.part_b, 1.0)):
-            arm = self.assembly.contacts.points - self.assembly.mass.center[part]
+        for part, sign in ((self._geometry.part_a[at], -1.0), (self._geometry.part_b[at], 1.0)):
+            arm = self.assembly.contacts.points[at] - self.assembly.mass.center[part]
             np.add.at(virial, part, sign * force[:, :, None] * arm[:, None, :])
         turning = np.zeros((len(virial), 6, 6))
         turning[:, 3:, 3:] = np.einsum("pii->p", virial)[:, None, None] * np.eye(3)
         turning[:, 3:, 3:] -= 0.5 * (virial + virial.transpose(0, 2, 1))
         return turning
 
-    def _leaning(self, springs: Springs) -> list[Array]:
+    def _leaning(self, springs: Springs, around: _Around) -> list[Array]:
         """Return the stiffness of normal forces that turn with the surface of part `a`, and of `b`, without friction.
 
-        Shape (points, 12, 12); the same for both, and without entries, where every point has friction.
+        Shape (points around, 12, 12); the same for both, and without entries, where every point has friction.
         """
-        smooth = springs.closed[0] & (
-            strength_of(self.assembly, self.claim.gravity, self.claim.reserve).friction == 0.0
-        )
+        at = around.points
+        smooth = springs.closed[0, at] & (self._friction[at] == 0.0)
         if not smooth.any():
             return [np.zeros((1, 1, 1))]
         found = []
         for first in (3, 9):  # columns of the rotation of `a`, and of `b`
-            half = np.zeros((len(smooth), 12, 12))
+            half = np.zeros((len(at), 12, 12))
             # The normal turns by `w x n`: along `t1` by the rotation about `t2`, along `t2` by minus that about `t1`.
             for along, across, sign in ((1, 2, 1.0), (2, 1, -1.0)):
-                force = np.where(smooth, sign * springs.forces[0, :, 0], 0.0)
-                axis = self._axes[:, across]
-                half[:, first : first + 3] -= force[:, None, None] * axis[:, :, None] * self._motion[:, along, None]
+                force = np.where(smooth, sign * springs.forces[0, at, 0], 0.0)
+                axis = self._axes[at, across]
+                half[:, first : first + 3] -= force[:, None, None] * axis[:, :, None] * self._motion[at, along, None]
             found.append(half + half.transpose(0, 2, 1))
         return found
 
-    def _matrix(self, free: Mask, pairs: Array, parts: Array) -> csc_array:
+
+@dataclass(frozen=True, eq=False)
+class _Around:
+    """Pairs of parts of which one can move, and the matrices of the parts that can."""
+
+    points: NDArray[np.int64]
+    """Their contact points, pair by pair, shape (points around,)."""
+    free: Mask
+    """Parts that can move, shape (parts,)."""
+    first: NDArray[np.int64]
+    """First point of each pair among `points`, shape (pairs,)."""
+    order: NDArray[np.int64]
+    """Blocks of the matrix among four for every pair of parts and one for every part, row by row."""
+    column: NDArray[np.int64]
+    """Column of each of these blocks."""
+    start: NDArray[np.int64]
+    """First of these blocks in each row, shape (rows + 1,)."""
+
+    @classmethod
+    def of(cls, free: Mask, pairs: NDArray[np.int32], count: NDArray[np.int64]) -> _Around:
+        """Return the pairs around free parts.
+
+        Args:
+            free: shape (parts,).
+            pairs: all pairs of parts in contact, shape (all pairs, 2).
+            count: their contact points, shape (all pairs,).
+        """
+        near = free[pairs].any(axis=1)
+        points, some, each = np.flatnonzero(np.repeat(near, count)), pairs[near], np.arange(len(free))
+        rows, columns = np.r_[some[:, [0, 0, 1, 1]].ravel(), each], np.r_[some[:, [0, 1, 0, 1]].ravel(), each]
+        kept = np.flatnonzero(free[rows] & free[columns])
+        order = kept[np.lexsort((columns[kept], rows[kept]))]
+        number = np.cumsum(free) - 1
+        start = np.r_[0, np.cumsum(np.bincount(number[rows[order]], minlength=int(free.sum())))]
+        first = np.r_[0, np.cumsum(count[near])[:-1]]
+        return cls(points, free, first, order, number[columns[order]], start)
+
+    def by_pair(self, each: Array) -> Array:
+        """Return the sums over the points of each pair, shapes (points around, ...) and (pairs, ...)."""
+        return np.add.reduceat(each, self.first, axis=0) if len(each) else each
+
+    def matrix(self, pairs: Array, parts: Array) -> csc_array:
         """Return the matrix of the free parts from blocks of pairs, (pairs, 12, 12), and of parts, (parts, 6, 6)."""
         from scipy.sparse import bsr_array, csc_array
 
         quarters = pairs.reshape(-1, 2, 6, 2, 6).transpose(0, 1, 3, 2, 4).reshape(-1, 6, 6)
-        blocks = np.concatenate([quarters, parts])[self._order]
-        rows, columns = self._rows, self._columns
-        kept = free[rows] & free[columns]
-        number = np.cumsum(free) - 1
-        count = int(free.sum())
-        start = np.r_[0, np.cumsum(np.bincount(number[rows[kept]], minlength=count))]
-        matrix = bsr_array((blocks[kept], number[columns[kept]], start), shape=(6 * count, 6 * count))
+        blocks = np.concatenate([quarters, parts])[self.order]
+        size = 6 * (len(self.start) - 1)
+        # `sum_duplicates` changes its arrays in place.
+        matrix = bsr_array((blocks, self.column.copy(), self.start.copy()), shape=(size, size))
         matrix.sum_duplicates()
         return csc_array(matrix)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,9 @@ Array = NDArray[np.float64]
 ROUNDING = 1e-9
 """Largest distance of a force from its cone, as a share of the force and of the structure's weight; such a force
 is moved into the cone before the residual is computed."""
+
+
+_size = lru_cache(maxsize=4)(structure_size)
 
 
 class Springs(NamedTuple):
@@ -88,7 +92,7 @@ def springs_at(assembly: Assembly, states: States, springs: Array, claim: Stabil
     )
     share = np.divide(size, trial, out=np.zeros_like(size), where=trial > 0)
     across = np.where(slips, np.minimum(share, 1.0 - ROUNDING), 1.0)
-    firm = np.maximum(stiffness, forces[..., 0] / (SETTLEMENT * structure_size(assembly)))
+    firm = np.maximum(stiffness, forces[..., 0] / (SETTLEMENT * _size(assembly)))
     gap = -normal / stiffness
     return Springs(forces, firm, claim.stiffness_ratio * firm, closed, acts & ~closed, gap, pull, across)
 
@@ -103,7 +107,7 @@ def closing_points(assembly: Assembly, springs: Springs, motion: Array, relative
     """
     turn = np.linalg.norm(motion[..., 3:], axis=2) * assembly.mass.gyration
     moved = np.maximum(np.linalg.norm(motion[..., :3], axis=2), turn).max(axis=1, initial=0.0)
-    limit = MOVEMENT * structure_size(assembly)
+    limit = MOVEMENT * _size(assembly)
     return (
         springs.open
         & (relative[..., 0] < -ROUNDING * moved[:, None])
