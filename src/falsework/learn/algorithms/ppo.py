@@ -62,6 +62,7 @@ class PPO(Learner):
         """Of the weight of the entropy; above 1 where the entropy was below its floor."""
         self.environment, self.sampler, self.solved = given.environment, given.starts, given.solved
         self._settings, self._tasks, self._begin, self._reward = settings, given.tasks, given.begin, given.reward
+        self._compiled = given.compiled
         self.network = Network(given.policy, given.precision, compiled=given.compiled)
         self._playing = Network(given.policy, given.precision)
         self._share = max(settings.batch // shards.size, 1)
@@ -185,8 +186,8 @@ class PPO(Learner):
     def minibatches(self, count: int, most: int | None = None) -> list[tuple[torch.Tensor, torch.Tensor]]:
         """Draw all transitions in random order, in equally many minibatches of one size in every process.
 
-        In a single pass minibatches have the full size, since a compiled network needs one size, and the remainder is
-        dropped; otherwise the padding of the last one has weight 0.
+        In a single pass minibatches have the full size, and the remainder is dropped; otherwise padding has weight 0. For
+        a compiled network, which needs one size, they are padded to the full one.
 
         Args:
             count: transitions of this process.
@@ -202,12 +203,14 @@ class PPO(Learner):
             size = min(size, max(-(-max(counts) // number), 1))
         else:
             number = -(-max(counts) // size)
-            size = -(-max(counts) // max(number, 1))
+            size = size if self._compiled else -(-max(counts) // max(number, 1))
         order = torch.randperm(count, generator=self.generator, device=device)[: number * size]
-        rows = torch.zeros(number * size, dtype=torch.int64, device=device)
-        rows[: len(order)] = order
-        used = (torch.arange(number * size, device=device) < len(order)).float()
-        return list(zip(rows.split(size), used.split(size), strict=True)) if number else []
+        place = torch.arange(len(order), device=device)
+        rows = torch.zeros((number, size), dtype=torch.int64, device=device)
+        used = torch.zeros((number, size), device=device)
+        rows[place % max(number, 1), place // max(number, 1)] = order
+        used[place % max(number, 1), place // max(number, 1)] = 1.0
+        return list(zip(rows, used, strict=True))
 
     def demonstrations(self, transitions: Transitions, steps: int) -> list[Demonstrations | None]:
         """Draw what is imitated in each of some steps; None where nothing is."""
