@@ -11,7 +11,6 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 from falsework import Direction, StabilityOracle, StabilitySettings, load_structure, make_task  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn import Curriculum, Environment, PpoPhase  # noqa: E402
-from falsework.learn.algorithms.blended_starts import BlendedStarts  # noqa: E402
 from falsework.learn.algorithms.exploration import Exploration  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
 from falsework.search import BeamSearch, BeamSettings  # noqa: E402
@@ -105,9 +104,10 @@ def test_an_archive_goes_on_where_it_was_saved(generator) -> None:
 def test_a_share_of_the_starts_is_explored(generator) -> None:
     environment, states = found("arch:blocks=7", EQUILIBRIUM)
     solved = SolvableStates(environment.rules, states)
-    curriculum = Curriculum(states, environment.rules)
     exploration = Exploration(environment, solved, states)
-    starts = BlendedStarts(curriculum, solved, 0.25, exploration=exploration, explored=0.25)
+    starts = Curriculum(
+        states, environment.rules, solved=solved, anywhere=0.25, exploration=exploration, explored=0.25
+    )
     assert starts.report()["explored"] == len(states)
     batch: Any = starts.sample(40, generator)
     assert len(batch.rows) == 20
