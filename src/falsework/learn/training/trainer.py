@@ -32,9 +32,8 @@ from falsework.learn.training.checkpoint import CheckpointFile, describe_structu
 from falsework.learn.training.evaluate import Sets, Success, greedy_success, throughput
 from falsework.learn.training.iteration import Iteration
 from falsework.learn.training.learners import gather_local, learner_of, local_of, share_solved
-from falsework.learn.training.logger import Journal
+from falsework.learn.training.logger import Journal, ProgressLines
 from falsework.learn.training.plugins import Plugins
-from falsework.learn.training.progress_lines import ProgressLines
 from falsework.learn.training.result import TrainResult
 from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.selection import BestWeights
