@@ -105,9 +105,7 @@ def test_a_share_of_the_starts_is_explored(generator) -> None:
     environment, states = found("arch:blocks=7", EQUILIBRIUM)
     solved = SolvableStates(environment.rules, states)
     exploration = Exploration(environment, solved, states)
-    starts = Curriculum(
-        states, environment.rules, solved=solved, anywhere=0.25, exploration=exploration, explored=0.25
-    )
+    starts = Curriculum(states, environment.rules, solved=solved, anywhere=0.25, exploration=exploration, explored=0.25)
     assert starts.report()["explored"] == len(states)
     batch: Any = starts.sample(40, generator)
     assert len(batch.rows) == 20

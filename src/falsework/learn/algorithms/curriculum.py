@@ -80,11 +80,6 @@ class Curriculum(StartSampler):
         return len(self.starts)
 
     @property
-    def mean_steps(self) -> float:  # type: ignore[override]
-        """Steps from a start within the horizon to the end, on average."""
-        return float(self._left[self._left <= self.horizon].double().mean())
-
-    @property
     def widening(self) -> bool:  # type: ignore[override]
         """See `StartSampler`."""
         return self.horizon < self._longest()

@@ -65,10 +65,10 @@ def learner_of(
             compiled=compiled,
             shards=run.shards,
         )
-    rules, starts, targets = environment.rules, data.starts, data.targets
+    rules, starts = environment.rules, data.starts
     if phase.starts == "mixed":
         rollouts = max(phase.rollouts // run.shards.size, 1)
-        sampler: StartSampler = MixedStarts(starts, solved, rules, rollouts, targets=targets, tasks=data.tasks)
+        sampler: StartSampler = MixedStarts(starts, solved, rollouts, tasks=data.tasks)
     else:
         if phase.starts == "complete":
             starts = rules.complete()

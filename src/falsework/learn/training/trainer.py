@@ -51,8 +51,8 @@ Report = Callable[[float, str], None]
 
 _SEARCHED_BY = 0.25
 """Share of the training time after which no further search for tasks with targets begins."""
-_COMPILE_FROM, _COMPILE_PASSES_FROM = 4.0, 10.0
-"""Minutes of training from which compiling the network pays, with one pass over a collection and with several."""
+_COMPILE_FROM = 10.0
+"""Minutes of training from which compiling the network pays."""
 
 
 class Trainer:
@@ -256,9 +256,7 @@ class Trainer:
         settings, phase = self.settings, self.settings.phases[self._phase]
         # Compiling takes longer than the little imitation before PPO, and has to be repeated for every size of batch.
         last = self._phase == len(settings.phases) - 1
-        once = isinstance(phase, ImitationPhase) or phase.epochs == 1
-        long = settings.minutes >= (_COMPILE_FROM if once else _COMPILE_PASSES_FROM)
-        pays = self.device.type == "cuda" and long and last and not settings.policy.custom
+        pays = self.device.type == "cuda" and settings.minutes >= _COMPILE_FROM and last and not settings.policy.custom
         return learner_of(
             self._run,
             self.environment,
