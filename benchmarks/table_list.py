@@ -47,7 +47,7 @@ def of_wide_data(record: Record) -> bool:
     if (record["data"], record["criterion"]) != ("wide", "contact") or "NVIDIA" not in record["device"]:
         return False
     if record["benchmark"] == "learning draws":
-        return record["phases"][0] == "imitation" and record["label"] in ("", "bottle")
+        return record["phases"][0] == "imitation" and record["label"] in ("", "bottle", "one-recipe", "one-recipe-2")
     return record["evaluated"] == "all states"
 
 

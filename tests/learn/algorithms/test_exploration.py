@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
@@ -31,6 +32,12 @@ def generator() -> Any:
     return torch.Generator().manual_seed(0)
 
 
+def stored(solved: SolvableStates, states: Any) -> Any:
+    """Return which states are in a set."""
+    known = {bytes(row) for row in solved.states.numpy()}
+    return torch.tensor([bytes(row) in known for row in np.asarray(states)])
+
+
 @pytest.mark.parametrize("settings", [StabilitySettings(), EQUILIBRIUM])
 def test_explored_states_are_stable_and_lead_to_the_end(settings, generator) -> None:
     """From each of them a stable action leads to another one, or to a state of the data."""
@@ -41,12 +48,12 @@ def test_explored_states_are_stable_and_lead_to_the_end(settings, generator) -> 
     explored = exploration.tensors()["explored"]
     assert len(explored) > 30
     assert environment.stable(explored).all()
-    assert not SolvableStates(environment.rules, states).contains(explored).any()
+    assert not stored(SolvableStates(environment.rules, states), explored).any()
     assert len(torch.unique(explored, dim=0)) == len(explored)
     archive = SolvableStates(environment.rules, torch.cat([states, explored]))
     mask = environment.rules.moves(explored)
     assert archive.valid_actions(explored, mask).any(dim=1).all()
-    assert solved.contains(explored).all()
+    assert stored(solved, explored).all()
 
 
 def test_drawn_states_are_within_the_horizon_and_evenly_far_from_the_end(generator) -> None:

@@ -7,8 +7,8 @@ The direction of a walk matters. A beam keeps few of the states that it reaches.
 leads from all of them back to the complete structure, but from most of them none leads onward; in the direction of
 assembly it is the reverse. A walk in the wrong direction ends after a few steps, and yields a trivial task.
 
-A search also has far more states near the end where it begins than at the other one. Walks begin evenly at all distances
-from the end, or most tasks would be of a few steps.
+A search also has far more states near the end where it begins than at the other one. Walks begin evenly at all
+distances from the end, or most tasks would be of a few steps.
 """
 
 from __future__ import annotations
