@@ -147,13 +147,67 @@ def test_boundary_and_unit_are_proposed(tmp_path: Path, capsys: pytest.CaptureFi
     for level in range(3):
         write_box(tmp_path, f"{level}", (0, 0, 300 * level), (300, 300, 300 * level + 300))
     found = doctor(tmp_path)
-    assert found.unit == "mm"
+    assert found.units == ("mm",)
     assert found.additions == {"unit": "mm", "boundary": [0]}
     assert found.cured
     assert main(["doctor", str(tmp_path)]) == 1
     last = capsys.readouterr().out.splitlines()[-2:]
     assert last == ['add to assembly.json: "unit": "mm", "boundary": [0]', "with that it loads"]
     assert doctor(tmp_path, "mm").additions == {"boundary": [0]}
+
+
+def test_proposals_are_those_for_the_likely_unit(tmp_path: Path) -> None:
+    """Parts that are too large for the unit of the file count all the same, here the only one on the ground."""
+    write_box(tmp_path, "bed", (0, 0, 0), (1500, 300, 100))
+    for level in range(3):
+        write_box(tmp_path, f"stone{level}", (0, 0, 300 * level + 100), (300, 300, 300 * level + 400))
+    found = doctor(tmp_path)
+    assert found.additions == {"unit": "mm", "boundary": ["bed"]}
+    assert found.cured
+    assert found.extent == pytest.approx((1.5, 0.3, 1.0))
+    assert found.contacts == 3
+    assert "parts must be 0.1 mm to 1 km" in found.error
+    assert found.remarks[0] == "a typical part would be 520 m long: the unit is taken to be mm"
+
+
+def test_what_is_proposed_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for level in range(3):
+        write_box(tmp_path, f"s{level}", (0, 0, 300 * level), (300, 300, 300 * level + 300))
+    assert main(["doctor", str(tmp_path), "--friction", "0.5", "--write"]) == 0
+    written = json.loads((tmp_path / "assembly.json").read_text())
+    assert written == {"unit": "mm", "boundary": ["s0"], "friction": 0.5}
+    assert "all together 300 mm by 300 mm and 900 mm high" in capsys.readouterr().out
+    assert load_structure(tmp_path).friction == 0.5
+    assert main(["doctor", str(tmp_path), "--density", "99", "--write"]) == 2
+    assert "is there already and stays as it is; nothing is missing in it" in capsys.readouterr().err
+    assert json.loads((tmp_path / "assembly.json").read_text()) == written
+
+
+def test_proposals_stand_beside_a_single_file(tmp_path: Path) -> None:
+    path = write_wall(tmp_path / "wall.obj")
+    assert main(["doctor", str(path), "--write"]) == 0
+    assert "boundary" in json.loads((tmp_path / "assembly.json").read_text())
+    assert load_structure(path).boundary.any()
+
+
+@pytest.mark.parametrize(
+    ("size", "options", "message"),
+    [
+        (50, (), "is not written: the unit may be mm or cm or in; say which by --unit"),
+        (1, ("--boundary", "0", "--cell", "c.toml"), "--write is about the file of a structure; leave out the cell"),
+        (1, ("--ground",), "loads as it is, and no option is given to be kept"),
+    ],
+)
+def test_nothing_is_written_in_doubt(
+    tmp_path: Path, size: int, options: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for level in range(2):
+        write_box(tmp_path, f"{level}", (0, 0, size * level), (size, size, size * level + size))
+    assert main(["doctor", str(tmp_path), *options, "--write"]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "assembly.json").exists()
 
 
 def test_files_that_cannot_be_read_are_parts_in_doubt(column: Path) -> None:
@@ -355,7 +409,7 @@ def test_a_unit_is_proposed_only_where_there_is_one(tmp_path: Path) -> None:
     found = doctor(tmp_path)
     assert any("the unit may be mm or cm or in" in remark for remark in found.remarks)
     assert found.additions == {"boundary": [0]}
-    assert found.unit == ""
+    assert found.units == ("mm", "cm", "in")
 
 
 def test_what_was_read_in_another_way_is_told(tmp_path: Path) -> None:

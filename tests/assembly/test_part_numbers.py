@@ -49,3 +49,20 @@ def test_boundary_by_name_on_the_command_line(tmp_path: Path, capsys: pytest.Cap
     capsys.readouterr()
     assert main(["stability", "arch:blocks=5", "--boundary", "left"]) == 2
     assert "boundary is part 'left', which does not exist" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        ("abut", "; perhaps abutment_E or abutment_W; "),
+        ("Stone1", "; perhaps stone1; "),
+        ("ston2", "stone2"),
+        ("x", ""),
+    ],
+)
+def test_names_that_may_be_meant(given: str, meant: str) -> None:
+    names = ("abutment_E", "abutment_W", "stone1", "stone2")
+    with pytest.raises(AssemblyError, match="which does not exist") as refused:
+        part_id(given, names, "boundary is part")
+    assert meant in str(refused.value)
+    assert ("perhaps" in str(refused.value)) == bool(meant)

@@ -124,7 +124,10 @@ def test_one_file_with_its_description_beside_it(tmp_path: Path):
         ({"boundary": 0}, "boundary is 0; give a list"),
         ({"boundary": [7]}, "boundary part 7 does not exist"),
         ({"boundary": [0, 0]}, "part 0 twice"),
-        ({"boundary": ["roof"]}, "boundary is part 'roof', which does not exist; give an id from 0 to 2 or a name"),
+        (
+            {"boundary": ["roof"]},
+            "assembly.json: boundary is part 'roof', which does not exist; give an id from 0 to 2",
+        ),
         ({"boundary": [[0]]}, r"boundary is \[\[0\]\]; give ids of parts, 0 to 2, or names"),
         ({"boundary": [[0, 1], [2]]}, r"boundary is \[\[0, 1\], \[2\]\]; give ids of parts, 0 to 2, or names"),
         ({"boundary": [[0], "0"]}, "boundary parts are"),

@@ -117,6 +117,10 @@ def test_the_reserve_that_no_plan_keeps(falsework: Run, tmp_path: Path) -> None:
     [
         (("--hold-force=-1",), "the largest force of holds is -1 N; give 0 or more"),
         (("--hold-force=nan",), "the largest force of holds is nan N"),
+        (("--hold-force=1N",), "with at most 1 N cannot carry part voussoir-0, which weighs"),
+        (("--hold-force=0.001kN",), "with at most 1 N cannot carry part voussoir-0, which weighs"),
+        (("--hold-force=3kg",), "--hold-force: '3kg' has the unit kg; give 2N or 2kN"),
+        (("--hold-moment=much",), "--hold-moment: 'much' is no moment; give 2Nm or 2kNm"),
         (("--hold-force=1",), "with at most 1 N cannot carry part voussoir-0, which weighs"),
         (("--hold-stiffness=0",), "the stiffness of holds is 0 N/m; give a positive number, inf for rigid"),
         (("--hold-stiffness=-1",), "the stiffness of holds is -1 N/m"),

@@ -49,6 +49,24 @@ def test_margins_of_a_plan_name_the_weakest_step(falsework: Run, stack: Path, tm
     assert falsework("margins", plan, "--bears", "1000kN,1000kNm").code == 0
 
 
+def test_margins_of_a_plan_are_those_of_what_is_built(falsework: Run, tmp_path: Path) -> None:
+    """Plan, check and margins agree on what stands, and on what robots bear; loaded at once is said so."""
+    plan = tmp_path / "plan.json"
+    assert falsework("plan", "arch:blocks=7", "--out", plan).code == 0
+    built = falsework("margins", plan, "--json")
+    assert built.code == 0
+    states = built.answer["states"]
+    assert all(record["stands"] for record in states)
+    borne = max(load["force_n"] for record in states for load in record["held"])
+    assert borne == pytest.approx(falsework("check", plan, "--json").answer["largest_force_n"], rel=1e-3)
+    words = "measured in each state as it is built"
+    text = falsework("margins", plan).out
+    assert words in text
+    assert text.count("*") == len(built.answer["weakest"]) + 1  # all are shown, and the line that says what a mark is
+    for option in (("--out", tmp_path / "more.json"), ("--states", "complete"), ("--criterion", "equilibrium")):
+        assert words not in falsework("margins", plan, *option).out
+
+
 def test_options_of_the_plan_are_named(falsework: Run, stack: Path, tmp_path: Path) -> None:
     """They are those of the structure only if the plan says so, and margins hang on them."""
     plan = tmp_path / "plan.json"

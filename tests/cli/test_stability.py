@@ -148,6 +148,17 @@ def test_real_structures_stand(falsework: Run, shared_assembly: Callable[[str], 
         assert falsework("stability", shared_assembly(name)).code == 0
 
 
+@pytest.mark.parametrize(
+    ("structure", "words"),
+    [
+        ("arch", "arch: stable; contact forces balance every part (left over: "),
+        ("arch:thickness=0.05", "unstable; whatever the contact forces, a part accelerates (by at least "),
+    ],
+)
+def test_a_verdict_comes_with_what_its_proof_shows(falsework: Run, structure: str, words: str) -> None:
+    assert words in falsework("stability", structure).out
+
+
 @pytest.mark.parametrize("solver", ["cpu", "exact"])
 def test_solvers_agree_on_an_arch(falsework: Run, solver: str) -> None:
     assert falsework("stability", "arch", "--solver", solver).code == 0
@@ -182,6 +193,9 @@ def test_a_block_between_two_walls_slides(falsework: Run, write_structure: Write
     assert found.code == 1
     (record,) = found.answer["states"]
     assert (record["verdict"], record["proof"], record["criterion"]) == ("slides", "forces", "contact")
+    said = falsework("stability", folder).out
+    assert "clamp: slides; forces in balance exist (left over: " in said
+    assert "but parts slide before contacts build them up; part 1 falls" in said
     paper = falsework("stability", folder, "--criterion", "equilibrium", "--json")
     assert paper.code == 0
     assert paper.answer["states"][0]["verdict"] == "stable"

@@ -140,6 +140,8 @@ def text_of(pdf: bytes) -> str:
     """All words of a PDF, page by page."""
     pdfium = pytest.importorskip("pypdfium2", reason="needs pypdfium2, of the group test")
     document = pdfium.PdfDocument(pdf)
+    about = document.get_metadata_dict()
+    assert (about["Subject"], about["Author"]) == ("assembly instructions", "")
     words = "\n".join(page.get_textpage().get_text_range() for page in document).replace("\u00a0", " ")
     document.close()
     return words

@@ -291,7 +291,6 @@ def test_the_doctor_prints_reach_and_proposes_bases(
         (["arch", "--cell", "dome-99"], "unknown cell dome-99"),
         (["arch", "--cell", "dome-37", "--picture", "reach.gif"], "give a file that ends in .png, .svg or .pdf"),
         (["arch", "--cell", "dome-37", "--picture", "no-folder/reach.png"], "there is no folder no-folder"),
-        (["arch", "--propose", "always"], "name it with --cell"),
         (["cell.toml", "--cell", "dome-37"], "cell.toml is a cell; to test what it reaches"),
     ],
 )

@@ -32,9 +32,11 @@ def solver(request: pytest.FixtureRequest) -> Callable[[Assembly, StabilitySetti
         return request.getfixturevalue("on_host")
     if request.param == "exact":
         return ExactSolver
-    return lambda assembly, settings: CpuSolver(
-        build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity), settings
-    )
+    return cpu_solver
+
+
+def cpu_solver(assembly: Assembly, settings: StabilitySettings) -> CpuSolver:
+    return CpuSolver(build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity), settings)
 
 
 def solve(
@@ -84,19 +86,19 @@ def overhang(scenes: Any, past: float, size: float) -> Assembly:
 def test_a_cube_past_an_edge_tips_at_every_size(scenes: Any, solver: Any, size: float) -> None:
     """Its least residual has a closed form, so it is known past which offset the tolerance is exceeded.
 
-    Below it the cube tips all the same: the exact solver proves that, and says that the verdict depends on the
-    tolerance; the fast solvers leave it open. At the edge of a cube of width `w` act a normal force `1 - r` and
+    Below it the cube tips all the same: solvers in float64 prove that, and say that the verdict depends on the
+    tolerance; the one for GPUs leaves it open. At the edge of a cube of width `w` act a normal force `1 - r` and
     friction `r`, in weights: they leave `r` of gravity along both axes, and turn it by
     `((1 - r) past w - r w / 2) / (w^2 / 6)`, which times `w / sqrt 6` is `r`.
     """
     tolerance = settings_of("octagon").tolerance
     critical = tolerance * (1 / np.sqrt(6) + 1 / 2) / (1 - tolerance)
-    exact = solver is ExactSolver
-    near, below = (0.02, Verdict.UNSTABLE) if exact else (0.5, Verdict.UNDECIDED)
+    double = solver in (ExactSolver, cpu_solver)
+    near, below = (0.02, Verdict.UNSTABLE) if double else (0.5, Verdict.UNDECIDED)
     for past, expected, close in (
         (-1e-2, Verdict.STABLE, False),
         (-1e-3, Verdict.STABLE, False),
-        ((1 - near) * critical, below, exact),
+        ((1 - near) * critical, below, double),
         ((1 + near) * critical, Verdict.UNSTABLE, False),
         (1e-3, Verdict.UNSTABLE, False),
         (1e-2, Verdict.UNSTABLE, False),
@@ -151,7 +153,9 @@ def test_any_units_give_the_same_verdicts(scenes: Any, solver: Any, cone: Cone, 
     expected = solve(solver, base, states, settings_of(cone))
     for size, density, gravity in ((1e-3, 1.0, EARTH), (1e3, 1e-3, EARTH), (1.0, 1e4, 1.62), (0.37, 1e-2, 30.0)):
         verdicts = solve(solver, structure(name, size, density), states, settings_of(cone, gravity))
-        np.testing.assert_array_equal(verdicts.verdict, expected.verdict)
+        both = ~(verdicts.undecided | expected.undecided)  # what lies on the boundary may be open in some units
+        np.testing.assert_array_equal(verdicts.verdict[both], expected.verdict[both])
+        assert np.mean(both) > 0.8
         if Solver.GPU not in verdicts.decided_by and name != "bottle":  # not float32, not degenerate
-            decided = ~expected.undecided
+            decided = both & ~expected.on_tolerance  # there, how far a bound gets depends on rounding
             np.testing.assert_allclose(verdicts.residual[decided], expected.residual[decided], rtol=1e-6, atol=1e-8)

@@ -319,6 +319,13 @@ def test_steps_are_found_and_gone_to(opened: Callable[..., Open], arch: Any) -> 
     tab.keyboard.press("ArrowLeft")
     tab.keyboard.press("ArrowLeft")
     now.until(lambda: now.model.position == 5, "the arrow key goes back")
+    before = np.asarray(next(iter(now.page.server.get_clients().values())).camera.position)
+    tab.keyboard.press("N", delay=300)
+    now.until(lambda: now.model.position == 6, "N goes on")
+    tab.keyboard.press("P", delay=300)
+    now.until(lambda: now.model.position == 5, "P goes back")
+    after = np.asarray(next(iter(now.page.server.get_clients().values())).camera.position)
+    np.testing.assert_allclose(after, before)  # the view stays
     assert complaints_of(now) == []
 
 
@@ -465,7 +472,7 @@ def test_a_file_plays_without_a_server(browser: Any, arch: Any, tmp_path: Path) 
     tab = browser.new_page()
     wrong: list[str] = []
     tab.on("pageerror", lambda error: wrong.append(str(error)))
-    tab.goto((tmp_path / "plan.html").as_uri())
+    tab.goto((tmp_path / "plan.html").as_uri(), timeout=1000 * PATIENCE)
     tab.locator("canvas").first.wait_for(timeout=1000 * PATIENCE)
     tab.add_style_tag(content=".mantine-Notifications-root { display: none }")
     tab.locator("summary").click()

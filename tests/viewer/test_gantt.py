@@ -12,15 +12,16 @@ import numpy as np
 import pytest
 
 from falsework import Direction
+from falsework.cli.command import ViewableOptions
 from falsework.cli.main import main
-from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
-from falsework.robots import Keyframe, Precedence, RobotPlan, RobotStep, Trajectory, nodes_of
+from falsework.robots import Cell, Keyframe, Precedence, RobotPlan, RobotStep, Trajectory, nodes_of
 from falsework.robots.plans.robot_plan import RobotRecord
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import bars_of
 from falsework.search.plans.plan_file import plan_from_dict
 from falsework.viewer.pictures.gantt import draw_gantt
+from falsework.viewer.pictures.joint_plot import draw_joints, joint_values
 
 pytest.importorskip("matplotlib", reason="charts need matplotlib; pip install 'falsework[picture]'")
 
@@ -98,8 +99,27 @@ def test_a_chart_is_drawn_from_the_command_line_as_asked(
         assert error.count("\n") == 1
 
 
+def test_joints_over_time(scheduled: RobotPlan, cell: Cell, tmp_path: Path) -> None:
+    """Positions join, are those of the keyframes at both ends, and change as the velocities say."""
+    fastest = draw_joints(scheduled, cell, tmp_path / "joints.png")
+    assert (tmp_path / "joints.png").stat().st_size > 1000
+    peaks = [motion.peaks()[0] / cell.robots[robot].model.velocity for _, robot, motion in scheduled.moves()]
+    assert fastest == pytest.approx(np.max(peaks), rel=0.01)
+    for robot in range(2):
+        times, positions, rates = joint_values(scheduled, robot)
+        assert (np.diff(times) >= 0).all()
+        assert (times[0], times[-1]) == (0.0, pytest.approx(scheduled.makespan))
+        ends = [frame.configurations[robot] for frame in (scheduled.keyframes[0], scheduled.keyframes[-1])]
+        np.testing.assert_allclose(positions[[0, -1]], ends)
+        steps = np.diff(times)[:, None] * (rates[1:] + rates[:-1]) / 2
+        np.testing.assert_allclose(np.diff(positions, axis=0), steps, atol=1e-3)
+
+
 def test_charts_that_cannot_be_drawn(plan: RobotPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(InputError, match="neither PNG nor SVG"):
         draw_gantt(plan, tmp_path / "chart.txt")
-    assert main(["picture", "stack:blocks=2", "--gantt", "--out", str(tmp_path / "none.png")]) == 2
-    assert "has no arms" in capsys.readouterr().err
+    for chart, name in (("--gantt", "a Gantt chart"), ("--joints", "a plot of joints")):
+        assert main(["picture", "stack:blocks=2", chart, "--out", str(tmp_path / "none.png")]) == 2
+        assert f"has no arms to draw {name} of" in capsys.readouterr().err
+    assert main(["picture", "stack:blocks=2", "--gantt", "--joints"]) == 2
+    assert "a Gantt chart has no --joints" in capsys.readouterr().err

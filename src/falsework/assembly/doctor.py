@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from falsework.assembly.draft import Draft
 from falsework.assembly.fasteners import furnish
 from falsework.assembly.findings import (
+    compare_parts,
     inclination_findings,
     likely_units,
     lowest,
@@ -38,10 +38,6 @@ from falsework.geometry.mesh.repair import check_mesh, thicken_supports
 from falsework.utils.files.formats import reader_of
 from falsework.utils.quantity import format_quantity
 
-_TINY = 1e-3
-"""Volume below which a part is doubtful, as a share of the median."""
-_SAME = 1e-6
-"""Distance of the bounds of duplicates, as a share of a part's size."""
 _MANY = 2000
 """Faces of a pair of parts from which the depth of an overlap is measured at vertices and on a coarse grid."""
 _Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -76,8 +72,9 @@ class Diagnosis:
     """Reason why it does not load, in one line; empty if it loads."""
     remarks: tuple[str, ...]
     """Findings about the whole structure, and repairs of it."""
-    unit: str
-    """Likely unit of the coordinates; empty where the present one raises no finding."""
+    units: tuple[str, ...]
+    """Likely units of the coordinates; empty where the present one raises no finding. With one alone, all but `error`
+    is said of parts with this unit."""
     parts: tuple[PartReport, ...]
     contacts: int
     """Contacts of the structure; of one that does not load, those of the pairs of parts that can be judged."""
@@ -97,6 +94,15 @@ class Diagnosis:
         return not self.error
 
     @property
+    def extent(self) -> tuple[float, float, float]:
+        """Size along x, y and z of all parts together, metres; zeros where there are none."""
+        blocks = [] if self.draft is None else [block.vertices for block in self.draft.blocks if len(block.vertices)]
+        if not blocks or self.draft is None:
+            return 0.0, 0.0, 0.0
+        x, y, z = (np.ptp(np.concatenate(blocks), axis=0) * self.draft.scale).tolist()
+        return x, y, z
+
+    @property
     def doubtful(self) -> tuple[PartReport, ...]:
         """Parts with a finding."""
         return tuple(report for report in self.parts if report.findings)
@@ -112,8 +118,9 @@ class Diagnosis:
             "loads": self.loads,
             "error": self.error or None,
             "remarks": list(self.remarks),
-            "unit": self.unit or None,
+            "unit": self.units[0] if len(self.units) == 1 else None,
             "contacts": self.contacts,
+            "extent_m": list(self.extent),
             "stored_interfaces": self.stored.to_dict() if self.stored else None,
             "add": self.additions,
             "loads_with_it": self.cured,
@@ -144,15 +151,27 @@ def doctor(
         try:
             draft, described = _read(path, unit)
         except InputError as error:
-            return Diagnosis(str(path), str(error), (), "", (), 0, None, {}, False, None)
-    options = {**described, **{name: value for name, value in options.items() if value is not None}}
+            return Diagnosis(str(path), str(error), (), (), (), 0, None, {}, False, None)
+    given = {name: value for name, value in options.items() if value is not None}
+    options = {**described, **given}
+    size = _sizes(draft)
+    middle = float(np.median(size))
+    likely = [] if path.suffix.lower() in _HAVE_UNITS else likely_units(middle, draft.scale)
+    if len(likely) == 1:  # what else is found and proposed, parts of this size have
+        found = doctor(path, likely[0], stands=stands, **given)
+        typical = format_quantity(middle, "length")
+        remark = f"a typical part would be {typical} long: the unit is taken to be {likely[0]}"
+        return replace(
+            found,
+            error=_load(draft, options)[1],
+            remarks=(remark, *found.remarks),
+            units=(likely[0],),
+            additions={"unit": likely[0], **found.additions},
+            cured=found.cured if found.additions else found.loads,
+        )
     solids, repairs, errors, notes = _solids(draft, options.get("boundary"))
-    size = np.array(
-        [np.linalg.norm(np.ptp(block.vertices, axis=0)) * draft.scale if len(block.vertices) else 0.0
-         for block in draft.blocks]
-    )  # fmt: skip
     findings = [[*([error] if error else []), *more] for error, more in zip(errors, notes, strict=True)]
-    _compare_parts(solids, findings)
+    compare_parts(solids, findings)
     assembly, error, remarks = _load(draft, options)
     remarks = list(dict.fromkeys(str(warning.message) for warning in caught) | dict.fromkeys(remarks))
     fixed = np.zeros(len(draft.blocks), dtype=bool)
@@ -192,18 +211,10 @@ def doctor(
             additions["boundary"] = low if any(name.isdecimal() for name in names) else names
         else:
             remarks.append("which parts are fixed cannot be seen: name them (--boundary), or put a --ground under all")
-    middle = float(np.median(size))
-    likely = [] if path.suffix.lower() in _HAVE_UNITS else likely_units(middle, draft.scale)
     if likely:
         typical = format_quantity(middle, "length")
         remarks.append(f"a typical part is {typical} long; the unit may be {' or '.join(likely)}")
-    if len(likely) == 1:
-        additions = {"unit": likely[0], **additions}
-    cured = False
-    if additions:
-        scaled = replace(draft, scale=unit_length(likely[0])) if len(likely) == 1 else draft
-        fixing = {"boundary": additions["boundary"]} if "boundary" in additions else {}
-        cured = _load(scaled, {**options, **fixing})[0] is not None
+    cured = bool(additions) and _load(draft, {**options, **additions})[0] is not None
     reports = tuple(
         PartReport(
             number,
@@ -220,7 +231,7 @@ def doctor(
         path=str(path),
         error=error,
         remarks=tuple(remarks),
-        unit=likely[0] if len(likely) == 1 else "",
+        units=tuple(likely),
         parts=reports,
         contacts=0 if contacts is None else len(contacts),
         stored=stored,
@@ -228,6 +239,12 @@ def doctor(
         cured=cured,
         draft=draft,
     )
+
+
+def _sizes(draft: Draft) -> np.ndarray:
+    """Return the diagonal of the bounding box of each part, metres, shape (parts,)."""
+    boxes = [np.ptp(block.vertices, axis=0) if len(block.vertices) else np.zeros(3) for block in draft.blocks]
+    return np.linalg.norm(boxes, axis=1) * draft.scale
 
 
 def _part_record(report: PartReport) -> dict[str, Any]:
@@ -287,23 +304,6 @@ def _solids(draft: Draft, boundary: Any) -> tuple[list[TriangleMesh | None], lis
 def _of_part(text: str, name: str) -> str:
     """Return a message on a part without the name of the part."""
     return text.removeprefix(f"part {name} ").removeprefix(f"part {name}: ")
-
-
-def _compare_parts(solids: Sequence[TriangleMesh | None], findings: list[list[str]]) -> None:
-    """Note parts that are tiny compared with the others, and duplicates."""
-    there = [number for number, solid in enumerate(solids) if solid is not None]
-    meshes = [solid for solid in solids if solid is not None]
-    if not meshes:
-        return
-    volume = np.array([mesh.volume for mesh in meshes])
-    for row in np.flatnonzero(volume < _TINY * np.median(volume)).tolist():
-        tiny, typical = (format_quantity(float(value), "volume") for value in (volume[row], np.median(volume)))
-        findings[there[row]].append(f"is tiny: {tiny}, where a typical part has {typical}")
-    corners = np.array([mesh.bounds.ravel() for mesh in meshes])
-    reach = _SAME * float(np.median(np.linalg.norm(corners[:, 3:] - corners[:, :3], axis=1)))
-    for i, j in sorted(KDTree(corners).query_pairs(reach)):
-        if abs(volume[i] - volume[j]) <= 1e-6 * volume[i]:
-            findings[there[j]].append(f"is a duplicate of part {meshes[i].name}")
 
 
 def _stands(

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from falsework.assembly.draft import Draft
 from falsework.assembly.model import Assembly
@@ -15,6 +16,10 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.read import UNITS
 from falsework.utils.quantity import format_quantity, listed
 
+_TINY = 1e-3
+"""Volume below which a part is doubtful, as a share of the median."""
+_SAME = 1e-6
+"""Distance of the bounds of duplicates, as a share of a part's size."""
 _SIZES = (0.02, 5.0)
 """Smallest and largest size of a typical part that raises no finding about the unit, metres."""
 _DENSITIES = (100.0, 10_000.0)
@@ -121,3 +126,20 @@ def likely_units(size: float, scale: float) -> list[str]:
     if _SIZES[0] <= size <= _SIZES[1]:
         return []
     return [unit for unit in ("mm", "cm", "m", "in") if _SIZES[0] <= size / scale * UNITS[unit] <= _SIZES[1]]
+
+
+def compare_parts(solids: Sequence[TriangleMesh | None], findings: list[list[str]]) -> None:
+    """Note parts that are tiny compared with the others, and duplicates."""
+    there = [number for number, solid in enumerate(solids) if solid is not None]
+    meshes = [solid for solid in solids if solid is not None]
+    if not meshes:
+        return
+    volume = np.array([mesh.volume for mesh in meshes])
+    for row in np.flatnonzero(volume < _TINY * np.median(volume)).tolist():
+        tiny, typical = (format_quantity(float(value), "volume") for value in (volume[row], np.median(volume)))
+        findings[there[row]].append(f"is tiny: {tiny}, where a typical part has {typical}")
+    corners = np.array([mesh.bounds.ravel() for mesh in meshes])
+    reach = _SAME * float(np.median(np.linalg.norm(corners[:, 3:] - corners[:, :3], axis=1)))
+    for i, j in sorted(KDTree(corners).query_pairs(reach)):
+        if abs(volume[i] - volume[j]) <= 1e-6 * volume[i]:
+            findings[there[j]].append(f"is a duplicate of part {meshes[i].name}")

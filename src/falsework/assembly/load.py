@@ -159,10 +159,10 @@ def described_options(path: Path) -> dict[str, Any]:
         InputError: it has names of parts, which the file has itself.
         AssemblyError: it is damaged or of another version.
     """
-    from falsework.assembly.store import FILE, read_description
+    from falsework.assembly.store import described_by, read_description
     from falsework.geometry.contact.interfaces import ContactSettings
 
-    file = (path if path.is_dir() else path.parent) / FILE
+    file = described_by(path)
     if not file.is_file():
         return {}
     described = read_description(path)

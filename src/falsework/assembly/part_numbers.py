@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from contextlib import suppress
+from difflib import get_close_matches
 from operator import index
 from typing import Any
 
@@ -35,7 +36,17 @@ def part_id(given: Any, names: Sequence[str], what: str) -> int:
         given = given if number is None else number
     if not isinstance(given, bool) and hasattr(given, "__index__") and 0 <= index(given) < len(names):
         return index(given)
-    raise AssemblyError(f"{what} {given!r}, which does not exist; give an id from 0 to {len(names) - 1} or a name")
+    near = alike(given, names) if isinstance(given, str) else ""
+    raise AssemblyError(
+        f"{what} {given!r}, which does not exist{near}; give an id from 0 to {len(names) - 1} or a name"
+    )
+
+
+def alike(name: str, names: Sequence[str]) -> str:
+    """Return which parts may be meant by a name that none has, such as `; perhaps abutment_E`; empty for none."""
+    begin = [one for one in names if one.lower().startswith(name.lower())] if name else []
+    near = begin[:3] or get_close_matches(name, names, n=3)
+    return f"; perhaps {' or '.join(near)}" if near else ""
 
 
 def part_range(given: Any, names: Sequence[str]) -> range | None:

@@ -18,6 +18,7 @@ from falsework.assembly.assembly_model import FORMAT, AssemblyFile
 from falsework.assembly.draft import Draft
 from falsework.assembly.fasteners import furnish
 from falsework.assembly.model import Assembly
+from falsework.assembly.part_numbers import part_ids
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.obj import obj_text
@@ -83,10 +84,13 @@ def load_assembly(
     source = Path(path)
     described = read_description(source)
     draft = described_draft(source, described, unit)
+    own = described.get("boundary") if boundary is None else None
+    if own is not None:  # wrong names are of the file, not of an option
+        part_ids(own, draft.names, f"{described_by(source)}: boundary")
     assembly = draft.assemble(
         density=described.get("density") if density is None else density,
         friction=described.get("friction") if friction is None else friction,
-        boundary=described.get("boundary") if boundary is None else boundary,
+        boundary=own if boundary is None else boundary,
         ground=ground,
         contact_settings=described["contact"] if contact_settings is None else contact_settings,
         settle=described.get("settle") if settle is None else settle,
@@ -174,13 +178,18 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
     return Path(folder)
 
 
+def described_by(source: Path) -> Path:
+    """Return the path of `assembly.json` in a folder or beside a file."""
+    return (source if source.is_dir() else source.parent) / FILE
+
+
 def read_description(source: Path) -> dict[str, Any]:
     """Read `assembly.json` in a folder or beside a file, with types checked; `contact` becomes `ContactSettings`.
 
     Raises:
         AssemblyError: it is damaged or of another version.
     """
-    file = (source if source.is_dir() else source.parent) / FILE
+    file = described_by(source)
     described: dict[str, Any] = {}
     if file.is_file():
         try:

@@ -9,9 +9,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from falsework.assembly.part_numbers import part_id, part_range
+from falsework.assembly.part_numbers import alike, part_id, part_range
 from falsework.errors import InputError, PlanError, StateError
 from falsework.utils.json_text import parse_json
+from falsework.utils.quantity import parse_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -50,7 +51,10 @@ def parse_parts(text: str, option: str, names: Sequence[str]) -> tuple[int, ...]
         elif item.isdecimal() and len(item) < 10:
             parts.append(int(item))
         else:
-            raise InputError(f"{option} {text}: {item!r} is not a part; give numbers such as 3,4 or 0-16, or names")
+            near = alike(item, names)
+            raise InputError(
+                f"{option} {text}: {item!r} is not a part{near}; give numbers such as 3,4 or 0-16, or names"
+            )
     return tuple(parts)
 
 
@@ -217,6 +221,18 @@ def _state_of_parts(text: str, option: str, assembly: Assembly) -> States:
         held = item.startswith(_HELD) and item not in assembly.names
         name = item.removeprefix(_HELD) if held else item
         if part_range(name, assembly.names) is None and name not in assembly.names and not name.isdecimal():
-            raise StateError(f"{name!r} is neither a part nor a file; give {STATE_FORMS}")
+            raise StateError(f"{name!r} is neither a part nor a file{alike(name, assembly.names)}; give {STATE_FORMS}")
         parts["held" if held else "standing"] += parse_parts(name, option, assembly.names)
     return named_state(parts, assembly)
+
+
+def parse_limits(force: str | None, moment: str | None) -> tuple[float | None, float | None]:
+    """Read the largest force and moment of a robot, such as `300N` and `40Nm`; numbers alone are N and Nm."""
+
+    def limit(text: str | None, kind: str) -> float | None:
+        try:
+            return None if text is None else float(text)
+        except ValueError:
+            return parse_quantity(text or "", kind, f"--hold-{kind}")
+
+    return limit(force, "force"), limit(moment, "moment")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from falsework.cli.exit_code import Exit
 from falsework.errors import CellError
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from falsework.robots.grasping.reachability import BaseProposal, ReachTable
     from falsework.robots.model.cell import Cell
     from falsework.robots.model.part_shapes import PartShapes
-
-Propose = Literal["auto", "always", "never"]
 
 
 def examine_cell(path: Path, output: Output) -> Exit:
@@ -35,12 +33,8 @@ def examine_cell(path: Path, output: Output) -> Exit:
     return Exit.DONE
 
 
-def report_reach(assembly: Assembly, cell: Cell, propose: Propose, picture: Path | None, output: Output) -> Exit:
-    """Report which robot can hold which part, each alone on the boundary, with the other robots at home.
-
-    Args:
-        propose: when to look for better bases; `auto`: if a robot cannot reach a part.
-        output: where to print.
+def report_reach(assembly: Assembly, cell: Cell, picture: Path | None, output: Output) -> Exit:
+    """Report which robot can hold which part, each alone on the boundary, and better bases where one cannot.
 
     Returns:
         `Exit.NO` if a part is out of reach of all robots.
@@ -54,7 +48,7 @@ def report_reach(assembly: Assembly, cell: Cell, propose: Propose, picture: Path
     with output.bar("reaching") as show:
         table = reach_table(assembly, cell, parts, lambda done, total: show(done, total, f"part {done} of {total}"))
     proposal = None
-    if propose == "always" or (propose == "auto" and (table.levels == Reachability.OUT_OF_REACH).any()):
+    if (table.levels == Reachability.OUT_OF_REACH).any():
         with output.bar("looking for bases") as show:
             proposal = propose_bases(
                 assembly, cell, parts, lambda done, total: show(done, total, f"place {done} of {total}")

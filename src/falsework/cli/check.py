@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, arg
 
-from falsework.cli.arguments import spell_options
+from falsework.cli.arguments import parse_limits, spell_options
 from falsework.cli.command import UNSET, ConeOption, JudgingCommand, LoadOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.overrides import exit_of_good
+from falsework.cli.output import exit_of_good
 from falsework.cli.planning import judge_text, load_record, load_text
 from falsework.errors import InputError
 from falsework.utils.quantity import counted, format_quantity
@@ -89,10 +89,10 @@ class CheckPlan(JudgingCommand):
     """Bound on the sum of all normal forces, in weights of the structure."""
     reserve: Annotated[float, arg(metavar="FACTOR")] = 1.0
     """Least reserve of the plan: number by which it divides friction."""
-    hold_force: Annotated[float | None, arg(metavar="N", help_behavior_hint="(default: that of the plan)")] = None
-    """Largest force of a robot on a part that it holds, N; no robot may bear more in any state."""
-    hold_moment: Annotated[float | None, arg(metavar="NM", help_behavior_hint="(default: that of the plan)")] = None
-    """Largest moment of a robot about the centre of mass of a part that it holds, N m."""
+    hold_force: Annotated[str | None, arg(metavar="FORCE", help_behavior_hint="(default: that of the plan)")] = None
+    """Largest force of a robot on a part that it holds, such as 300N; no robot may bear more in any state."""
+    hold_moment: Annotated[str | None, arg(metavar="MOMENT", help_behavior_hint="(default: that of the plan)")] = None
+    """Largest moment of a robot about the centre of mass of a part that it holds, such as 40Nm."""
     margin: Annotated[str | None, arg(metavar="MARGINS", help_behavior_hint="(default: those of the plan)")] = None
     """Margins that every state must keep, such as friction=1.25,tilt=2deg,push=20N; see `falsework plan --help`."""
     replay: bool = False
@@ -124,7 +124,7 @@ class CheckPlan(JudgingCommand):
             gravity=self.gravity,
             force_bound=self.force_bound,
             reserve=self.reserve,
-            holds=HoldSettings(force=self.hold_force, moment=self.hold_moment),
+            holds=HoldSettings(float("inf"), *parse_limits(self.hold_force, self.hold_moment)),
         )
         demands = None if self.margin is None else Demands.from_text(self.margin)
         plan = load_plan(self.plan)

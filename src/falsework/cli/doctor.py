@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
-from falsework.cli.cell_reach import Propose, examine_cell, report_reach
+from falsework.cli.cell_reach import examine_cell, report_reach
 from falsework.cli.command import UNSET, Command, LoadOptions
 from falsework.cli.exit_code import Exit
 from falsework.errors import InputError
@@ -33,11 +34,9 @@ class Doctor(Command, LoadOptions):
     Works on structures that do not load, too: open, tiny, overlapping, duplicate and isolated parts are listed. Ends
     with the entries to add to assembly.json, and states whether the structure loads with them. With --cell it also
     reports which robot can hold which part, each alone on the boundary with the other robots at home, and proposes
-    better bases. The file of a cell is examined by itself. Exit code 1 if something does not load as it is, or if a
-    part is out of reach of all robots.
+    better bases where a robot does not reach a part. The file of a cell is examined by itself. Exit code 1 if something
+    does not load as it is, or if a part is out of reach of all robots.
     """
-
-    rare: ClassVar[tuple[str, ...]] = ("propose",)
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework doctor my-folder",
@@ -54,13 +53,14 @@ class Doctor(Command, LoadOptions):
     picture: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
     """Draw the parts as PNG: doubtful ones red, repaired ones orange; with --cell a plan view of parts and robots,
     coloured by the number of robots that reach a part."""
-    propose: Annotated[Propose | None, arg(help_behavior_hint="(default: auto)")] = None
-    """Search for better bases; auto: if a robot cannot reach a part."""
+    write: bool = False
+    """Write what is proposed, with the options of the structure that are given, to assembly.json beside the parts. One
+    that is there is left as it is."""
 
     def run(self, output: Output) -> Exit:
         """Diagnose, draw and report."""
-        if self.cell is None and self.propose is not None:
-            raise InputError("--propose is about the robots of a cell; name it with --cell")
+        if self.write and (self.cell is not None or self.path.suffix.lower() == ".toml"):
+            raise InputError("--write is about the file of a structure; leave out the cell")
         if self.path.suffix.lower() == ".toml":
             if self.cell is not None or self.picture is not None:
                 raise InputError(
@@ -85,7 +85,31 @@ class Doctor(Command, LoadOptions):
                 _draw(found, self.picture)
                 output.file(self.picture)
                 output.say(f"picture: {self.picture}")
+        if self.write:
+            self._write(found, output)
+            return Exit.DONE
         return Exit.DONE if found.loads else Exit.NO
+
+    def _write(self, found: Diagnosis, output: Output) -> None:
+        """Write `assembly.json` with what is proposed and given, if the structure loads with it."""
+        from falsework.assembly.store import described_by
+        from falsework.utils.json_file import write_json
+
+        file = described_by(self.path)
+        kept = ("unit", "density", "friction", "boundary", "settle")
+        entries = {name: value for name, value in self.given().items() if name in kept} | found.additions
+        if file.exists():
+            rest = f"add by hand: {found.line()}" if found.additions else "nothing is missing in it"
+            raise InputError(f"{file} is there already and stays as it is; {rest}")
+        if not (found.cured or found.loads):
+            raise InputError(f"{file} is not written: the structure does not load with it yet ({found.error})")
+        if not entries:
+            raise InputError(f"{file} is not written: {self.path} loads as it is, and no option is given to be kept")
+        if len(found.units) > 1 and self.unit is None:
+            raise InputError(f"{file} is not written: the unit may be {' or '.join(found.units)}; say which by --unit")
+        write_json(file, entries, ())
+        output.file(file)
+        output.say(f"{file} has now: {json.dumps(entries)[1:-1]}")
 
     def _diagnose(self, output: Output) -> Diagnosis:
         from falsework.assembly.doctor import doctor
@@ -108,7 +132,7 @@ class Doctor(Command, LoadOptions):
         if self.path.exists() and not self._diagnose(output).loads:
             return Exit.NO
         assembly = load_structure(str(self.path), **self.given())
-        return report_reach(assembly, cell, self.propose or "auto", self.picture, output)
+        return report_reach(assembly, cell, self.picture, output)
 
 
 def stands(assembly: Assembly) -> bool:
@@ -129,7 +153,8 @@ def _lines(found: Diagnosis) -> list[str]:
         text = f"{counted(len(found.parts), 'part')} ({fixed} boundary), {_range(sizes, 'length')} long"
         if volumes:
             text += f", {_range(volumes, 'volume')}, {format_quantity(sum(volumes), 'volume')} in all"
-        lines += [text, counted(found.contacts, "contact")]
+        width, depth, height = (format_quantity(size, "length") for size in found.extent)
+        lines += [text, f"all together {width} by {depth} and {height} high", counted(found.contacts, "contact")]
     if found.stored is not None:
         lines.append(f"stored interfaces: {found.stored}")
     lines += list(found.remarks)

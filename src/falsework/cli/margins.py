@@ -13,7 +13,7 @@ from falsework.cli.command import STATES, UNSET, Command, ConeOption, CriterionO
 from falsework.cli.exit_code import Exit
 from falsework.cli.margins_table import print_margins
 from falsework.errors import InputError
-from falsework.utils.quantity import counted, format_quantity
+from falsework.utils.quantity import format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.search.plans.plan import Plan
     from falsework.stability import StateMargins
+    from falsework.stability.contact.history import History
     from falsework.stability.settings import StabilitySettings
 
 
@@ -33,6 +34,9 @@ class FindMargins(Command):
     push on a free face of a part, and the force and moment that a robot bears for each part that it holds. Each bound
     has a certificate on both sides, within 1 %. A margin without a bound is null in JSON. Exit code 1 if a state is not
     stable, or if a robot would bear more than --bears.
+
+    States of a plan under the criterion contact are measured as they are built: their contacts keep the loads that they
+    have taken on. Other states, those of structures with joints, and those that --out writes, are loaded at once.
     """
 
     rare: ClassVar[tuple[str, ...]] = ("cone", "polygon", "settlement", "placement", "draws", "seed")
@@ -69,8 +73,8 @@ class FindMargins(Command):
     steps: bool = False
     """Print all steps of a plan, not the weakest alone."""
     out: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
-    """File to write the plan to with the margins of all its states, which instruction sheets and the page show and
-    `falsework check` verifies."""
+    """File to write the plan to with the margins of all its states, loaded at once, which instruction sheets and the
+    page show and `falsework check` verifies."""
 
     def run(self, output: Output) -> Exit:
         """Find and print the margins."""
@@ -103,10 +107,12 @@ class FindMargins(Command):
             self._refuse_out(plan, settings)
         extra = [kind for kind in ("polygon", "settlement") if getattr(self, kind)]
         oracle, found, interrupted = StabilityOracle(assembly, settings), [], False
+        histories = _histories(plan, assembly, settings) if plan and own_states and self.out is None else ()
         with output.bar("margins") as show:
             try:
                 for row in range(len(states)):
-                    found += oracle.margins(states[row], (*QUICK, *extra), deadline=self.deadline)
+                    built = histories[row : row + 1]
+                    found += oracle.margins(states[row], (*QUICK, *extra), deadline=self.deadline, histories=built)
                     show(row + 1, len(states), f"state {row + 1} of {len(states)}")
             except KeyboardInterrupt:
                 interrupted = True
@@ -139,13 +145,8 @@ class FindMargins(Command):
         if plan is not None and own_states:
             subjects = [f"{row} {plan.steps[row - 1] if row else 'start'}" for row in range(len(records))]
         print_margins(records, subjects, output, everything=self.steps or plan is None)
-        fallen = sum(not margins.stands for margins in found)
-        if fallen and own_states:
-            verb = "stands as it is" if fallen == 1 else "stand as they are"
-            output.note(
-                f"falsework: {counted(fallen, 'state')} of the plan {verb} built, with the history of its contacts, "
-                "but not from rest, from where margins are measured"
-            )
+        if histories:
+            output.say("measured in each state as it is built, with the loads that its contacts have taken on by then")
         if interrupted:
             output.note(f"interrupted after {len(found)} of {len(states)} states")
             return Exit.INTERRUPTED
@@ -188,7 +189,10 @@ class FindMargins(Command):
 
         fallen = next((row for row, margins in enumerate(found) if not margins.stands), None)
         if fallen is not None:
-            output.note(f"falsework: {path} is not written: state {fallen} is not stable by itself and has no margins")
+            output.note(
+                f"falsework: {path} is not written: a plan carries margins of states that are loaded at once, and "
+                f"state {fallen} stands only as it is built"
+            )
             return
         margins = PlanMargins.from_states(found)
         if plan.margins is not None:
@@ -219,3 +223,14 @@ class FindMargins(Command):
                 progress=lambda done, total: show(done, total, f"draw {done} of {total}"),
             )
         return curve.shares.T.tolist()
+
+
+def _histories(plan: Plan, assembly: Assembly, settings: StabilitySettings) -> tuple[History, ...]:
+    """Return the histories of the contacts in the states of a plan; none where they are loaded at once."""
+    from falsework.stability.contact.replay import Replayer
+
+    if settings.criterion != "contact" or plan.claim.criterion != "contact" or assembly.joints is not None:
+        return ()
+    replayer = Replayer(assembly, replace(settings, holds=plan.claim.holds))
+    histories = replayer.replay(plan.states, presses=plan.presses_before).histories
+    return histories if len(histories) == len(plan.states) else ()

@@ -29,7 +29,8 @@ def print_margins(
 ) -> None:
     """Print the margins of states, those of one below each other, those of several as a table with the weakest first.
 
-    A state comes the earlier, the nearer one of its margins is to the weakest of all states.
+    The states with the weakest margin of a kind come first; of the others a state comes the earlier, the nearer one of
+    its margins is to the weakest.
 
     Args:
         records: of the states, as `StateMargins.to_dict` returns them.
@@ -49,7 +50,9 @@ def print_margins(
         output.table(("margin", "bound"), _single(records[0]))
         return
     best = {key: None if i is None else records[i][key] for key, i in weakest.items()}
-    order = sorted(range(len(records)), key=lambda i: min(_ratio(records[i], key, best[key]) for key in best))
+    marked = set(weakest.values())
+    ratios = [min(_ratio(record, key, best[key]) for key in best) for record in records]
+    order = sorted(range(len(records)), key=lambda i: (i not in marked, ratios[i]))
     shown = order if everything else order[:SHOWN]
     headings = ("state", *(title for _, title, *_ in _COLUMNS), "heaviest hold", "remarks")
     rows = []
@@ -99,7 +102,7 @@ def _single(record: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _remarks(record: dict[str, Any]) -> list[str]:
-    words = [] if record["stands"] else ["does not stand from rest"]
+    words = [] if record["stands"] else ["does not stand if loaded at once"]
     for name, depth in record.get("settlement_m", {}).items():
         deep = "as far as the criterion allows" if depth is None else format_quantity(depth, "length")
         words.append(f"{name} may sink {deep}")

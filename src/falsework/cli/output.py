@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from importlib import resources
 from typing import TYPE_CHECKING, Any, TextIO
 
+from falsework.cli.arguments import spell_options
 from falsework.cli.exit_code import Exit
 from falsework.utils.files.printable import printable
 
@@ -199,6 +200,24 @@ class Output:
         # Made anew, since tests and shells exchange the streams; a file is no terminal, and has room for whole tables.
         stream = sys.stderr if error else sys.stdout
         return Console(stderr=error, width=None if stream.isatty() else _FILE_WIDTH)
+
+
+def exit_of_good(plan: Path, overrides: Mapping[str, Any], output: Output, *, accepted: bool) -> Exit:
+    """Return the exit code of a check that found nothing wrong, and say what it depends on.
+
+    Args:
+        plan: file of the plan.
+        overrides: options that the plan sets and the command line does not give, see `structure_to_check`.
+        output: streams of the command.
+        accepted: whether the command line accepts them all.
+    """
+    if not overrides or accepted:
+        return Exit.DONE
+    output.note(
+        f"falsework: {plan}: good only with options of the structure that the plan sets itself: "
+        f"{spell_options(overrides)}; give them too, or --accept-overrides"
+    )
+    return Exit.CONDITIONAL
 
 
 def _plain(value: Any) -> Any:

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, JudgingCommand
+from falsework.cli.command import UNSET, JudgingCommand, ViewableOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import writable
-from falsework.cli.subject import ViewableOptions
 from falsework.errors import InputError
 from falsework.utils.quantity import counted
 
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
 _STATE = ("forces", "verdicts", "limits", "policy")
 """Options that show something of states."""
-_STILLS = ("step", "gantt", "forces", "limits", "policy", "frames", "columns", "title")
+_STILLS = ("step", "gantt", "joints", "forces", "limits", "policy", "frames", "columns", "title")
 """Options that videos do not have."""
 _MOVING = ("step_seconds", "rate", "speed")
 """Options that only videos have."""
@@ -59,6 +58,8 @@ class MakePicture(JudgingCommand):
     """Draw the state after this step alone; 0 is the beginning."""
     gantt: bool = False
     """Draw when each arm of a robot plan moves, holds and waits, as PNG or SVG."""
+    joints: bool = False
+    """Draw position and velocity of each joint of a robot plan over time, with their limits, as PNG or SVG."""
     forces: bool = False
     """Draw the certificate of a single state."""
     verdicts: bool = False
@@ -101,8 +102,8 @@ class MakePicture(JudgingCommand):
             self._refuse(_MOVING, f"a picture such as {self.out}")
             check_suffix(self.out, ".png", ".svg", *KINDS)
             check_sizes(self.width, self.frames, self.columns)
-        if self.gantt:
-            return self._gantt(output)
+        if self.gantt or self.joints:
+            return self._chart(output)
         if is_cell(self.subject.spec) and not video:
             return self._cell(output)
         return self._animate(output) if video else self._draw(output)
@@ -165,16 +166,25 @@ class MakePicture(JudgingCommand):
             output.note(f"falsework: {fault}")
         return Exit.DONE
 
-    def _gantt(self, output: Output) -> Exit:
+    def _chart(self, output: Output) -> Exit:
         from falsework.viewer.pictures.gantt import draw_gantt
+        from falsework.viewer.pictures.joint_plot import draw_joints
 
-        self._refuse(("step", *_STATE), "a Gantt chart")
+        what = "a Gantt chart" if self.gantt else "a plot of joints"
+        self._refuse(("step", *_STATE, *(("joints",) if self.gantt else ())), what)
         subject = self.subject.open()
         if subject.arms is None:
-            raise InputError(f"a {subject.kind} has no arms to draw a Gantt chart of; give a robot plan")
+            raise InputError(f"a {subject.kind} has no arms to draw {what} of; give a robot plan")
         plan = subject.arms.plan
-        bars = draw_gantt(plan, self.out, width=self.width, title=self.title)
+        text, seconds = f"{self.out}: {counted(len(plan.robots), 'arm')} over {plan.makespan:.1f} s", plan.makespan
+        if self.gantt:
+            bars = draw_gantt(plan, self.out, width=self.width, title=self.title)
+            output.record({"kind": "gantt", "bars": bars})
+        else:
+            fastest = draw_joints(plan, subject.arms.cell, self.out, width=self.width, title=self.title)
+            output.record({"kind": "joints", "velocity_share": round(fastest, 4)})
+            text += f", joints at up to {fastest:.0%} of their largest speed"
         output.file(self.out)
-        output.record({"kind": "gantt", "bars": bars, "makespan_s": round(plan.makespan, 3)})
-        output.say(f"{self.out}: {counted(len(plan.robots), 'arm')} over {plan.makespan:.1f} s")
+        output.record({"makespan_s": round(seconds, 3)})
+        output.say(text)
         return Exit.DONE

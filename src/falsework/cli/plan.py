@@ -28,6 +28,7 @@ from falsework.cli.planning import (
     lacks_reserve,
     load_record,
     need_text,
+    policy_guide,
     refuse_unstable,
     reserve_lines,
     save_plans,
@@ -39,12 +40,9 @@ from falsework.errors import InputError
 from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
-    from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.search.planning import Planning
     from falsework.search.plans.plan import Plan
-    from falsework.search.problem.guide import Guide
-    from falsework.search.problem.task import Task
     from falsework.search.settings import PlannerSettings
 
 
@@ -170,7 +168,7 @@ class MakePlan(Command):
         if demands:  # a search that was saved under other margins is another search
             task = replace(task, identity=f"{task.identity} {demands}")
         demanding = oracle if isinstance(oracle, MarginOracle) else None
-        guide = self._guide(assembly, task.judged_by(oracle))
+        guide = policy_guide(self.guide, assembly, task.judged_by(oracle))
         if demanding is not None and refuse_weak_end(demanding, task, output):
             return Exit.NO
         with output.search_progress() as report:
@@ -276,14 +274,6 @@ class MakePlan(Command):
             return int(self.robots)
         except ValueError:
             raise InputError(f"--robots is {self.robots!r}; give a number, or auto") from None
-
-    def _guide(self, assembly: Assembly, task: Task) -> Guide | None:
-        if self.guide is None:
-            return None
-        from falsework.learn import load_run  # says what to install where torch is missing
-        from falsework.replanning.policy_guide import PolicyGuide
-
-        return PolicyGuide(load_run(self.guide, assembly=assembly).policy, task=task)
 
     def _settings(self) -> PlannerSettings:
         from falsework.search.settings import PlannerSettings

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import arg
 
-from falsework.cli.arguments import parse_parts, parse_state
+from falsework.cli.arguments import parse_limits, parse_parts, parse_state
 from falsework.cli.command import UNSET
 from falsework.errors import InputError
 from falsework.utils.files.output_file import check_writable
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.cli.output import Output
     from falsework.search.plans.plan import PartDeadline, Plan
+    from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Direction, Task
     from falsework.search.task_rules import ExitRules, TaskRules
     from falsework.stability.contact.hold_loads import Loads
@@ -156,14 +157,15 @@ class HoldOptions:
 
     rare: ClassVar[tuple[str, ...]] = ("hold_force", "hold_stiffness", "no_press", "reserve")
 
-    hold_force: Annotated[float | None, arg(metavar="N", help_behavior_hint="(default: 50 weights)")] = None
-    """Largest force of a robot on a part that it holds, N; by default fifty weights of the heaviest part."""
+    hold_force: Annotated[str | None, arg(metavar="FORCE", help_behavior_hint="(default: 50 weights)")] = None
+    """Largest force of a robot on a part that it holds, such as 300N or 1.5kN; by default fifty weights of the heaviest
+    part."""
     hold_stiffness: Annotated[float, arg(metavar="N/m", help_behavior_hint="(default: inf)")] = float("inf")
     """Stiffness of a robot at its gripper, N/m, where its controller does not keep the pose of the part that it holds.
     An industrial arm has 1e6 to 1e8."""
-    hold_moment: Annotated[float | None, arg(metavar="NM", help_behavior_hint=UNSET)] = None
-    """Largest moment of a robot about the centre of mass of a part that it holds, N m; by default twice the largest
-    force times the largest radius of gyration of a part."""
+    hold_moment: Annotated[str | None, arg(metavar="MOMENT", help_behavior_hint=UNSET)] = None
+    """Largest moment of a robot about the centre of mass of a part that it holds, such as 40Nm; by default twice the
+    largest force times the largest radius of gyration of a part."""
     press_mode: Literal["force", "hybrid"] = "hybrid"
     """What a robot controls that presses on a part while another part is released: its force in all directions, or
     along one direction only, with the position of the part across it."""
@@ -190,7 +192,7 @@ class HoldOptions:
         if self.no_press and self.press_mode != HoldOptions.press_mode:
             raise InputError("--press-mode is for robots that press; leave out one of --press-mode and --no-press")
         mode = HoldMode.LOCKED if self.no_press else HoldMode(self.press_mode)
-        holds = HoldSettings(self.hold_stiffness, self.hold_force, self.hold_moment, mode)
+        holds = HoldSettings(self.hold_stiffness, *parse_limits(self.hold_force, self.hold_moment), mode)
         reserve = self.reserve or (PLANS.reserve if criterion == "contact" else 1.0)
         return StabilitySettings(criterion=criterion, cone=cone, solver=solver, reserve=reserve, holds=holds)
 
@@ -377,3 +379,13 @@ def refuse_unstable(
         output.note(f"falsework: {text}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}")
         return True
     return False
+
+
+def policy_guide(run: Path | None, assembly: Assembly, task: Task) -> Guide | None:
+    """Return the guide of the policy of a run; None without a run."""
+    if run is None:
+        return None
+    from falsework.learn import load_run  # says what to install where torch is missing
+    from falsework.replanning.policy_guide import PolicyGuide
+
+    return PolicyGuide(load_run(run, assembly=assembly).policy, task=task)

@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 from falsework.cli.arguments import spell_options
 from falsework.cli.command import UNSET, Command, LoadOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.overrides import exit_of_good
+from falsework.cli.output import exit_of_good
 from falsework.cli.robot_reports import (
     check_record,
     check_texts,

@@ -13,8 +13,7 @@ from tyro.conf import Positional, arg
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, CriterionOfPlan, SeedOption, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.interrupted_robot_plan import InterruptedPlan
-from falsework.cli.planning import HoldOptions, lacks_reserve, press_text, refuse_unstable, writable
+from falsework.cli.planning import HoldOptions, lacks_reserve, policy_guide, press_text, refuse_unstable, writable
 from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
     can_schedule,
@@ -24,7 +23,7 @@ from falsework.cli.robot_reports import (
     times_record,
 )
 from falsework.errors import InputError
-from falsework.utils.quantity import counted
+from falsework.utils.quantity import counted, format_quantity, parse_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -33,8 +32,52 @@ if TYPE_CHECKING:
     from falsework.robots.model.cell import Cell
     from falsework.robots.planning.hybrid_result import HybridResult
     from falsework.robots.plans.robot_plan import RobotPlan
-    from falsework.search.problem.guide import Guide
+    from falsework.robots.plans.timeline import Interruption
     from falsework.search.problem.task import Task
+
+
+@dataclass(frozen=True, eq=False)
+class InterruptedPlan:
+    """Robot plan, its structure and cell, and where it was interrupted."""
+
+    plan: RobotPlan
+    file: Path
+    assembly: Assembly
+    cell: Cell
+    now: Interruption
+
+    @classmethod
+    def from_options(
+        cls, file: Path, at: str | None, order: str, structure: str | None, cell: str | None, **options: Any
+    ) -> InterruptedPlan:
+        """Read the plan, and find out where it stands.
+
+        Args:
+            at: time of the interruption, such as `7.2s`.
+            options: as for `load_structure`.
+
+        Raises:
+            InputError: no such plan, a time that it does not have, another order, structure or cell.
+        """
+        from falsework.robots.cells.cell_file import load_cell
+        from falsework.robots.plans.robot_plan_file import load_robot_plan
+        from falsework.robots.plans.timeline import interruption
+        from falsework.search.plans.plan_source import structure_of_plan
+
+        if at is None:
+            raise InputError(f"--from {file}: name the time of the interruption by --at, such as --at 7.2s")
+        seconds = parse_quantity(at, "duration", "--at")
+        plan = load_robot_plan(file)
+        if seconds >= plan.makespan:
+            raise InputError(
+                f"--at {at}: {file} ends after {format_quantity(plan.makespan, 'duration')}; give an earlier time"
+            )
+        if plan.direction != order:
+            raise InputError(f"--order {order}: {file} is a plan of {plan.direction}; go on in that order")
+        assembly = structure_of_plan(plan.plan, file, structure, **options)
+        place = load_cell(cell or plan.cell_place(file))
+        plan.check_identity(assembly, place)
+        return cls(plan, file, assembly, place, interruption(plan, seconds))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +187,7 @@ class PlanRobots(Command):
             assembly, StabilityOracle(assembly, replace(stability, reserve=1.0)), task, output, building=building
         ):
             return Exit.NO
-        guide = self._guide(assembly, task)
+        guide = policy_guide(self.policy, assembly, task)
         given: dict[str, Any] = {
             "task": task,
             "concurrent": together,
@@ -221,14 +264,6 @@ class PlanRobots(Command):
             allow_regrasp=self.allow_regrasp,
             parts_at_once=self.parts_at_once,
         )
-
-    def _guide(self, assembly: Assembly, task: Task) -> Guide | None:
-        if self.policy is None:
-            return None
-        from falsework.learn import load_run  # says what to install where torch is missing
-        from falsework.replanning.policy_guide import PolicyGuide
-
-        return PolicyGuide(load_run(self.policy, assembly=assembly).policy, task=task)
 
     def _report(
         self, result: HybridResult, found: RobotPlan | None, begun: InterruptedPlan | None, output: Output

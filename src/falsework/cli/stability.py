@@ -21,6 +21,7 @@ from falsework.utils.quantity import format_quantity
 if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.stability.settings import StabilitySettings
+    from falsework.stability.verdict import Verdict
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,11 +82,7 @@ class CheckStability(JudgingCommand):
             if held:
                 subject += f" with {', '.join(part_name(assembly, int(part)) for part in held)} held"
             near = "; the verdict depends on the tolerance" if verdicts.on_tolerance[index] else ""
-            line = (
-                f"{subject}: {verdict.name.lower()} (proof: {proof.name.lower()}, residual "
-                f"{format_quantity(residual, 'share')} of gravity)"
-                f"{near}"
-            )
+            line = f"{subject}: {verdict.name.lower()}; {_reason(verdict, residual)}{near}"
             output.say(f"{line}; {describe(assembly, moving)}" if moving else line)
             if not verdicts.stable[index] and states[index].all() and (hint := assembly.clearance_hint):
                 output.note(f"falsework: {hint}")
@@ -95,3 +92,22 @@ class CheckStability(JudgingCommand):
         from falsework.stability.settings import StabilitySettings
 
         return StabilitySettings(criterion=self.criterion, cone=self.cone, solver=self.solver)
+
+
+def _reason(verdict: Verdict, residual: float) -> str:
+    """Return what the certificate of a verdict shows, in the words of statics.
+
+    Args:
+        verdict: the verdict.
+        residual: as of `Verdicts`.
+    """
+    from falsework.stability.verdict import Verdict
+
+    left = f"{format_quantity(residual, 'share')} of gravity"
+    return {
+        Verdict.STABLE: f"contact forces balance every part (left over: {left})",
+        Verdict.UNSTABLE: f"whatever the contact forces, a part accelerates (by at least {left})",
+        Verdict.SLIDES: f"forces in balance exist (left over: {left}), but parts slide before contacts build them up",
+        Verdict.TIPS: f"contact forces balance every part (left over: {left}), but a small motion grows from there",
+        Verdict.UNDECIDED: "neither forces in balance nor a motion that nothing stops were found",
+    }[verdict]

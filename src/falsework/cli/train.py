@@ -121,19 +121,28 @@ class Train(JudgingCommand):
         if not self.resume and refuse_unstable(assembly, oracle, task, output):
             return Exit.NO
         first = os.environ.get("RANK", "0") == "0"  # only one of several processes shows progress
-        with output.bar("training") as show:
-            result = train(
-                assembly,
-                settings,
-                folder=self.out,
-                begin=self.begin,
-                source=self.structure.source(self.out / "run.json"),
-                device=self.device,
-                resume=self.resume,
-                logs=self.log,
-                report=lambda done, text: show(round(1000 * done), 1000, text) if first else None,
-            )
+        try:
+            with output.bar("training") as show:
+                result = train(
+                    assembly,
+                    settings,
+                    folder=self.out,
+                    begin=self.begin,
+                    source=self.structure.source(self.out / "run.json"),
+                    device=self.device,
+                    resume=self.resume,
+                    logs=self.log,
+                    report=lambda done, text: show(round(1000 * done), 1000, text) if first else None,
+                )
+        except KeyboardInterrupt:
+            begun = (self.out / "run.json").is_file()
+            output.note(self._interrupted if begun else "interrupted before anything was kept")
+            return Exit.INTERRUPTED
         return self._tell(result, output)
+
+    @property
+    def _interrupted(self) -> str:
+        return f"interrupted; falsework train ... --out {self.out} --resume continues"
 
     def _tell(self, result: TrainResult, output: Output) -> Exit:
         if not result.first:
@@ -150,6 +159,6 @@ class Train(JudgingCommand):
             f"{counted(result.steps, 'step')} in {result.seconds:.0f} s; {counted(result.solved, 'state')} learned from"
         )
         if result.interrupted:
-            output.note(f"interrupted; falsework train ... --out {self.out} --resume continues")
+            output.note(self._interrupted)
             return Exit.INTERRUPTED
         return Exit.DONE if result.steps else output.outcome("untrained")

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.stability.margins.state_margins import triple
+
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.stability.verdict import Verdicts
@@ -69,7 +71,7 @@ def motions(assembly: Assembly, velocity: NDArray[np.float64]) -> list[PartMotio
         return []
     order = [part for part in np.argsort(-speed, kind="stable") if speed[part] > MOVES * top]
     return [
-        PartMotion(int(part), float(speed[part] / top), _triple(shift[part] / top), _triple(turn[part] / top))
+        PartMotion(int(part), float(speed[part] / top), triple(shift[part] / top), triple(turn[part] / top))
         for part in order
     ]
 
@@ -123,8 +125,3 @@ def _axis(axis: NDArray[np.float64]) -> str:
 
 def _sign(value: float) -> str:
     return "+" if value > 0 else "-"
-
-
-def _triple(vector: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in vector)
-    return x, y, z

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.command import UNSET, JudgingCommand
+from falsework.cli.command import UNSET, JudgingCommand, ViewableOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.subject import ViewableOptions
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -19,6 +19,8 @@ CompasKind = Literal["meshes", "assembly", "dem"]
 
 _SPACE = uuid.UUID("6f0f1c0e-7d53-5c4e-9a3e-1b7a52f2d1aa")
 """Names in this space give the same structure the same guids each time it is written."""
+_Guids = Callable[[str], str]
+"""Guids of the objects of one structure, by name."""
 _MESH, _BLOCK = "compas.datastructures/Mesh", "compas_assembly.datastructures/Block"
 _XYZ = {"x": 0.0, "y": 0.0, "z": 0.0}
 
@@ -37,20 +39,13 @@ def to_compas(assembly: Assembly, kind: CompasKind = "meshes") -> Any:
     """
     if kind not in get_args(CompasKind):
         raise InputError(f"{kind!r} is not a kind of COMPAS data; choose {', '.join(get_args(CompasKind))}")
-    guid = _guids(assembly)
+
+    def guid(name: str) -> str:
+        return str(uuid.uuid5(_SPACE, f"{assembly.identity}/{name}"))
+
     if kind == "meshes":
         return [_mesh(assembly, part, guid) for part in range(assembly.part_count)]
     return _assembly(assembly, guid) if kind == "assembly" else _model(assembly, guid)
-
-
-class _guids:
-    """Guids of the objects of one structure, by name."""
-
-    def __init__(self, assembly: Assembly) -> None:
-        self._identity = assembly.identity
-
-    def __call__(self, name: str) -> str:
-        return str(uuid.uuid5(_SPACE, f"{self._identity}/{name}"))
 
 
 def _data(dtype: str, content: Mapping[str, Any], guid: str, name: str = "", parents: tuple[str, ...] = ()) -> dict:
@@ -72,7 +67,7 @@ def _attributes(assembly: Assembly, part: int) -> dict[str, Any]:
     }
 
 
-def _mesh(assembly: Assembly, part: int, guid: _guids, dtype: str = _MESH, role: str = "part") -> dict[str, Any]:
+def _mesh(assembly: Assembly, part: int, guid: _Guids, dtype: str = _MESH, role: str = "part") -> dict[str, Any]:
     mesh = assembly.meshes[part]
     vertices, faces = mesh.vertices.tolist(), mesh.faces.tolist()
     content = {
@@ -90,7 +85,7 @@ def _mesh(assembly: Assembly, part: int, guid: _guids, dtype: str = _MESH, role:
     return _data(dtype, content, guid(f"{role} {part}"), assembly.names[part], (_MESH,) if dtype == _BLOCK else ())
 
 
-def _assembly(assembly: Assembly, guid: _guids) -> dict[str, Any]:
+def _assembly(assembly: Assembly, guid: _Guids) -> dict[str, Any]:
     """Return a compas_assembly `Assembly`: blocks at the nodes of a graph, interfaces at its edges."""
     centers = assembly.mass.center.tolist()
     nodes = {
@@ -107,7 +102,7 @@ def _assembly(assembly: Assembly, guid: _guids) -> dict[str, Any]:
         points = contacts.points[contacts.start[number] : contacts.start[number + 1]]
         _, along, across = contacts.frames[number]
         interface = {
-            "points": [_point(point) for point in points.tolist()],
+            "points": points.tolist(),
             "size": float(contacts.areas[number]),
             "frame": _frame(points.mean(axis=0), along, across),
             "forces": None,
@@ -137,7 +132,7 @@ def _assembly(assembly: Assembly, guid: _guids) -> dict[str, Any]:
     return _data("compas_assembly.datastructures/Assembly", content, guid("assembly"))
 
 
-def _model(assembly: Assembly, guid: _guids) -> dict[str, Any]:
+def _model(assembly: Assembly, guid: _Guids) -> dict[str, Any]:
     """Return a compas_dem `BlockModel`; it finds its contacts itself."""
     elements, children, nodes = {}, [], {}
     for part, name in enumerate(assembly.names):
@@ -168,10 +163,6 @@ def _model(assembly: Assembly, guid: _guids) -> dict[str, Any]:
         },
     }
     return _data("compas_dem.models/BlockModel", content, guid("model"), assembly.name, ("compas_model.models/Model",))
-
-
-def _point(point: list[float]) -> list[float]:
-    return [float(value) for value in point]
 
 
 def _frame(origin: np.ndarray, xaxis: np.ndarray, yaxis: np.ndarray) -> dict[str, Any]:

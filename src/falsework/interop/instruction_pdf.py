@@ -87,6 +87,8 @@ def instructions_pdf(
     buffer = io.BytesIO()
     canvas = Canvas(buffer, pagesize=_PAGE, pageCompression=1, invariant=1)
     canvas.setTitle(f"{sheet.assembly.name}: how to build it")
+    canvas.setSubject("assembly instructions")
+    canvas.setAuthor("")  # else anonymous
     canvas.setCreator("falsework")
     rows = table_rows(sheet)
     room = int((_PAGE[1] - _MARGIN - _TOP) // _ROW)

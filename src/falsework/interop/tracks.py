@@ -7,13 +7,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED
 from falsework.errors import InputError, PlanError
 from falsework.geometry.clearance.moves import ExitPath, way_back
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.plans.steps import NO_ROBOT, moved_parts
+from falsework.stability.margins.state_margins import triple
 from falsework.viewer.appearance import diagonal
 from falsework.viewer.timeline import exit_directions
 
@@ -105,7 +105,7 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
             continue
         ways = exit_directions(assembly, plan.states[step if leaves else step + 1], moved)
         for part, way in zip(moved, reach * ways, strict=True):
-            away = _triple(way)
+            away = triple(way)
             if leaves:
                 shown[part].append((end, False))
                 holder[part].append((end, NO_ROBOT))
@@ -133,7 +133,7 @@ def _ways_in(way: ExitPath, begin: float, end: float) -> dict[int, list[tuple[fl
         shifts = [(part in move.parts) * move.distance * np.array(move.direction) for move in moves]
         stops = np.concatenate([np.zeros((1, 3)), np.cumsum(shifts, axis=0)])
         times = end - (end - begin) * done / done[-1]
-        keys[part] = [(float(time), _triple(stop)) for time, stop in zip(times[::-1], stops[::-1], strict=True)]
+        keys[part] = [(float(time), triple(stop)) for time, stop in zip(times[::-1], stops[::-1], strict=True)]
         if part == way[-1].parts[0]:
             keys[part] = keys[part][len(moves) - len(way) :]
     return keys
@@ -147,8 +147,3 @@ def _clean(keys: list[tuple[float, Value]]) -> tuple[tuple[float, Value], ...]:
         if not kept or kept[-1][1] != value:
             kept.append((time, value))
     return tuple(kept)
-
-
-def _triple(vector: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in vector)
-    return x, y, z

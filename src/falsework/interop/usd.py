@@ -19,6 +19,7 @@ from falsework.interop.tracks import Track, Tracks, tracks_of
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.files.formats import Exporter, writer_of
+from falsework.viewer.arms import wxyz_of
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
 
 if TYPE_CHECKING:
@@ -176,13 +177,10 @@ def _samples(attribute: str, keys: Iterable[tuple[float, str]]) -> list[str]:
 
 def _principal(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return principal moments, shape (3,), and the rotation to their axes as a quaternion `wxyz`, shape (4,)."""
-    from scipy.spatial.transform import Rotation
-
     moments, axes = np.linalg.eigh(inertia)
     if np.linalg.det(axes) < 0:
         axes[:, 2] *= -1
-    x, y, z, w = Rotation.from_matrix(axes).as_quat()
-    return moments, np.array([w, x, y, z])
+    return moments, np.array(wxyz_of(axes))
 
 
 def _convex(mesh: TriangleMesh) -> bool:

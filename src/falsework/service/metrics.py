@@ -22,11 +22,11 @@ class Metrics:
         names = {"registry": self._registry, "namespace": "falsework"}
         self._requests = Counter("requests", "Answers by path and status", ("path", "status"), **names)
         self._seconds = Histogram("request_seconds", "Time to answer", ("path",), buckets=_SECONDS, **names)
-        self._answers = Counter("answers", "Answers of workers by who decided", ("kind", "decided_by"), **names)
-        self._batch = Histogram("batch_size", "Requests worked on together", ("kind",), buckets=_SIZES, **names)
-        self._late = Counter("late", "Requests that got 'not yet' at their deadline", ("kind",), **names)
-        self._turned_away = Counter("turned_away", "Requests that found the queue full", **names)
-        self._restarts = Counter("worker_restarts", "Workers that were lost and replaced", ("kind",), **names)
+        self.answers = Counter("answers", "Answers of workers by who decided", ("kind", "decided_by"), **names)
+        self.batch = Histogram("batch_size", "Requests worked on together", ("kind",), buckets=_SIZES, **names)
+        self.late = Counter("late", "Requests that got 'not yet' at their deadline", ("kind",), **names)
+        self.turned_away = Counter("turned_away", "Requests that found the queue full", **names)
+        self.restarts = Counter("worker_restarts", "Workers that were lost and replaced", ("kind",), **names)
         self._queue = Gauge("queue_length", "Requests that wait", **names)
         self.workers = Gauge("workers_ready", "Workers that take requests", **names)
 
@@ -35,26 +35,6 @@ class Metrics:
         name = path if path in PATHS else "other"
         self._requests.labels(name, str(status)).inc()
         self._seconds.labels(name).observe(seconds)
-
-    def decided(self, kind: str, label: str) -> None:
-        """Count an answer of a worker."""
-        self._answers.labels(kind, label).inc()
-
-    def batched(self, kind: str, size: int) -> None:
-        """Count a batch taken by a worker."""
-        self._batch.labels(kind).observe(size)
-
-    def late(self, kind: str) -> None:
-        """Count a deadline that passed without an answer."""
-        self._late.labels(kind).inc()
-
-    def turned_away(self) -> None:
-        """Count a request refused because the queue was full."""
-        self._turned_away.inc()
-
-    def restarted(self, kind: str) -> None:
-        """Count a lost worker."""
-        self._restarts.labels(kind).inc()
 
     def text(self, queue: int, workers: int) -> bytes:
         """Return all metrics in the text format of Prometheus."""

@@ -182,7 +182,7 @@ class Pool:
             self._queues[kind] = [entry for entry in self._queues[kind] if entry[2].open]
             heapq.heapify(self._queues[kind])
         if len(self._queues[kind]) >= self.settings.queue:
-            self._metrics.turned_away()
+            self._metrics.turned_away.inc()
             return Reply(503, refusal("too many requests are waiting; try again in a moment"))
         ticket = PendingRequest(kind, payload, loop.time() + seconds, loop.create_future(), next(self._numbers))
         guard = loop.call_at(ticket.deadline + GRACE, self._late, ticket, seconds)
@@ -239,7 +239,7 @@ class Pool:
         worker.busy = {ticket.number: ticket for ticket in batch}
         last = max(ticket.deadline for ticket in batch)
         worker.watchdog = loop.call_at(last + STUCK_SECONDS, self._stuck, worker)
-        self._metrics.batched(worker.kind, len(batch))
+        self._metrics.batch.labels(worker.kind).observe(len(batch))
         try:
             worker.pipe.send(items)
         except OSError:
@@ -264,7 +264,7 @@ class Pool:
         if isinstance(message, Done):
             ticket = (worker.busy or {}).pop(message.number, None)
             if ticket is not None:
-                self._metrics.decided(worker.kind, message.label)
+                self._metrics.answers.labels(worker.kind, message.label).inc()
                 _give(ticket, Reply(message.status, message.body))
             return
         if isinstance(message, Failed):
@@ -307,7 +307,7 @@ class Pool:
         if self._started is not None and not self._started.done():
             self._started.set_exception(FalseworkError("a worker died while it loaded the structure; is memory short?"))
             return
-        self._metrics.restarted(worker.kind)
+        self._metrics.restarts.labels(worker.kind).inc()
         log.warning("a worker was lost (exit code %s); another one takes its place", worker.process.exitcode)
         self._failures[worker.kind] += not begun
         delay = _BACKOFF[min(self._failures[worker.kind], len(_BACKOFF) - 1)]
@@ -353,7 +353,7 @@ class Pool:
         """Answer a request whose deadline passed while it waited or was worked on."""
         if not ticket.open:
             return
-        self._metrics.late(ticket.kind)
+        self._metrics.late.labels(ticket.kind).inc()
         if ticket.kind == "replan":
             _give(ticket, Reply(200, not_yet(seconds, self.settings.criterion)))
         else:

@@ -27,6 +27,7 @@ from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
+    from falsework.stability.contact.history import History
     from falsework.stability.contact.replay import Replayer
     from falsework.stability.exact_solver import ExactSolver
     from falsework.stability.margins.prober import Prober
@@ -63,8 +64,7 @@ class Counters:
 class StabilityOracle:
     """Stability oracle of one structure, with proofs.
 
-    One object serves one structure under one set of settings. It caches verdicts, so reuse it instead of making a
-    new one.
+    One object serves one structure under one set of settings. It caches verdicts, so use it again.
     """
 
     def __init__(self, assembly: AnyStructure, settings: StabilitySettings = StabilitySettings()) -> None:
@@ -134,23 +134,26 @@ class StabilityOracle:
         return verdicts if verdicts.forces is None else verdicts.without_certificates()
 
     def margins(
-        self, states: ArrayLike, kinds: Sequence[str] | None = None, *, deadline: float | None = None
+        self,
+        states: ArrayLike,
+        kinds: Sequence[str] | None = None,
+        *,
+        deadline: float | None = None,
+        histories: Sequence[History] = (),
     ) -> list[StateMargins]:
-        """Return how far friction, tilt, loads and pushes are from the limit of stability.
+        """Return how far friction, tilt, loads and pushes are from the limit, with certificates on both sides of each.
 
         Args:
             states: one state `(parts,)` or a batch `(batch, parts)`.
             kinds: margins to compute; by default all but the polygon of tilts and the settlement of supports.
             deadline: seconds after which searches return what they have proven, see `StateMargins.unfinished`.
-
-        Returns:
-            One object per state, each value with a certificate on both sides of its bound.
+            histories: of the contacts of each state (`Replayer.replay`), without joints: margins as built.
 
         Raises:
             InputError: a margin that is not defined under the criterion, or a deadline of zero or less.
             StateError: states of the wrong length or with other values.
         """
-        return self._margins.margins(states, QUICK if kinds is None else kinds, deadline=deadline)
+        return self._margins.margins(states, QUICK if kinds is None else kinds, deadline=deadline, histories=histories)
 
     @cached_property
     def prober(self) -> Prober:

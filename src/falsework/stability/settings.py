@@ -26,7 +26,7 @@ class NumericalSettings:
     """ADMM iterations before the interior point method takes over."""
     check_every: int = 5
     """Iterations between two termination tests."""
-    interior_steps: int = 50
+    interior_steps: int = 60
     """Iterations of the interior point method before a state is left to the exact solver."""
     contact_steps: int = 400
     """Newton iterations under the criterion `contact` before a state is left undecided, and in replays an increment."""

@@ -83,11 +83,8 @@ def ramp(values: ArrayLike) -> NDArray[np.uint8]:
     Returns:
         Red, green, blue from 0 to 255, shape (..., 3).
     """
-    stops = np.array([rgb(color) for color in RAMP], dtype=float)
-    place = np.clip(np.asarray(values, dtype=float), 0.0, 1.0) * (len(stops) - 1)
-    below = np.minimum(place.astype(int), len(stops) - 2)
-    share = (place - below)[..., None]
-    return np.rint((1 - share) * stops[below] + share * stops[below + 1]).astype(np.uint8)
+    stops, place = np.array([rgb(color) for color in RAMP]).T, np.asarray(values, dtype=float) * (len(RAMP) - 1)
+    return np.rint(np.stack([np.interp(place, range(len(RAMP)), stop) for stop in stops], axis=-1)).astype(np.uint8)
 
 
 def ramp_in_steps(values: ArrayLike) -> NDArray[np.uint8]:

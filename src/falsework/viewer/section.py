@@ -8,6 +8,8 @@ from typing import Literal
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from trimesh import Trimesh
+from trimesh.intersections import mesh_plane, slice_faces_plane
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -49,27 +51,16 @@ def cut(vertices: Array, faces: Faces, plane: Plane) -> tuple[Array, Faces]:
     Returns:
         Vertices and faces of what is left. The cut is closed as far as its outline is.
     """
-    height = plane.heights(vertices)
-    stays = height[faces] >= 0
-    whole, crossing = stays.all(axis=1), stays.any(axis=1) & ~stays.all(axis=1)
-    if not crossing.any():
-        return vertices, faces[whole]
-    # Each face that is cut is turned so that the corner which is alone on its side comes first.
-    corners, above = faces[crossing], stays[crossing]
-    alone = np.argmax(above == (above.sum(axis=1) == 1)[:, None], axis=1)
-    corners = np.take_along_axis(corners, (alone[:, None] + np.arange(3)) % 3, axis=1)
-    single = above.sum(axis=1) == 1
-    tip, left, right = (vertices[corners[:, k]] for k in range(3))
-    share = height[corners[:, :1]] / (height[corners[:, :1]] - height[corners[:, 1:]])
-    first, second = (tip + share[:, k, None] * (other - tip) for k, other in enumerate((left, right)))
-    number = len(vertices) + np.arange(2 * len(corners)).reshape(2, -1)
-    points = np.concatenate([vertices, first, second])
-    tips = np.stack([corners[:, 0], number[0], number[1]], axis=1)[single]
-    a, b, one, two = corners[~single, 1], corners[~single, 2], number[0, ~single], number[1, ~single]
-    rest = np.concatenate([np.stack([a, b, one], axis=1), np.stack([b, two, one], axis=1)])
-    cap = _cap(np.stack([first, second], axis=1), plane)
+    height = plane.heights(vertices)[faces]
+    if not ((height < 0).any(axis=1) & (height > 0).any(axis=1)).any():
+        return vertices, faces[(height >= 0).all(axis=1)]
+    normal = np.zeros(3)
+    normal[plane.column] = 1.0 if plane.keeps_high else -1.0
+    origin = plane.at * np.abs(normal)
+    points, rest = slice_faces_plane(vertices, faces, normal, origin)[:2]
+    cap = _cap(mesh_plane(Trimesh(vertices, faces, process=False), normal, origin), plane)
     closed = np.arange(3 * len(cap)).reshape(-1, 3) + len(points)
-    return np.concatenate([points, cap.reshape(-1, 3)]), np.concatenate([faces[whole], tips, rest, closed])
+    return np.concatenate([points, cap.reshape(-1, 3)]), np.concatenate([rest, closed])
 
 
 def _cap(outline: Array, plane: Plane) -> Array:

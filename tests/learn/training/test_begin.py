@@ -83,3 +83,22 @@ def test_runs_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         trained(tmp_path / "out", settings=goals, begin=first)
     with pytest.raises(InputError, match="hand yours over as policy"):
         trained(tmp_path / "out", begin=first, policy=torch.nn.Linear(1, 1))
+
+
+@pytest.mark.parametrize("begun", [True, False])
+def test_an_interruption_before_the_first_step_says_how_to_go_on(
+    begun: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+
+    def interrupted(*_: object, **__: object) -> None:
+        if begun:
+            run.mkdir()
+            (run / "run.json").write_text("{}")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("falsework.learn.training.train.train", interrupted)
+    assert main(["train", "arch:blocks=5", "--out", str(run)]) == 130
+    error = capsys.readouterr().err
+    assert (f"--out {run} --resume continues" in error) == begun
+    assert error.count("\n") == 1

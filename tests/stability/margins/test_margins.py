@@ -11,6 +11,7 @@ from falsework import StabilityOracle, StabilitySettings, load_structure, verify
 from falsework.assembly import Joints, Loads, complete_state
 from falsework.errors import InputError
 from falsework.stability import StateMargins
+from falsework.stability.contact.history import History
 from falsework.stability.margins.contact_prober import ContactProber
 from falsework.stability.margins.state_margins import Bound
 
@@ -281,3 +282,35 @@ def test_a_deadline_that_is_kept_cuts_nothing(scenes: Any) -> None:
 def test_a_deadline_of_nothing(scenes: Any) -> None:
     with pytest.raises(InputError, match="a deadline of 0 s leaves no time"):
         StabilityOracle(scenes.tower(1)).margins([[1, 2]], deadline=0.0)
+
+
+@pytest.mark.parametrize("pressed", [1.5, 4.0])
+def test_what_was_pressed_together_is_held_by_friction(scenes: Any, pressed: float) -> None:
+    """A block between two walls slides if it is loaded at once; pressed by them before, it needs friction W / 2 N."""
+    boxes = [scenes.box([low, 0, 0], [low + 1, 1, 1], f"box {low}") for low in (0, 1, 2)]
+    clamp = scenes.make(boxes, [0, 2], friction=0.6)
+    oracle, state = StabilityOracle(clamp), np.array([[2, 1, 2]], np.uint8)
+    weight, contacts = 9.81 * clamp.mass.mass[1], clamp.contacts
+    points = len(contacts.points)
+    upwards = np.where(contacts.parts[contacts.contact_of_point, 1] == 1, 1.0, -1.0)[:, None] * [
+        0.0,
+        0.0,
+        weight / points,
+    ]
+    forces = np.einsum("pij,pj->pi", contacts.point_frames, upwards)
+    forces[:, 0] = 2 * pressed * weight / points
+    history = History(
+        np.zeros((3, 6)),
+        forces / oracle.prober.problem.force_scale[:, None],
+        np.zeros(points, bool),
+        np.ones(points, np.int32),
+    )
+    assert not oracle.margins(state, ("friction",))[0].stands
+    (found,) = oracle.margins(state, histories=[history])
+    assert found.stands
+    assert near(found.friction, 1 / (2 * pressed))
+    assert near(found.load_factor, 2 * 0.6 * pressed)
+    assert near(found.total_load_factor, 2 * 0.6 * pressed)
+    for bound in (found.friction, found.load_factor, found.push):
+        assert bound is not None
+        assert bound.proven

@@ -32,7 +32,7 @@ from falsework.stability.cpu.layout import (
     set_load,
 )
 from falsework.stability.cpu.panels import clear_panels, factor_panels, solve_panels
-from falsework.stability.cpu.termination import UNDECIDED, judge
+from falsework.stability.cpu.termination import MARGIN, UNDECIDED, UNSTABLE, judge
 from falsework.utils.kernels import njit
 
 _RAY_X = np.array([math.cos(k * math.pi / 4) for k in range(8)])
@@ -54,11 +54,11 @@ def _scaling(x, s, j):
 
 
 @njit(inline="always", fastmath=FAST)
-def _system(octagon, mu, x, s, j, target, second, w, b):
+def _system(octagon, mu, x, s, j, target, products, w, b):
     """Write weight and target force of one contact point.
 
     `x` and `s` are multipliers and slacks (octagon: one per ray; quadratic: force and slack in coordinates in
-    which the cone is its own dual); `second` is the product of their predicted steps.
+    which the cone is its own dual); `products` are those of their predicted steps.
     """
     if octagon:
         w00, w01, w02, w11, w12, w22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -73,7 +73,7 @@ def _system(octagon, mu, x, s, j, target, second, w, b):
             w11 += ratio * rx * rx
             w12 += ratio * rx * ry
             w22 += ratio * ry * ry
-            force = x[j, k] + (target - second[k]) * inverse
+            force = x[j, k] + (target - products[j, k]) * inverse
             b0 += force
             b1 += force * rx
             b2 += force * ry
@@ -95,14 +95,14 @@ def _system(octagon, mu, x, s, j, target, second, w, b):
 
 
 @njit(inline="always", fastmath=FAST)
-def _step(octagon, mu, x, s, j, target, second, y0, y1, y2, dx, ds):
+def _step(octagon, mu, x, s, j, target, products, y0, y1, y2, dx, ds):
     """Write the steps of one contact point towards `y = G^T (r + dr)`; return the largest feasible step of both."""
     reach = 1e30
     if octagon:
         for k in range(8):
             y = y0 + mu * (_RAY_X[k] * y1 + _RAY_Y[k] * y2)
             ds[j, k] = y - s[j, k]
-            dx[j, k] = (target - second[k] - x[j, k] * y) / s[j, k]
+            dx[j, k] = (target - products[j, k] - x[j, k] * y) / s[j, k]
             if ds[j, k] < 0.0:
                 reach = min(reach, -s[j, k] / ds[j, k])
             if dx[j, k] < 0.0:
@@ -178,10 +178,9 @@ def strains(structure, work, pairs, velocity):
 @njit(fastmath=FAST, cache=True)
 def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
     """Write the right-hand side, and the matrix if requested."""
-    size = 8 if octagon else 3
     basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
     ta, tb, free, v, rhs, panels = structure.transfer_a, structure.transfer_b, work.free, work.v, work.rhs, work.panels
-    weights, slacks, dx, ds = work.weights, work.slacks, work.weight_steps, work.slack_steps
+    weights, slacks, products = work.weights, work.slacks, work.products
     if matrix:
         clear_panels(panels, 1.0, matrix)
     strains(structure, work, pairs, r)
@@ -190,16 +189,13 @@ def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
         if free[j]:
             for i in range(6):
                 rhs[j, i] -= r[j, i]
-    w, b, second = np.empty(6), np.empty(3), np.zeros(8)
+    w, b = np.empty(6), np.empty(3)
     local, left = np.empty((6, 6)), np.empty((6, 6))
     for p in range(pairs):
         local[:] = 0.0
         a0, a1, a2, a3, a4, a5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(start[p], start[p + 1]):
-            if not matrix:
-                for k in range(size):
-                    second[k] = dx[j, k] * ds[j, k]
-            _system(octagon, mu[j], weights, slacks, j, target, second, w, b)
+            _system(octagon, mu[j], weights, slacks, j, target, products, w, b)
             w00, w01, w02, w11, w12, w22 = w[0], w[1], w[2], w[3], w[4], w[5]
             c0 = b[0] - w00 * v[j, 0] - w01 * v[j, 1] - w02 * v[j, 2]
             c1 = b[1] - w01 * v[j, 0] - w11 * v[j, 1] - w12 * v[j, 2]
@@ -274,24 +270,53 @@ def _add_product(left, right, q, out, place, width):
 
 
 @njit(fastmath=FAST, cache=True)
-def _steps(structure, work, pairs, octagon, mu, r, step, target, corrector):
-    """Write all steps of multipliers and slacks; return the largest feasible step length."""
-    size = 8 if octagon else 3
-    free, ahead, v = work.free, work.residual, work.v
-    weights, slacks, dx, ds = work.weights, work.slacks, work.weight_steps, work.slack_steps
-    second = np.zeros(8)
+def _steps(structure, work, pairs, octagon, mu, target):
+    """Write the steps of multipliers and slacks to the velocity in `work.residual`; return the largest feasible one."""
+    weights, slacks, products, v = work.weights, work.slacks, work.products, work.v
+    dx, ds = work.weight_steps, work.slack_steps
+    strains(structure, work, pairs, work.residual)
+    reach = 1e30
+    for j in range(work.start[pairs]):
+        here = _step(octagon, mu[j], weights, slacks, j, target, products, v[j, 0], v[j, 1], v[j, 2], dx, ds)
+        reach = min(reach, here)
+    return reach
+
+
+@njit(fastmath=FAST, cache=True)
+def _newton(structure, work, pairs, octagon, mu, r, target, refines):
+    """Solve the factored system, whose right-hand side is in `work.rhs`, and write all steps.
+
+    The velocity after the whole step goes to `work.residual`. Where weights differ by many orders of magnitude, forces
+    magnify the errors of the solution, and what they leave out of balance exceeds the velocity. So this is solved for
+    in turn, as in iterative refinement, as long as that halves it.
+
+    Returns:
+        The largest feasible step length.
+    """
+    free, ahead, rhs, symmetric = work.free, work.residual, work.rhs, pairs >= 0
+    solve_panels(work.panels, rhs, symmetric)
     for j in range(len(free)):
         if free[j]:
             for i in range(6):
-                ahead[j, i] = r[j, i] + step[j, i]
-    strains(structure, work, pairs, ahead)
-    reach = 1e30
-    for j in range(work.start[pairs]):
-        if corrector:
-            for k in range(size):
-                second[k] = dx[j, k] * ds[j, k]
-        here = _step(octagon, mu[j], weights, slacks, j, target, second, v[j, 0], v[j, 1], v[j, 2], dx, ds)
-        reach = min(reach, here)
+                ahead[j, i] = r[j, i] + rhs[j, i]
+    reach, before = _steps(structure, work, pairs, octagon, mu, target), np.inf
+    while refines:
+        _write_forces(work, work.start[pairs], octagon, mu, 1.0)
+        set_load(work, rhs)
+        add_wrenches(structure, work, pairs, work.z, rhs)
+        for j in range(len(free)):
+            if free[j]:
+                for i in range(6):
+                    rhs[j, i] -= ahead[j, i]
+        error = math.sqrt(dot(work, rhs, rhs))
+        if not MARGIN * math.sqrt(dot(work, ahead, ahead)) < error < 0.5 * before:
+            break
+        solve_panels(work.panels, rhs, symmetric)
+        for j in range(len(free)):
+            if free[j]:
+                for i in range(6):
+                    ahead[j, i] += rhs[j, i]
+        reach, before = _steps(structure, work, pairs, octagon, mu, target), error
     return reach
 
 
@@ -307,65 +332,87 @@ def _complementarity(work, points, size, length):
 
 
 @njit(fastmath=FAST, cache=True)
-def _advance(work, points, octagon, mu, length):
-    """Step multipliers and slacks, and write the resulting forces to `work.z`."""
-    z, weights, slacks, dx, ds = work.z, work.weights, work.slacks, work.weight_steps, work.slack_steps
+def _write_forces(work, points, octagon, mu, length):
+    """Write the forces after a step of this length to `work.z`."""
+    z, weights, dx = work.z, work.weights, work.weight_steps
     for j in range(points):
-        for k in range(8 if octagon else 3):
-            weights[j, k] += length * dx[j, k]
-            slacks[j, k] += length * ds[j, k]
         if octagon:
             n, x, y = 0.0, 0.0, 0.0
             for k in range(8):
-                n += weights[j, k]
-                x += _RAY_X[k] * weights[j, k]
-                y += _RAY_Y[k] * weights[j, k]
+                weight = weights[j, k] + length * dx[j, k]
+                n += weight
+                x += _RAY_X[k] * weight
+                y += _RAY_Y[k] * weight
             z[j, 0], z[j, 1], z[j, 2] = n, mu[j] * x, mu[j] * y
         else:
-            z[j, 0], z[j, 1], z[j, 2] = weights[j, 0] / mu[j], weights[j, 1], weights[j, 2]
+            z[j, 0] = (weights[j, 0] + length * dx[j, 0]) / mu[j]
+            z[j, 1], z[j, 2] = weights[j, 1] + length * dx[j, 1], weights[j, 2] + length * dx[j, 2]
 
 
 @njit(fastmath=FAST, cache=True)
 def run_interior(structure, work, pairs, options):
-    """Run from the iterate of ADMM; return verdict, residual and steps. The velocity is in `work.velocity`."""
+    """Run from the iterate of ADMM.
+
+    As with the exact solver, a state is unstable too where a velocity proves a residual above the resolution alone.
+    This is decided at the end, since most such bounds still rise.
+
+    Returns:
+        Verdict, residual and steps. The velocity is in `work.velocity`.
+    """
     mu, points = work.friction, work.start[pairs]
     octagon = structure.cone == OCTAGON
     for j in range(points):
         octagon = octagon or mu[j] <= NEGLIGIBLE  # without friction both cones are the same ray
     size = 8 if octagon else 3
-    r, step = work.velocity, work.rhs
+    r, free, ahead, proof = work.velocity, work.free, work.residual, work.proof
+    weights, slacks, dx, ds, products = work.weights, work.slacks, work.weight_steps, work.slack_steps, work.products
     set_load(work, r)
     add_wrenches(structure, work, pairs, work.z, r)
     if points == 0:
-        verdict, residual = judge(structure, work, pairs, r, options)
+        verdict, residual, _ = judge(structure, work, pairs, r, options, options.resolution)
         return verdict, residual, 0
     _start(structure, work, pairs, octagon, mu, r)
-    residual = np.nan
+    residual, proven = np.nan, 0.0
     predict, correct = points == 0, points > 0  # not literals, each of which numba would compile separately
     for iteration in range(1, options.interior_steps + 1):
-        work.weight_steps[:points] = 0.0
-        work.slack_steps[:points] = 0.0
+        for j in range(points):
+            for k in range(size):
+                dx[j, k], ds[j, k], products[j, k] = 0.0, 0.0, 0.0
         gap = _complementarity(work, points, size, 0.0)
         _assemble(structure, work, pairs, octagon, mu, r, 0.0, correct)
         if not factor_panels(structure.elimination.supernode, work.panels, correct):
             break
-        solve_panels(work.panels, step, True)
-        reach = min(1.0, _steps(structure, work, pairs, octagon, mu, r, step, 0.0, predict))
+        reach = min(1.0, _newton(structure, work, pairs, octagon, mu, r, 0.0, predict))
         centring = max(_complementarity(work, points, size, reach) / gap, 0.0) ** 3
         target = centring * gap / (8.0 if octagon else 1.0)
-        if not octagon:
-            work.weight_steps[:points] = 0.0  # the second-order term of the quadratic cone is neglected
+        if octagon:  # the second-order term of the quadratic cone is neglected
+            for j in range(points):
+                for k in range(size):
+                    products[j, k] = dx[j, k] * ds[j, k]
         _assemble(structure, work, pairs, octagon, mu, r, target, predict)
-        solve_panels(work.panels, step, True)
-        reach = min(1.0, _BACK_OFF * _steps(structure, work, pairs, octagon, mu, r, step, target, octagon))
-        for j in range(len(work.free)):
-            if work.free[j]:
+        reach = min(1.0, _BACK_OFF * _newton(structure, work, pairs, octagon, mu, r, target, correct))
+        for j in range(len(free)):
+            if free[j]:
                 for i in range(6):
-                    r[j, i] += reach * step[j, i]
-        _advance(work, points, octagon, mu, reach)
+                    r[j, i] += reach * (ahead[j, i] - r[j, i])
+        _write_forces(work, points, octagon, mu, reach)
+        for j in range(points):
+            for k in range(size):
+                weights[j, k] += reach * dx[j, k]
+                slacks[j, k] += reach * ds[j, k]
         if not dot(work, r, r) < np.inf:
             break
-        verdict, residual = judge(structure, work, pairs, r, options)
+        verdict, residual, least = judge(structure, work, pairs, r, options, options.resolution)
         if verdict != UNDECIDED:
             return verdict, residual, iteration
+        if least > proven:
+            proven = least
+            for j in range(len(free)):
+                for i in range(6):
+                    proof[j, i] = r[j, i]
+    if proven > (1.0 + MARGIN) * options.resolution:
+        for j in range(len(free)):
+            for i in range(6):
+                r[j, i] = proof[j, i]
+        return UNSTABLE, proven, options.interior_steps
     return UNDECIDED, residual, options.interior_steps

@@ -114,7 +114,7 @@ def run_admm(structure, work, pairs, options):
                 a0, a1, a2, a3, a4, a5 = add_force(basis, j, v0, v1, v2, a0, a1, a2, a3, a4, a5)
             add_pair_wrench(transfer_a, transfer_b, q, a, b, a0, a1, a2, a3, a4, a5, rhs)
         if iteration % options.check_every == 0:
-            verdict, residual = judge(structure, work, pairs, w, options)
+            verdict, residual, _ = judge(structure, work, pairs, w, options, options.tolerance)
             if verdict != UNDECIDED:
                 return verdict, residual, iteration
     return UNDECIDED, np.nan, options.iterations

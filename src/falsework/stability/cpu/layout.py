@@ -146,10 +146,14 @@ class Scratch(NamedTuple):
     slacks: NDArray[np.float64]
     weight_steps: NDArray[np.float64]
     slack_steps: NDArray[np.float64]
+    products: NDArray[np.float64]
+    """Products of the predicted steps of both."""
     velocity: NDArray[np.float64]
     """Shape (n, 6), whitened."""
     rhs: NDArray[np.float64]
     residual: NDArray[np.float64]
+    proof: NDArray[np.float64]
+    """Velocity of the largest bound so far."""
     panels: Panels
     """The matrix; `lay_out_panels` gives its blocks their places in a state."""
 
@@ -163,13 +167,14 @@ def make_scratch(structure):
     slot_a, slot_b, pair = np.zeros(pairs, np.int32), np.zeros(pairs, np.int32), np.zeros(pairs, np.int32)
     scale, friction, pull, stick = np.zeros(points), np.zeros(points), np.zeros(points), np.zeros(points)
     u, z, v = np.zeros((points, 3)), np.zeros((points, 3)), np.zeros((points, 3))
-    velocity, rhs, residual = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
+    velocity, rhs, residual, proof = np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, 6))
     start, basis, tears = np.zeros(pairs + 1, np.int32), np.empty((points, 6, 3)), np.zeros(points, np.bool_)
-    interior = np.empty((points, 8)), np.empty((points, 8)), np.empty((points, 8)), np.empty((points, 8))
+    weights, weight_steps, products = np.empty((points, 8)), np.empty((points, 8)), np.empty((points, 8))
+    slacks, slack_steps = np.empty((points, 8)), np.empty((points, 8))
     free, pulled, load = np.zeros(n, np.bool_), np.zeros(1), np.zeros((n, 6))
     return Scratch(
         free, slot_a, slot_b, pair, start, basis, scale, friction, pull, stick, tears, pulled, load, u, z, v,
-        interior[0], interior[1], interior[2], interior[3], velocity, rhs, residual,
+        weights, slacks, weight_steps, slack_steps, products, velocity, rhs, residual, proof,
         make_panels(structure.elimination, pairs),
     )  # fmt: skip
 

@@ -192,6 +192,7 @@ class CpuSolver:
         found = self._attempt(StateQuery(states, origins, start, known, seeks, resolution), verdicts)
         if kept is not None and found is not kept:
             kept[:] = found
+        verdicts.on_tolerance[:] = self.settings.claim.on_tolerance(verdicts)
         verdicts.proof[:] = proof_of(verdicts.verdict, self.criterion)
         verdicts.decided_by[:] = np.where(verdicts.undecided, Solver.NONE, Solver.CPU)
         return verdicts

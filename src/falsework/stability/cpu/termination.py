@@ -72,13 +72,13 @@ def check_primal(structure, work, pairs, forces, options, residual):
 
 
 @njit(fastmath=FAST, cache=True)
-def check_dual(structure, work, pairs, velocity, options):
+def check_dual(structure, work, pairs, velocity, options, limit):
     """Return the lower bound, proven by a velocity, on the residual of any forces of the cone below the force bound.
 
     For forces `f` of the cone with sum of normals at most `U W`, `velocity . (G f + g)` is at least
     `velocity . g - U W max_c support(-G^T velocity)_c`, minus the power that cohesion absorbs. It
     is at most the residual, the largest acceleration times `measure`, times the 1-norm of the momentum of `velocity`
-    divided by `measure`.
+    divided by `measure`. Bounds below `limit` may be returned as 0.
     """
     free, order, load, mass = work.free, structure.elimination.order, work.load, structure.momentum
     measure = structure.measure
@@ -95,7 +95,7 @@ def check_dual(structure, work, pairs, velocity, options):
                 total += mass[part, r, c] * velocity[j, c]
             momentum += abs(total) / measure[part, r // 3]
     bound = options.force_bound * structure.weight + work.pulled[0]
-    allowed = (power - options.tolerance * momentum) / bound
+    allowed = (power - limit * momentum) / bound
     if allowed <= 0.0:
         return 0.0
     basis, start, pair, slot_a, slot_b = work.basis, work.start, work.pair, work.slot_a, work.slot_b
@@ -115,12 +115,17 @@ def check_dual(structure, work, pairs, velocity, options):
 
 
 @njit(fastmath=FAST, cache=True)
-def judge(structure, work, pairs, velocity, options):
-    """Return the verdict on the current forces `work.z` and a velocity, with the residual that it is based on."""
+def judge(structure, work, pairs, velocity, options, limit):
+    """Judge the current forces `work.z` and a velocity.
+
+    Returns:
+        Verdict, the residual that it is based on, and the lower bound on the residual that the velocity proves; 0 if it
+        is below `limit`.
+    """
     worst = check_primal(structure, work, pairs, work.z, options, work.residual)
     if worst < (1.0 - MARGIN) * options.resolution:
-        return STABLE, worst
-    least = check_dual(structure, work, pairs, velocity, options)
+        return STABLE, worst, 0.0
+    least = check_dual(structure, work, pairs, velocity, options, limit)
     if least > (1.0 + MARGIN) * options.tolerance:
-        return UNSTABLE, least
-    return UNDECIDED, worst
+        return UNSTABLE, least, least
+    return UNDECIDED, worst, least

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.stability.certificate import residual_of_displacement
+from falsework.stability.certificate import residual_of_displacement, residual_of_forces
 from falsework.stability.contact.kernel import rest_under
 from falsework.stability.contact.layout import ContactOptions, StepSchedule
 from falsework.stability.contact.newton import MOVES_AWAY, OPEN, RESTS
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.margins.conditions import Answer, Condition, some_idle
 from falsework.stability.margins.prober import Prober
-from falsework.stability.second_order.springs import springs_of_displacement
+from falsework.stability.second_order.springs import springs_at, springs_of_displacement
+from falsework.stability.stiffness import normal_stiffness
+from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
+    from falsework.stability.contact.history import History
 
 Array = NDArray[np.float64]
 
@@ -42,6 +46,18 @@ class ContactProber(Prober):
         quick = self.contact_options.steps // 4
         self._quick_options = self.contact_options._replace(warm_steps=quick, steps=0, schedule=_SCHEDULE)
         self.further_options = self._quick_options._replace(warm_steps=2 * quick)
+        self._springs: Array | None = None
+
+    def as_built(self, history: History) -> ContactProber:
+        """Return a prober whose displacements count from a state as it was built, and whose contacts remember it."""
+        prober = copy(self)
+        prober._springs = history.springs
+        return prober
+
+    @property
+    def scales(self) -> bool:
+        """As of `Prober`; what contacts remember does not grow with the weights."""
+        return super().scales and self._springs is None
 
     def ask(
         self,
@@ -69,7 +85,28 @@ class ContactProber(Prober):
         """Return the contact forces of a stable answer, N, shape (points, 3)."""
         assert answer.displacement is not None
         changed, claim = answer.condition.applied_to(self.assembly), self.settings.claim
-        return springs_of_displacement(changed, state[None], answer.displacement[None], claim).forces[0]
+        if self._springs is None:
+            return springs_of_displacement(changed, state[None], answer.displacement[None], claim).forces[0]
+        normal = normal_stiffness(changed, claim.gravity)
+        both = np.stack([normal, *[claim.stiffness_ratio * normal] * 2], axis=1)
+        before = self._springs * self.problem.force_scale[:, None]
+        springs = before - both * self.problem.geometry.relative(answer.displacement[None])[0]
+        return springs_at(changed, state[None], springs[None], claim).forces[0]
+
+    def certify(self, state: States, answer: Answer, near: Verdicts | None = None) -> Verdicts:
+        """Return the verdict of an answer as `Prober.certify`; one that stands as built is proved by its forces."""
+        if self._springs is None or not answer.stands:
+            return super().certify(state, answer, near)
+        verdicts = self.problem.undecided(1, displaced=True)
+        assert verdicts.forces is not None
+        assert verdicts.displacement is not None
+        verdicts.decided_by[:] = Solver.CPU
+        verdicts.forces[0], verdicts.displacement[0] = self.forces(state, answer), answer.displacement
+        changed, claim = answer.condition.applied_to(self.assembly), self.settings.claim
+        verdicts.residual[:] = residual_of_forces(changed, state[None], verdicts.forces, claim)
+        if verdicts.residual[0] <= claim.tolerance:
+            verdicts.verdict[:], verdicts.proof[:] = Verdict.STABLE, Proof.HISTORY
+        return verdicts
 
     def _ask_contact(
         self,
@@ -91,14 +128,14 @@ class ContactProber(Prober):
             law if structure is law.structure else law._replace(structure=structure),
             np.array(state),
             self.problem.gravity_wrench + np.array([condition.extra for condition in conditions]),
-            np.zeros((0, 3)) if moved is None else self._offsets(moved),
+            self._offsets(moved),
             options,
             displacement,
             warm,
             np.full(count, -1),
             result,
         )
-        if some_idle(self.assembly, conditions[0].friction):
+        if some_idle(self.assembly, conditions[0].friction) and self._springs is None:
             for row in np.flatnonzero(result == RESTS).tolist():
                 changed, claim = conditions[row].applied_to(self.assembly), self.settings.claim
                 left = residual_of_displacement(changed, state[None], displacement[row : row + 1], claim)[0]
@@ -126,10 +163,17 @@ class ContactProber(Prober):
         (found,) = self._ask_contact(state, [answer.condition], [guess], None, options)
         return replace(found, coarse=answer.coarse)
 
-    def _offsets(self, moved: Array) -> Array:
-        """Return the scaled spring forces that displaced fixed parts cause at contact points, shape (points, 3)."""
+    def _offsets(self, moved: Array | None) -> Array:
+        """Return the scaled spring forces at zero displacement, of history and displaced fixed parts, or none.
+
+        Shape (points, 3) or (0, 3).
+        """
+        before = np.zeros((0, 3)) if self._springs is None else self._springs
+        if moved is None:
+            return before
         problem, law = self.problem, self._law
         relative = problem.geometry.relative(moved[None])[0]
         stiffness = np.stack([law.normal, law.tangential, law.tangential], axis=1)
         # Scaled springs act on relative displacements times `force_scale`, in units of `scale`.
-        return -stiffness * relative * (problem.force_scale / law.scale)[:, None]
+        settled = -stiffness * relative * (problem.force_scale / law.scale)[:, None]
+        return settled if self._springs is None else before + settled

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +25,9 @@ from falsework.stability.margins.supports import held_loads, settlements
 from falsework.stability.margins.weakest import Near, friction_bracket, weakest_load
 from falsework.stability.strength import SMOOTH, strength_of
 from falsework.stability.verdict import Verdict, Verdicts
+
+if TYPE_CHECKING:
+    from falsework.stability.contact.history import History
 
 Array = NDArray[np.float64]
 
@@ -59,7 +62,12 @@ class MarginFinder:
         return Pushes.from_assembly(self._assembly)
 
     def margins(
-        self, states: ArrayLike, kinds: Sequence[str] = QUICK, *, deadline: float | None = None
+        self,
+        states: ArrayLike,
+        kinds: Sequence[str] = QUICK,
+        *,
+        deadline: float | None = None,
+        histories: Sequence[History] = (),
     ) -> list[StateMargins]:
         """Return the margins of states, computed in parallel on all cores; as `StabilityOracle.margins`.
 
@@ -77,20 +85,31 @@ class MarginFinder:
         if deadline is not None:
             limited = copy(self)
             limited.prober = self.prober.until(time.perf_counter() + deadline)
-            return limited._all(batch, kinds)
-        return self._all(batch, kinds)
+            return limited._all(batch, kinds, histories)
+        return self._all(batch, kinds, histories)
 
-    def _all(self, batch: States, kinds: Sequence[str]) -> list[StateMargins]:
+    def _as_built(self, history: History) -> MarginFinder:
+        """Return a finder of the margins of a state with the history of its contacts."""
+        finder = copy(self)
+        finder.prober = self.prober.as_built(history)
+        return finder
+
+    def _all(self, batch: States, kinds: Sequence[str], histories: Sequence[History]) -> list[StateMargins]:
+        finders = [self._as_built(history) for history in histories] or [self] * len(batch)
+
+        def begin(finder: MarginFinder, state: States) -> Answer:
+            prober = finder.prober.until(np.inf)
+            return prober.ask(state, prober.own())
+
         with ThreadPoolExecutor(self.prober.settings.numerics.threads) as pool:
-            prober = self.prober.until(np.inf)
-            starts = list(pool.map(lambda state: prober.ask(state, prober.own()), batch))
+            starts = list(pool.map(begin, finders, batch))
             found = [StateMargins(start.stands, tuple(kinds)) for start in starts]
 
             def run(job: tuple[int, str]) -> list[StateMargins]:
                 """Compute one margin of consecutive states: each search starts at the bound of the state before."""
                 near: Near = {}
                 rows = range(job[0], min(job[0] + TASK, len(batch)))
-                return [self._in_time(batch[row], starts[row], job[1], kinds, near) for row in rows]
+                return [finders[row]._in_time(batch[row], starts[row], job[1], kinds, near) for row in rows]
 
             jobs = [(first, kind) for first in range(0, len(batch), TASK) for kind in kinds]
             for (first, _), parts in zip(jobs, pool.map(run, jobs), strict=True):
@@ -167,7 +186,7 @@ class MarginFinder:
             found["horizontal"] = self._bound(
                 state, bracket, self._times(start.condition, loads[row]), direction=direction
             )
-        if "tilt" in kinds and (self._assembly.loads is not None or self._assembly.joints is not None):
+        if "tilt" in kinds and not self.prober.scales:
             found["tilt"] = self._tilt(state, start, order)
         elif "tilt" in kinds:
             # Weight with a horizontal acceleration `a g` is the weight on ground tilted by atan(a), times a factor;
@@ -265,8 +284,7 @@ class MarginFinder:
         return self._bound(state, bracket, times, shift=1.0, part=numbers[row], direction=(0.0, 0.0, -1.0))
 
     def _total_factor(self, state: States, start: Answer) -> Bound:
-        if self._assembly.loads is None and self._assembly.joints is None:
-            # Forces that balance the weights balance any multiple of them.
+        if self.prober.scales:
             return self._unbounded(state, start)
         load = np.where((state != REMOVED)[:, None], self.weights[:, None] * np.array([0, 0, -1.0, 0, 0, 0]), 0.0)
         _, bracket = self._weakest(state, start, load[None], [0], lambda _: 1.0, LARGEST_FACTOR - 1.0)

@@ -28,6 +28,7 @@ from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
+    from falsework.stability.contact.history import History
 
 Array = NDArray[np.float64]
 
@@ -54,6 +55,15 @@ class Prober:
         self._structure = solver.structure
         self._options = kernel_options(self.settings)
         self._end = np.inf
+
+    @property
+    def scales(self) -> bool:
+        """Whether forces that balance the weights balance any multiple of them."""
+        return self.assembly.loads is None and self.assembly.joints is None
+
+    def as_built(self, history: History) -> Prober:
+        """Return a prober of a state with the history of its contacts, of which forces in equilibrium know nothing."""
+        return self
 
     def until(self, end: float) -> Prober:
         """Return a prober that raises `OutOfTime` from a time on, as `time.perf_counter` counts it."""

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 FRAMES = 15.0
 """Frames per second while a plan is played."""
+_KEYS = "Space plays; N and P go to the next step and back, and so do arrow keys, which also turn the view."
 _WORDS = {Direction.ASSEMBLY: "assembly", Direction.DISASSEMBLY: "disassembly"}
 
 
@@ -42,14 +43,14 @@ class PlayPanel:
         self._margins = gui.add_html("")
         self._folder = gui.add_folder("Play")
         with self._folder:
-            self._button = gui.add_button("Play", hint="Space plays, arrow keys go to the next step and back.")
+            self._button = gui.add_button("Play", hint=_KEYS)
             self._button.on_click(lambda event: page.guard(event, self.toggle))
             speed = 2.0 if model.arms is None else 1.0
             self.speed = gui.add_slider("Steps per second", min=0.5, max=8.0, step=0.5, initial_value=speed)
             self._order = gui.add_dropdown("Order", tuple(_WORDS.values()), initial_value=_WORDS[model.direction])
             self._order.on_update(lambda event: page.guard(event, self._turned))
-        keys = (("Next step", "arrowright", 1), ("Previous step", "arrowleft", -1))
-        for name, key, by in keys:
+        for key, by in (("N", 1), ("P", -1), ("arrowright", 1), ("arrowleft", -1)):
+            name = "Next step" if by == 1 else "Previous step"
             gui.add_command(name, hotkey=key).on_trigger(lambda event, by=by: page.guard(event, lambda: self._step(by)))
         gui.add_command("Play or pause", hotkey="space").on_trigger(lambda event: page.guard(event, self.toggle))
         self.playing = threading.Event()

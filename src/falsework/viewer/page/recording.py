@@ -121,7 +121,7 @@ class RecordedScene(ViserScene):
         color: tuple[int, ...],
         opacity: float | None,
         position: NDArray[np.float64],
-        turn: NDArray[np.float64],
+        turn: tuple[float, float, float, float],
     ) -> Any:
         name = f"/parts/{part}"
         node = self._scene.add_mesh_simple(

@@ -87,13 +87,11 @@ class ViserScene:
         """Convert metres to the coordinates of the scene."""
         return (points - self.origin) * self.scale
 
-    def pose(self, appearance: Appearance, part: int) -> tuple[Array, Array]:
+    def pose(self, appearance: Appearance, part: int) -> tuple[Array, tuple[float, float, float, float]]:
         """Return position and rotation, a quaternion wxyz, of the node of a part."""
-        from scipy.spatial.transform import Rotation
-
         turn = appearance.turn[part]
         position = (appearance.shift[part] + turn @ self.origin - self.origin) * self.scale
-        return position, Rotation.from_matrix(turn).as_quat(scalar_first=True)
+        return position, wxyz_of(turn)
 
     def ray(self, origin: Sequence[float], direction: Sequence[float]) -> tuple[Array, Array]:
         """Convert a ray of the scene to metres."""

@@ -33,18 +33,10 @@ _LINE = 24.0
 """Height of a line of text, pixels."""
 
 
-def flat_axis(assembly: Assembly) -> int:
-    """Return axis, 0 for x or 1 for y, along which nothing about a structure changes.
-
-    Raises:
-        InputError: there is none; the structure is not two-dimensional.
-    """
-    for axis in (1, 0):
-        if all(_is_prism(mesh.triangles, axis) for mesh in assembly.meshes):
-            return axis
-    raise InputError(
-        f"{assembly.name} is not two-dimensional, so it has no line drawing; write a .png for a picture in three"
-    )
+def flat_axis(assembly: Assembly) -> int | None:
+    """Return axis, 0 for x or 1 for y, along which nothing about a structure changes; None for one in three."""
+    flat = (axis for axis in (1, 0) if all(_is_prism(mesh.triangles, axis) for mesh in assembly.meshes))
+    return next(flat, None)
 
 
 def outlines(assembly: Assembly, axis: int) -> list[list[Array]]:
@@ -97,6 +89,10 @@ def drawing(
         raise InputError(f"{columns} columns show nothing; give at least 1")
     assembly = timeline.assembly
     axis = flat_axis(assembly)
+    if axis is None:
+        raise InputError(
+            f"{assembly.name} is not two-dimensional, so it has no line drawing; write a .png for a picture in three"
+        )
     lines = outlines(assembly, axis)
     drawn = {place: list(arrows) or list(arrows_of_step(timeline, place).values()) for place in places}
     seen = [line for part in lines for line in part]

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.errors import DependencyError, InputError
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import bars_of
-from falsework.utils.files.output_file import write_whole
 from falsework.viewer.palette import INK, ink_on, rgb, robot_color
 from falsework.viewer.pictures.graph_picture import figure_pixels
+from falsework.viewer.pictures.picture import figure_class, save_figure
 
 _WIDTH, _ROW = 12.0, 0.55
 """Width of the chart and height of the row of an arm, inches."""
@@ -52,14 +51,10 @@ class GanttChart:
         Raises:
             DependencyError: matplotlib is not installed.
         """
-        try:
-            from matplotlib.figure import Figure
-        except ImportError:
-            raise DependencyError("a Gantt chart needs matplotlib: pip install 'falsework[picture]'") from None
         bars, strip = bars_of(plan), title is None
         rows = len(plan.robots)
         height = (0.55 if width > _KEY_FROM else 0.35) + _STRIP_ROW * rows if strip else 1.3 + _ROW * rows
-        figure = Figure(figsize=(width, height), layout="constrained")
+        figure = figure_class("Gantt charts")(figsize=(width, height), layout="constrained")
         axes = figure.add_subplot()
         for bar in bars:
             edge: dict[str, Any] = {"edgecolor": INK, "linewidth": 1.0 if bar.does == "carries" else 0.3}
@@ -131,12 +126,8 @@ def draw_gantt(plan: RobotPlan, path: Path, *, width: int = 0, title: str = "") 
         DependencyError: matplotlib is not installed.
         InputError: a file that is neither PNG nor SVG, or that cannot be written.
     """
-    form = path.suffix.lower()[1:]
-    if form not in ("png", "svg"):
-        raise InputError(f"{path} is neither PNG nor SVG; name a file that ends in .png or .svg")
     chart = GanttChart.from_plan(plan, title=title)
-    dots = _DOTS if width == 0 else width / _WIDTH
-    write_whole(path, lambda file: chart.figure.savefig(file, format=form, dpi=dots))
+    save_figure(chart.figure, path, width / _WIDTH or _DOTS)
     return chart.bars
 
 

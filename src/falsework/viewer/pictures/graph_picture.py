@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
-from falsework.errors import DependencyError
 from falsework.search.problem.state_graph import StateGraph
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.palette import INK, ROBOTS
+from falsework.viewer.pictures.drawing import flat_axis, outlines
+from falsework.viewer.pictures.picture import figure_class
 from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
@@ -82,19 +83,21 @@ def graph_figure(
         route: states of a plan, drawn as a thick line, shape (steps + 1, parts).
         visited: states that a policy visits, drawn in blue, shape (count, parts).
     """
-    figures, collections = _matplotlib()
+    figure_of_size = figure_class("pictures of state graphs")
+    from matplotlib import collections
+
     place = places_of(graph)
     useful = graph.solvable & graph.reachable
     on_route = covered(graph, route) if route is not None else np.zeros(len(graph), dtype=bool)
     seen = covered(graph, visited) if visited is not None else np.zeros(len(graph), dtype=bool)
-    icons = assembly is not None and len(graph) <= ICONS_UP_TO and _is_flat(assembly)
+    across = None if assembly is None or len(graph) > ICONS_UP_TO else flat_axis(assembly)
     spread = float(np.ptp(place[:, 1])) + 1
-    height = 0.62 * (spread + 0.6) if icons else 5.2
-    figure = figures.Figure(figsize=(9.6, max(height, 2.2)))
+    height = 0.62 * (spread + 0.6) if across is not None else 5.2
+    figure = figure_of_size(figsize=(9.6, max(height, 2.2)))
     axis = figure.add_axes((0.02, 0.10, 0.96, 0.82 if title else 0.88))
     lines = np.stack([place[graph.source], place[graph.target]], axis=1)
     chosen = on_route[graph.source] & on_route[graph.target]
-    gap = 0.3 if icons else 0.0
+    gap = 0.3 if across is not None else 0.0
     lines[:, 0, 0] -= gap
     lines[:, 1, 0] += gap
     many = len(graph) > 800
@@ -104,9 +107,8 @@ def graph_figure(
         )
     )
     axis.add_collection(collections.LineCollection(list(lines[chosen]), colors=ROUTE, linewidths=2.6, zorder=2))
-    if icons:
-        assert assembly is not None
-        _draw_icons(axis, assembly, graph, place, useful, seen)
+    if assembly is not None and across is not None:
+        _draw_icons(axis, assembly, outlines(assembly, across), graph, place, useful, seen)
     else:
         size = 3.0 if many else 16.0
         for mask, color, order in ((~useful, USELESS, 3), (useful & ~seen, "#6d7076", 3), (seen, SEEN, 4)):
@@ -137,14 +139,17 @@ def figure_pixels(figure: Any, dpi: int = 110) -> NDArray[np.uint8]:
 
 
 def _draw_icons(
-    axis: Any, assembly: Assembly, graph: StateGraph, place: Array, useful: NDArray[np.bool_], seen: NDArray[np.bool_]
+    axis: Any,
+    assembly: Assembly,
+    lines: list[list[Array]],
+    graph: StateGraph,
+    place: Array,
+    useful: NDArray[np.bool_],
+    seen: NDArray[np.bool_],
 ) -> None:
-    from falsework.viewer.pictures.drawing import flat_axis, outlines
-
-    lines = outlines(assembly, flat_axis(assembly))
     points = np.concatenate([line for part in lines for line in part])
     low, high = points.min(axis=0), points.max(axis=0)
-    scale = np.array([0.54, 0.8]) / (high - low).max() * np.array([1.0, 1.0])
+    scale = np.array([0.54, 0.8]) / (high - low).max()
     for node, state in enumerate(graph.states):
         look = appearance_at(Timeline.from_state(assembly, state, graph.task.robots), 0)
         for part in np.flatnonzero(look.opacity > 0):
@@ -169,24 +174,3 @@ def _legend(axis: Any, route: bool, visited: bool, useless: bool) -> None:
         axis.plot([], [], "o", color=color, label=words, markersize=6)
     if entries:
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=len(entries), frameon=False, fontsize=9)
-
-
-def _is_flat(assembly: Assembly) -> bool:
-    from falsework.errors import InputError
-    from falsework.viewer.pictures.drawing import flat_axis
-
-    try:
-        flat_axis(assembly)
-    except InputError:
-        return False
-    return True
-
-
-def _matplotlib() -> tuple[Any, Any]:
-    try:
-        from matplotlib import collections, figure
-    except ImportError:
-        raise DependencyError(
-            "pictures of state graphs need Matplotlib; install it with pip install 'falsework[picture]'"
-        ) from None
-    return figure, collections

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from falsework.errors import DependencyError, InputError
 from falsework.utils.files.output_file import write_whole
 from falsework.viewer.pictures.contact_sheet import check_suffix, import_pillow
 
@@ -62,6 +63,34 @@ def png_of(pixels: NDArray[np.uint8]) -> bytes:
 def svg_of(text: str) -> bytes:
     """Return an SVG file of its text."""
     return text.encode("utf-8", "backslashreplace")
+
+
+def figure_class(what: str) -> Any:
+    """Return the class of figures of matplotlib.
+
+    Args:
+        what: needs it, in the plural.
+
+    Raises:
+        DependencyError: it is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise DependencyError(f"{what} need matplotlib; pip install 'falsework[picture]'") from None
+    return Figure
+
+
+def save_figure(figure: Any, path: Path, dpi: float) -> None:
+    """Write a figure of matplotlib as PNG or SVG, whole or not at all.
+
+    Raises:
+        InputError: a file that is neither, or that cannot be written.
+    """
+    form = path.suffix.lower()[1:]
+    if form not in ("png", "svg"):
+        raise InputError(f"{path} is neither PNG nor SVG; name a file that ends in .png or .svg")
+    write_whole(path, lambda file: figure.savefig(file, format=form, dpi=dpi))
 
 
 def figure_of(figure: Any, kind: Kind) -> bytes:
