@@ -35,7 +35,6 @@ from falsework.geometry import TriangleMesh
 from falsework.geometry.clearance.moves import PathMove, apply
 from falsework.interop.instruction_table import instructions_csv
 from falsework.interop.tracks import tracks_of
-from falsework.robots import RobotPlan
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.viewer import Timeline
@@ -223,11 +222,6 @@ def test_pictures_and_files_of_other_programs_show_the_way(plan: Plan, drawer: A
         [place for _, place in path], [[out.distance, 0, up.distance], [0, 0, up.distance], [0] * 3]
     )
     assert "from +x, then from above" in instructions_csv(make_sheet(assembly, plan))
-
-
-def test_robots_refuse_such_plans_by_name(plan: Plan) -> None:
-    with pytest.raises(PlanError, match="robot plans move one part at a time, and straight"):
-        RobotPlan(plan, (), (), (), "cell", "identity")
 
 
 def test_replanning_goes_on_with_ways_of_several_moves(plan: Plan, drawer: Assembly) -> None:

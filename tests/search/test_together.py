@@ -241,10 +241,11 @@ def plans_of(task: Task, oracle) -> int:
     return count(task.start.tobytes())
 
 
-def diverging() -> Assembly:
+def diverging(wide: float = 2.0, high: float = 3.0, roof: float = 2.0) -> Assembly:
     """Two parts in channels that lead up to both sides; each has a tongue below a lip of the other, along x.
 
-    Neither leaves without the other, and they leave along different directions only.
+    Neither leaves without the other, and they leave along different directions only. The channels and the walls beside
+    them reach to `wide`, these to `high`, and the roof between them to `roof`.
     """
     lines_x, lines_y = [-1.5, -0.5, 0.0, 0.5, 1.5], [0.0, 0.3, 0.6, 0.9]
     levels = {0.0: (-0.5, 0.25, 1.0, 2.0), 0.5: (0.0, 0.25, 0.5, 1.5), 1.5: (1.0, 1.25, 1.5, 2.5)}
@@ -261,11 +262,12 @@ def diverging() -> Assembly:
         corners = [(lines_x[i], lines_y[j], levels[abs(lines_x[i])][k]) for i, j, k in index.tolist()]
         solids.append(replace(solid, vertices=np.array(corners)))
     for side in (-1, 1):
-        ring = [(0.0, 0.0, -0.5), (2.0 * side, 0.0, 1.5), (2.0 * side, 0.0, -1.5), (0.0, 0.0, -1.5)]
+        ring = [(0.0, 0.0, -0.5), (wide * side, 0.0, wide - 0.5), (wide * side, 0.0, -1.5), (0.0, 0.0, -1.5)]
         solids.append(prism("floor", ring[::side], (0.0, 0.9, 0.0), fixed=True))
         low = -0.2 if side < 0 else 0.9
-        solids.append(box("wall", (-2.0, low, -1.5), (2.0, low + 0.2, 3.0), fixed=True))
-    solids.append(prism("roof", [(0.0, 0.0, 1.0), (2.0, 0.0, 3.0), (-2.0, 0.0, 3.0)], (0.0, 0.9, 0.0), fixed=True))
+        solids.append(box("wall", (-wide, low, -1.5), (wide, low + 0.2, high), fixed=True))
+    ring = [(0.0, 0.0, 1.0), (roof, 0.0, 1.0 + roof), (-roof, 0.0, 1.0 + roof)]
+    solids.append(prism("roof", ring, (0.0, 0.9, 0.0), fixed=True))
     blocks = gather(solids)
     return Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary)
 

@@ -111,6 +111,13 @@ class ExitOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RareExitOptions(ExitOptions):
+    """How parts may leave."""
+
+    rare: ClassVar[tuple[str, ...]] = (*ExitOptions.rare, "parts_at_once")
+
+
+@dataclass(frozen=True, kw_only=True)
 class RegraspOptions(ExitOptions, RuleOptions):
     """Rules that a plan must obey, with repeated holds and props."""
 

@@ -15,9 +15,9 @@ from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, CriterionOfPlan, SolverOption, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import (
-    ExitOptions,
     HoldOptions,
     PartRuleOptions,
+    RareExitOptions,
     first_steps,
     lacks_reserve,
     need_text,
@@ -38,13 +38,6 @@ if TYPE_CHECKING:
     from falsework.replanning.since import SiteSteps
     from falsework.search.plans.plan import Plan
     from falsework.stability.settings import StabilitySettings
-
-
-@dataclass(frozen=True, kw_only=True)
-class _ExitOptions(ExitOptions):
-    """How parts may leave."""
-
-    rare: ClassVar[tuple[str, ...]] = (*ExitOptions.rare, "parts_at_once")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +96,7 @@ class MakeReplan(Command):
         None
     )
     """Number of robots: parts that can be held at a time."""
-    exits: _ExitOptions
+    exits: RareExitOptions
     holds: HoldOptions
     criterion: CriterionOfPlan = None
     alternatives: int = 1

@@ -13,7 +13,15 @@ from tyro.conf import Positional, arg
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, CriterionOfPlan, SeedOption, StructureOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import HoldOptions, lacks_reserve, policy_guide, press_text, refuse_unstable, writable
+from falsework.cli.planning import (
+    HoldOptions,
+    RareExitOptions,
+    lacks_reserve,
+    policy_guide,
+    press_text,
+    refuse_unstable,
+    writable,
+)
 from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
     can_schedule,
@@ -33,6 +41,7 @@ if TYPE_CHECKING:
     from falsework.robots.planning.hybrid_result import HybridResult
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.robots.plans.timeline import Interruption
+    from falsework.search.plans.plan import Plan
     from falsework.search.problem.task import Task
 
 
@@ -99,7 +108,14 @@ class PlanRobots(Command):
     reach, obstacles, and the progress of the search. A partial plan is saved, except where an assembly is continued.
     """
 
-    rare: ClassVar[tuple[str, ...]] = ("seed", "target", "grips", "proofs", "criterion", "sequential", "parts_at_once")
+    rare: ClassVar[tuple[str, ...]] = (
+        "seed",
+        "target",
+        "grips",
+        "proofs",
+        "criterion",
+        "sequential",
+    )
     outcomes: ClassVar[tuple[str, str]] = ("found", "not_found")
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -147,8 +163,7 @@ class PlanRobots(Command):
     allow_regrasp: bool = False
     """Let arms release parts that stand without them and hold them again with another grasp, hand other parts to
     another arm, and put parts down on the way to grip them in another way, where there is no other way."""
-    parts_at_once: Annotated[int, arg(metavar="K")] = 1
-    """Largest number of parts that lock each other and that one arm may carry at once, holding one of them."""
+    exits: RareExitOptions
     sequential: bool = False
     """One robot moves at a time; without this, robots move together wherever that is proven safe."""
     proofs: bool = False
@@ -176,7 +191,7 @@ class PlanRobots(Command):
         building = order is Direction.ASSEMBLY
         if begun is not None:
             held, joints, grips = [*begun.now.held], [*begun.now.configurations], [*begun.now.gripped]
-            task = self._task(assembly, cell, begun.now.state, held)
+            task = self._task(assembly, cell, begun.now.state, held, begun.plan.plan)
         else:
             held, joints = parse_holding(self.holding, cell, assembly), parse_joints(self.joints, cell)
             task = self._task(assembly, cell, parse_now(self.state or self._beginning, held, assembly), held)
@@ -241,7 +256,9 @@ class PlanRobots(Command):
         cell = load_cell(self.cell or "")
         return self.structure.load(), cell
 
-    def _task(self, assembly: Assembly, cell: Cell, now: States, held: Sequence[int | None]) -> Task:
+    def _task(
+        self, assembly: Assembly, cell: Cell, now: States, held: Sequence[int | None], begun: Plan | None = None
+    ) -> Task:
         from falsework.search.find import make_task
 
         building = self.order == "assembly"
@@ -254,6 +271,10 @@ class PlanRobots(Command):
                 raise InputError(f"part {name} is said to be missing, yet it is {where}; name parts that are not there")
         end = None if self.target is None else parse_state(self.target, "--target", assembly)
         start, target = (end, now) if building else (now, end)  # plans are found as disassembly
+        rules = self.exits.exits()
+        if begun is not None:  # what it allows goes on
+            rules["parts_at_once"] = max(self.exits.parts_at_once, begun.parts_at_once)
+            rules["moves"], rules["turns"] = max(self.exits.moves, begun.moves), self.exits.turns or begun.turns
         return make_task(
             assembly,
             cell.robot_count,
@@ -262,7 +283,7 @@ class PlanRobots(Command):
             missing=missing,
             removable_only_if_clear=True,
             allow_regrasp=self.allow_regrasp,
-            parts_at_once=self.parts_at_once,
+            **rules,
         )
 
     def _report(

@@ -13,8 +13,7 @@ from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker,
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.loads import Load
-from falsework.robots.plans.plan_problem import PlanProblem
-from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.robot_plan import PlanProblem, RobotPlan
 from falsework.robots.plans.timeline import ArmActivity, activities_at, event_times
 
 INTERVAL = 0.01
@@ -114,7 +113,7 @@ def _prepare(
 def _first_hit(query: PreparedQuery, values: Array) -> tuple[int, tuple[str, str]] | None:
     for row, entry in enumerate(values):
         query.values[:] = entry
-        pair = query.hits(entry[query.slot])
+        pair = query.hits(entry[query.slots[query.robot]])
         if pair is not None:
             return row, pair
     return None

@@ -15,6 +15,7 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 
 from falsework import Assembly
 from falsework.errors import PlanError
+from falsework.geometry.clearance.moves import PathMove
 from falsework.robots import Cell, Obstacle, RobotPlan, Trajectory
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.keyframes.keyframes import PathSegment
@@ -23,7 +24,7 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.shapes import block
-from falsework.robots.plans.robot_plan import records_of
+from falsework.robots.plans.robot_plan import Partner, records_of
 from falsework.robots.plans.robot_plan_file import robot_plan_from_dict, robot_plan_to_dict
 from falsework.search.plans.plan_check import validate_plan
 from falsework.stability.holds import Press
@@ -31,6 +32,7 @@ from falsework.stability.holds import Press
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "robot-plan-checks.md"
 ROWS = re.findall(r"^\| ([^|]+?) \|[^|]*\|[^|]*\| `([^`]+)` \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
 
+UP = PathMove((1,), (0.0, 0.0, 1.0), 0.1)
 HOLD, REMOVE = 0, 1
 """Steps of the plan: arm 1 holds the upper cube with a free motion and a line, and removes it with a line and a free
 motion."""
@@ -311,6 +313,13 @@ def blocked(case: Case) -> Case:
 
 
 FORGED: dict[str, Callable[[Case], Case | str]] = {
+    "a part that has no straight way out follows the moves of its way, which is swept": lambda case: replace(
+        case,
+        plan=replace(case.plan, plan=replace(case.plan.plan, exit_paths=((UP,) * 4,) * len(case.plan.plan))),
+    ),
+    "robots move at the same instant only where each has a part that leaves or comes, and by one clock": (
+        lambda case: case.stepped(HOLD, partners=(Partner(1, case.plan.steps[HOLD].trajectories),))
+    ),
     "the structure has the planned geometry, density and friction": lambda case: replace(
         case, assembly=case.assembly.replace(friction=0.7)
     ),

@@ -130,7 +130,5 @@ def test_what_is_not_joined(shelf: Assembly, strong: Cell) -> None:
     light = shelf.replace(density=np.array([1.0, 1.0, 1.0, 2.0, 1.0]))
     with pytest.raises(AssemblyError, match="top-2, top-3 have different densities"):
         join_parts(light, [(2, 3)])
-    with pytest.raises(InputError, match="robots move parts out in straight lines"):
-        plan_robots(shelf, strong, task=make_task(shelf, 2, moves=2))
-    with pytest.raises(InputError, match="robots carry groups of parts only in whole plans"):
-        plan_robots(shelf, strong, task=make_task(shelf, 2, parts_at_once=2), held=(None, None))
+    with pytest.raises(InputError, match="arms let go of no part half way out"):
+        plan_robots(shelf, strong, task=make_task(shelf, 2, moves=2, waiting=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -10,9 +11,9 @@ import pytest
 from falsework import Assembly
 from falsework.assembly import complete_state
 from falsework.robots import Cell, KeyframeGraph
-from falsework.robots.grasping.exit_directions import ExitDirections
-from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
+from falsework.robots.grasping.exit_ways import ExitWays
 from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.model.cell import Placement
 
 
 @pytest.fixture(scope="module")
@@ -20,36 +21,19 @@ def graph(column: Assembly, cell: Cell) -> KeyframeGraph:
     return KeyframeGraph(column, cell)
 
 
-def test_keyframes_of_a_state_are_all_assignments_and_branches(
-    graph: KeyframeGraph, column: Assembly, cell: Cell
-) -> None:
-    state = complete_state(column.boundary)
-    assert [node.held for node in graph.keyframes(state)] == [(None, None)]
-    state[1] = 2
-    graph = KeyframeGraph(column, cell, settings=KeyframeSettings(grasps=3))
-    nodes = list(graph.keyframes(state))
-    assert {node.held for node in nodes} == {(1, None), (None, 1)}
-    for node in nodes:
-        robot = node.held.index(1)
-        assert any(
-            np.allclose(tool_pose(cell.robots[robot], node.configurations[robot]), grip.grasp.tool, atol=1e-5)
-            for grip in graph.grips(robot, 1, state)
-        )
-    # Several branches of the same grasp are different keyframes.
-    assert len({node.key for node in nodes}) == len(nodes) > 8
-
-
-def test_two_robots_never_hold_one_part_nor_meet(graph: KeyframeGraph, column: Assembly) -> None:
-    state = complete_state(column.boundary)
-    state[[1, 2]] = 2
-    count = 0
-    for node in graph.keyframes(state):
-        assert sorted(part for part in node.held if part is not None) == [1, 2]
-        assert graph.collision(node, 0) is None
-        count += 1
-        if count == 20:
-            break
-    assert count == 20
+def test_two_robots_never_hold_one_part_nor_meet(graph: KeyframeGraph, column: Assembly, cell: Cell) -> None:
+    """Grasps have several branches, and two arms that hold neighbours keep apart."""
+    root, branches = graph.start(complete_state(column.boundary), cell.homes, (None, None)), 0
+    for first in itertools.islice(graph.edges(root, 1), 4):
+        branches += len(graph.grips(first.robot, 1, root.state)) > 8
+        for second in itertools.islice(graph.edges(first.node, 2), 3):
+            assert {first.robot, second.robot} == {0, 1}
+            assert {*second.node.held} == {1, 2}
+            assert graph.collision(second.node, 0) is None
+            grips = graph.grips(second.robot, 2, first.node.state)
+            tool = tool_pose(cell.robots[second.robot], second.node.configurations[second.robot])
+            assert any(np.allclose(tool, grip.grasp.tool, atol=1e-5) for grip in grips)
+    assert branches
 
 
 def test_an_edge_moves_one_robot_from_where_it_stands(graph: KeyframeGraph, column: Assembly, cell: Cell) -> None:
@@ -91,26 +75,26 @@ def test_what_was_computed_is_kept(graph: KeyframeGraph, column: Assembly, cell:
 def test_a_part_under_another_cannot_leave(graph: KeyframeGraph, column: Assembly) -> None:
     state = complete_state(column.boundary)
     assert graph.blocked_by(1, state) == 0
-    later, ways = graph.exit_direction_of(0, state)
+    later, ways = graph.exits.free_later(0, state)
     assert len(ways)
     assert later[0] == 1
 
 
 def test_exits_agree_with_the_clearance_table(column: Assembly) -> None:
     """A fan of directions finds a way out only where the table finds one."""
-    exits = ExitDirections(column, np.eye(3))
+    exits = ExitWays(column, Placement())
     rng = np.random.default_rng(0)
     free = ~column.boundary
     for _ in range(30):
         state = np.where(free, rng.integers(0, 2, column.part_count), 2).astype(np.uint8)
         clear = column.clearance.can_leave(state[None])[0]
         for part in np.flatnonzero(free):
-            ways = exits.free(int(part), state)
+            ways = np.array([move.direction for (move,) in exits.free(int(part), state)]).reshape(-1, 3)
             assert len(ways) == 0 or clear[part]
             assert (ways[:, 2] >= -1e-6).all()
             assert (np.diff(ways[:, 2]) <= 1e-8).all()
     top = exits.free(1, complete_state(column.boundary))
-    np.testing.assert_allclose(top[0], (0, 0, 1), atol=1e-9)
+    np.testing.assert_allclose(top[0][0].direction, (0, 0, 1), atol=1e-9)
 
 
 def test_too_heavy_and_out_of_reach_are_reasons(column: Assembly, cell_of: Callable[..., Cell]) -> None:

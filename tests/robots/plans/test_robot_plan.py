@@ -170,7 +170,6 @@ DAMAGE: list[tuple[Callable[[dict[str, Any]], None], str]] = [
     (lambda data: _cut(data, "cell", "identity"), "cell.identity is missing; it may be damaged"),
     (lambda data: _put(data, 1, "extra"), "extra is not known; known are after, before, cell, direction,"),
     (lambda data: _cut(data, "keyframes", 0), "do not match a plan of"),
-    (lambda data: _put(data, 2, "plan", "rules", "parts_at_once"), "robot plans move one part at a time"),
     (lambda data: _put(data, 5, "steps", 0, "robot"), "robot is 5"),
     (lambda data: _put(data, "jump", "steps", 0, "trajectories", 0, "kind"), "kind is 'jump'"),
     (lambda data: _put(data, 99, "steps", 0, "trajectories", 0, "part"), "part is 99"),

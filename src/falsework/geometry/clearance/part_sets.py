@@ -115,18 +115,23 @@ class SetClearance:
         return leaves
 
     def exit_motion(self, parts: PartSet, state: NDArray[np.uint8]) -> Array | None:
-        """Return the velocity at which each part of a set leaves a state, shape (parts,), or None.
+        """Return the first of `exit_motions`; None without one."""
+        return next(iter(self.exit_motions(parts, state)), None)
+
+    def exit_motions(self, parts: PartSet, state: NDArray[np.uint8]) -> list[Array]:
+        """Return velocities at which the parts of a set leave a state, shape (parts,); none if it cannot.
 
         Returns:
-            Shape (parts of the set, 3), the fastest at 1: one direction for all if there is one.
+            Each of shape (parts of the set, 3), the fastest at 1: one direction for all, or where none is free, one for
+            each.
         """
         exits = self._exits_of(parts)
         present = pack(np.asarray(state)[None] > 0) & ~exits.own
         free = np.flatnonzero(~(exits.blockers & present).any(axis=1))
         if len(free):
-            return np.repeat(exits.directions[free[:1]], len(parts), axis=0)
+            return [np.repeat(exits.directions[row : row + 1], len(parts), axis=0) for row in free.tolist()]
         motion = self.apart.motion(parts, np.asarray(state) > 0)
-        return None if motion is None else motion.velocities.copy()
+        return [] if motion is None else [motion.velocities.copy()]
 
     def can_begin_to_move(self, parts: PartSet, state: NDArray[np.uint8]) -> bool:
         """Return whether all of some parts can begin to move in a state, shape (parts,); see `first_motions`."""

@@ -24,11 +24,10 @@ from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import Array
-from falsework.robots.plans.loads import Load, load_of, loads_at, loads_beside, step_fault
-from falsework.robots.plans.plan_problem import PlanProblem
+from falsework.robots.plans.loads import load_of, loads_at, loads_beside, step_fault
 from falsework.robots.plans.robot_forces import GripLoad, grip_loads, overloads, press_fault
-from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.plans.trajectory import OUTSIDE, Trajectory, check_limits
+from falsework.robots.plans.robot_plan import PlanProblem, RobotPlan
+from falsework.robots.plans.trajectory import OUTSIDE, check_limits
 from falsework.search.plans.plan_report import PlanReport
 from falsework.search.problem.task import Direction
 from falsework.utils.quantity import format_number
@@ -148,16 +147,10 @@ class _Checker:
         """Check one action: contents, continuity, limits, collisions."""
         before, after = self.plan.keyframes[index], self.plan.keyframes[index + 1]
         step = self.plan.steps[index]
-        robot = step.robot
-        part, removes = self._action(index)
-        state = self.plan.states[index]
-        present = state != REMOVED
-        if removes:
-            present = present.copy()
-            present[part] = False
+        robot, present = step.robot, self.plan.resting(index)
         if fault := step_fault(self.plan, index):
             self.say(index, robot, fault)
-            if step.transit:
+            if step.transit or step.partners:
                 return
         elif step.gripped is not None:
             self._gripped(index, step.gripped)
@@ -169,20 +162,21 @@ class _Checker:
         for fault in self.handling.faults(index):
             self.say(index, robot, fault)
         for other, (old, new) in enumerate(zip(before.held, after.held, strict=True)):
-            if (old != new) != (other == robot and not step.transit):
+            if (old != new) != (other in step.robots and not step.transit):
                 self.say(index, other, "its held part does not change according to the action")
-        values = before.configurations[robot]
-        for order, trajectory in enumerate(step.trajectories):
-            if self.full():
-                return
-            load = load_of(self.plan, index, order)
-            self._content(index, order, trajectory, part, load)
-            values = self._joins(index, robot, values, trajectory.positions[0], trajectory.positions[-1])
-            self._collisions(index, order, trajectory, present, load)
-        self._joins(index, robot, values, after.configurations[robot], values)
-        for other, (old, new) in enumerate(zip(before.configurations, after.configurations, strict=True)):
-            if other != robot:
-                self._joins(index, other, old, new, new)
+        values = [*before.configurations]
+        for order in range(len(step.trajectories)):
+            for robot in step.robots:
+                if self.full():
+                    return
+                trajectory = step.of(robot)[order]
+                self._content(index, order, robot)
+                values[robot] = self._joins(
+                    index, robot, values[robot], trajectory.positions[0], trajectory.positions[-1]
+                )
+                self._collisions(index, order, robot, present)
+        for robot, (here, there) in enumerate(zip(values, after.configurations, strict=True)):
+            self._joins(index, robot, here, there, here)
 
     def at_rest(self, index: int, when: str) -> None:
         """Check that the configurations of the first or the last keyframe are within limits, and free of collisions."""
@@ -199,24 +193,23 @@ class _Checker:
                 step = min(index, len(self.plan) - 1)
                 self.say(step, robot, f"at the {when} {pair[0]} collides with {pair[1]}", pair=pair)
 
-    def _action(self, index: int) -> tuple[int, bool]:
-        """Return the part of an action, and whether it leaves or enters the structure in the gripper."""
-        parts = len(self.boundary)
-        action = int(self.plan.actions[index])
-        return -1 if action < 0 else action % parts, action >= parts
-
-    def _content(self, index: int, order: int, trajectory: Trajectory, part: int, load: Load | None) -> None:
+    def _content(self, index: int, order: int, robot: int) -> None:
         """Check that a removal always carries its part, and a hold carries none and touches it only on the line.
 
         A part that was put down is not carried, and may be touched on the lines too.
         """
-        step, removes = self.plan.steps[index], self._action(index)[1]
-        robot = step.robot
+        step, action = self.plan.steps[index], int(self.plan.actions[index])
+        moved, trajectory, load = (
+            self.plan.part_of(index, robot),
+            step.of(robot)[order],
+            load_of(self.plan, index, order, robot),
+        )
         if step.transit:  # of which `step_fault` has checked the parts
             if trajectory.touches is not None and trajectory.kind != "line":
                 self.say(index, robot, f"motion {order + 1} may not touch part {trajectory.touches}")
             return
-        removes &= load is None or not load.lies
+        removes = moved is not None and (load is None or not load.lies)
+        part = action if moved is None else moved
         wanted = part if removes else None
         if trajectory.part != wanted:
             self.say(index, robot, f"motion {order + 1} carries part {trajectory.part}, the action needs {wanted}")
@@ -237,11 +230,15 @@ class _Checker:
             self.say(index, robot, f"it jumps by {format_number(far, 4)} rad between two motions")
         return end
 
-    def _collisions(
-        self, index: int, order: int, trajectory: Trajectory, present: NDArray[np.bool_], load: Load | None
-    ) -> None:
-        robot, at_place = self.plan.steps[index].robot, order in place_lines(self.plan, index)
+    def _collisions(self, index: int, order: int, robot: int, present: NDArray[np.bool_]) -> None:
+        step, at_place = self.plan.steps[index], order in place_lines(self.plan, index, robot)
+        trajectory, load = step.of(robot)[order], load_of(self.plan, index, order, robot)
         moments, samples = trajectory.dense(self.resolution)
+        beside = [other for other in step.robots if other != robot]
+        if beside:  # sampled where any of them has a sample
+            moments = np.unique(np.concatenate([step.of(r)[order].dense(self.resolution)[0] for r in step.robots]))
+            samples = trajectory.sample(moments)
+        with_them = {other: step.of(other)[order].sample(moments) for other in beside}
         self.samples += len(samples)
         self.trajectories += 1
         if len(samples) > 1:
@@ -253,21 +250,22 @@ class _Checker:
             beyond = np.maximum(samples[row] - model.upper, model.lower - samples[row])
             what = f"{model.joint_names[int(np.argmax(beyond))]} is outside its limits"
             self.say(index, robot, what, seconds=float(moments[row]), configuration=tuple(samples[row].tolist()))
-        given = {"load": load, "touches": trajectory.touches, "loads": loads_beside(self.plan, index)}
+        loads = loads_beside(self.plan, index)
+        loads |= {other: held for other in beside if (held := load_of(self.plan, index, order, other)) is not None}
+        given = {"load": load, "touches": trajectory.touches, "loads": loads}
         rest = self.plan.keyframes[index].configurations
         move = self.judge.prepare(robot, rest, present, at_place=at_place, **given)
-        tried = [(move, moment, values) for moment, values in zip(moments, samples, strict=True)]
+        tried = [(move, row) for row in range(len(samples))]
         apart = self.plan.direction is Direction.DISASSEMBLY
         if at_place and order == (len(self.plan.steps[index].trajectories) - 1 if apart else 0):
             # Beyond its last line a part has its full size; so it has where it leaves the gripper, or waits in it.
-            row = -1 if apart else 0
-            tried.append((self.judge.prepare(robot, rest, present, **given), moments[row], samples[row]))
-        for query, moment, values in tried:
-            pair = query.hits(values)
+            tried.append((self.judge.prepare(robot, rest, present, **given), len(samples) - 1 if apart else 0))
+        for query, row in tried:
+            pair = query.hits(samples[row], {other: values[row] for other, values in with_them.items()})
             if pair is not None:
                 what = f"{pair[0]} collides with {pair[1]}"
-                place = tuple(values.tolist())
-                self.say(index, robot, what, pair=pair, seconds=float(moment), configuration=place)
+                place = tuple(samples[row].tolist())
+                self.say(index, robot, what, pair=pair, seconds=float(moments[row]), configuration=place)
                 return
 
 
@@ -279,7 +277,8 @@ def check_robot_plan(
     Parts are their meshes, and so are the links of arms from URDF files; links of built-in arms, grippers and obstacles
     are the convex pieces that they are described by.
 
-    Each step moves one robot. All that moves is checked against all that is fixed, with these exceptions and no others.
+    Each step moves one robot, or several by one clock. All that moves is checked against all that is fixed, and against
+    what moves at the same instant, with these exceptions and no others.
     A schedule is then checked as a whole: all positions that any delays, or none, can lead to, parts carried by other
     robots included, and the order of the states, as `check_delays` describes. In a hand-over the second robot must hold
     the part before the first leaves it; that is part of the order, whatever the delays.
@@ -334,7 +333,8 @@ def check_robot_plan(
             loads = tuple(grip_loads(plan, assembly, cell))
             checker.problems += overloads(list(loads), plan, cell)
     delays = None
-    if plan.schedule is not None and bounded and not checker.full():
+    in_step = not any(step.partners and step_fault(plan, index) for index, step in enumerate(plan.steps))
+    if plan.schedule is not None and bounded and in_step and not checker.full():
         delays = check_delays(plan, checker.judge, most=_MAX_PROBLEMS)
         checker.problems += delays.problems
     return CheckReport(

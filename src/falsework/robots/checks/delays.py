@@ -12,9 +12,10 @@ meet anywhere in these ranges; otherwise the ranges are halved.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,8 @@ import numpy as np
 from falsework.assembly.state import REMOVED
 from falsework.robots.checks.pinocchio_checker import WORLD, CollisionBody, PinocchioCollisionChecker, import_pinocchio
 from falsework.robots.model.shapes import Array
-from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.reachable_positions import ReachablePositions
-from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.robot_plan import PlanProblem, RobotPlan
 from falsework.robots.plans.timeline import Segment
 from falsework.robots.plans.trajectory import Trajectory
 
@@ -81,7 +81,16 @@ class BodyPath:
 
     def position(self, share: float) -> float:
         """Return the position at a share of the duration."""
-        return float(np.interp(share * self._times[-1], self._times, np.arange(len(self._times))))
+        return self.position_at(share * self._times[-1])
+
+    def position_at(self, seconds: float) -> float:
+        """Return the position at a nominal time, seconds from the start of the motion."""
+        return float(np.interp(seconds, self._times, np.arange(len(self._times))))
+
+    @property
+    def last(self) -> float:
+        """The last position."""
+        return len(self._times) - 1.0
 
     def seconds(self, position: float) -> float:
         """Return the nominal time of a position, seconds from the start of the motion."""
@@ -142,12 +151,28 @@ class SeparationProver:
         self, one: BodyPath, other: BodyPath, one_range: tuple[float, float], other_range: tuple[float, float]
     ) -> Meeting | None:
         """Return positions in ranges of two paths at which bodies meet; None where they are proven to keep apart."""
+        return self._meeting(one, other, one_range, other_range, as_one=False)
+
+    def meeting_as_one(self, one: BodyPath, other: BodyPath) -> Meeting | None:
+        """Return positions at equal times of two motions at which bodies meet; None where they keep apart."""
+        return self._meeting(one, other, (0.0, one.last), (0.0, other.last), as_one=True)
+
+    def _meeting(
+        self,
+        one: BodyPath,
+        other: BodyPath,
+        one_range: tuple[float, float],
+        other_range: tuple[float, float],
+        *,
+        as_one: bool,
+    ) -> Meeting | None:
         first, second = np.indices((len(one.names), len(other.names))).reshape(2, -1)
         left = [(*one_range, *other_range, first, second)]
         while left:
             low, high, bottom, top, first, second = left.pop()
             self.ranges += 1
-            a, b = _middle(low, high), _middle(bottom, top)
+            a = _middle(low, high)
+            b = other.position_at(one.seconds(a)) if as_one else _middle(bottom, top)
             at, there = one.moved(a), other.moved(b)
             mine = np.maximum(one.moved(high) - at, at - one.moved(low))[first]
             theirs = np.maximum(other.moved(top) - there, there - other.moved(bottom))[second]
@@ -166,9 +191,10 @@ class SeparationProver:
             if unproven:
                 first, second = first[unproven], second[unproven]
                 far, wide = float(mine[unproven].max()), float(theirs[unproven].max())
-                rows = [(low, a), (a, high)] if 2 * far >= wide else [(low, high)]
-                columns = [(bottom, b), (b, top)] if 2 * wide >= far else [(bottom, top)]
-                left += [(*row, *column, first, second) for row in rows for column in columns]
+                rows = [(low, a), (a, high)] if as_one or 2 * far >= wide else [(low, high)]
+                columns = [(bottom, b), (b, top)] if as_one or 2 * wide >= far else [(bottom, top)]
+                pairs = zip(rows, columns, strict=True) if as_one else itertools.product(rows, columns)
+                left += [(*row, *column, first, second) for row, column in pairs]
         return None
 
     def _gap(self, one: Shape, here: Any, other: Shape, where: Any, keep: float) -> float:
@@ -247,21 +273,23 @@ class _DelayChecker:
                 return
             self.overlaps += 1
             paths = self._path(overlap.one), self._path(overlap.other)
-            found = self.prover.meeting(
-                *paths,
-                _positions(paths[0], overlap.one, overlap.one_range),
-                _positions(paths[1], overlap.other, overlap.other_range),
-            )
+            if overlap.as_one:  # the parts touch, and leave each other as the check of single motions has them do
+                bare = [self._path(replace(segment, load=None)) for segment in (overlap.one, overlap.other)]
+                found = self.prover.meeting_as_one(paths[0], bare[1]) or self.prover.meeting_as_one(bare[0], paths[1])
+            else:
+                found = self.prover.meeting(
+                    *paths,
+                    _positions(paths[0], overlap.one, overlap.one_range),
+                    _positions(paths[1], overlap.other, overlap.other_range),
+                )
             if found is not None:
                 self._say(found, overlap.one, paths[0], self._where(overlap.other, paths[1].seconds(found.other)))
 
     def structure(self, segment: Segment) -> None:
         """Check a motion against parts that it was not planned with."""
-        states, step = self.plan.states, segment.step
-        planned = states[step] != REMOVED
-        action = int(self.plan.actions[step])
+        planned = (self.plan.states[segment.step : segment.step + 2] != REMOVED).any(axis=0)
         for low, high, present in self.reachable.present(segment):
-            parts = np.flatnonzero(present & ~planned & (np.arange(len(planned)) != action - len(planned))).tolist()
+            parts = np.flatnonzero(present & ~planned).tolist()
             if not parts or len(self.problems) >= self.most:
                 continue
             self.early += len(parts)

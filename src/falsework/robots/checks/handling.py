@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import MultiPoint, Point, Polygon
 
+from falsework.geometry.clearance.moves import PathMove
 from falsework.robots.checks.grips import GripChecker
 from falsework.robots.model.cell import LONGEST_APPROACH, LONGEST_WITHDRAWAL, Cell
+from falsework.robots.model.part_shapes import placed_move
 from falsework.robots.model.shapes import Array, inverse_pose, move
 from falsework.robots.plans.loads import Load, load_of, lying_motions
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.plans.trajectory import line_fault
+from falsework.robots.plans.trajectory import line_fault, move_fault
 from falsework.search.problem.task import Direction
 from falsework.utils.quantity import format_quantity
 
@@ -45,19 +47,19 @@ class HandlingChecker:
 
     def faults(self, index: int) -> list[str]:
         """Return what is wrong with how a step moves its part, where it takes and leaves it, and with its lines."""
-        return [*self._places(index), *self._payload(index), *self._lines(index)]
+        checks = self._places, self._payload, self._lines
+        return [fault for robot in self.plan.steps[index].robots for check in checks for fault in check(index, robot)]
 
-    def _places(self, index: int) -> list[str]:
+    def _places(self, index: int, robot: int) -> list[str]:
         """Return where a part comes into or leaves the gripper although neither the structure nor the cell has it."""
-        plan, step = self.plan, self.plan.steps[index]
-        robot, legs = step.robot, step.trajectories
-        part, before, after = self._ends(index)
+        plan, legs = self.plan, self.plan.steps[index].of(robot)
+        part, before, after = self._ends(index, robot)
         if part is None:
             return []
         has = [before, *(leg.part is not None for leg in legs), after]
         where = [leg.positions[0] for leg in legs] + [plan.keyframes[index + 1].configurations[robot]]
         lying, faults = lying_motions(plan, index), []
-        if int(plan.actions[index]) >= len(plan.plan.boundary) and self._stays(index, part):
+        if plan.part_of(index, robot) is not None and self._stays(index, robot, part):
             faults.append(f"{self.names[part]} does not {'leave' if before else 'come to'} its place")
         for change, (old, new) in enumerate(pairwise(has)):
             if old == new or (lying and change in (lying.start, lying.stop)):
@@ -68,20 +70,20 @@ class HandlingChecker:
                 faults.append(f"{self.names[part]} {does} {fault}, which is no place of the cell")
         return faults
 
-    def _ends(self, index: int) -> tuple[int | None, bool, bool]:
-        """Return the part that a step moves, and whether it is in the gripper before and after the step."""
-        plan, step, parts = self.plan, self.plan.steps[index], len(self.plan.plan.boundary)
-        before, after = (plan.keyframes[k].load(step.robot) for k in (index, index + 1))
-        action = int(plan.actions[index])
-        if action >= parts:  # in place it is in the gripper
+    def _ends(self, index: int, robot: int) -> tuple[int | None, bool, bool]:
+        """Return the part that a robot moves, and whether it is in the gripper before and after the step."""
+        plan, step = self.plan, self.plan.steps[index]
+        before, after = (plan.keyframes[k].load(robot) for k in (index, index + 1))
+        moved = plan.part_of(index, robot)
+        if moved is not None:  # in place it is in the gripper
             apart = plan.direction is Direction.DISASSEMBLY
-            return action - parts, apart or before is not None, not apart or after is not None
+            return moved, apart or before is not None, not apart or after is not None
         carried = [part for part in (before, *(leg.part for leg in step.trajectories), after) if part is not None]
         return (carried[0] if carried and step.transit else None), before is not None, after is not None
 
-    def _stays(self, index: int, part: int) -> bool:
+    def _stays(self, index: int, robot: int, part: int) -> bool:
         """Return whether the part of a removal, or an insertion, is at its place before as well as after the step."""
-        plan, robot = self.plan, self.plan.steps[index].robot
+        plan = self.plan
         flanges = [self.grips.judge.flange(robot, plan.keyframes[k].configurations[robot]) for k in (index, index + 1)]
         corners = self.grips.judge.parts.meshes[part].vertices
         moved = move(flanges[1] @ inverse_pose(flanges[0]), corners)
@@ -98,28 +100,35 @@ class HandlingChecker:
         nearest = f" ({1000 * far.min():.0f} mm from the nearest)" if len(far) else ""
         return f"with the tool at {at}{nearest}"
 
-    def _payload(self, index: int) -> list[str]:
-        part = self._ends(index)[0]
-        robot = self.cell.robots[self.plan.steps[index].robot]
-        if part is None or self.mass[part] <= robot.payload * (1 + _HEAVIER):
+    def _payload(self, index: int, robot: int) -> list[str]:
+        part, payload = self._ends(index, robot)[0], self.cell.robots[robot].payload
+        if part is None or self.mass[part] <= payload * (1 + _HEAVIER):
             return []
         return [
             f"{self.names[part]} weighs {format_quantity(self.mass[part], 'mass', 4)}, the payload is "
-            f"{format_quantity(robot.payload, 'mass', 4)}"
+            f"{format_quantity(payload, 'mass', 4)}"
         ]
 
-    def _lines(self, index: int) -> list[str]:
+    def _lines(self, index: int, robot: int) -> list[str]:
         """Return which motions are called lines and are not, or are where no line may be."""
         step, margin, faults = self.plan.steps[index], self.cell.margins.approach, []
-        at_place, run = place_lines(self.plan, index), 0.0
-        grip, last = self.plan.grip(index), len(step.trajectories) - 1
-        lying = lying_motions(self.plan, index)
-        for order, leg in enumerate(step.trajectories):
+        legs, at_place, run = step.of(robot), place_lines(self.plan, index, robot), 0.0
+        grip, last = self.plan.grip(index), len(legs) - 1
+        lying, moves = lying_motions(self.plan, index), self._moves(index)
+        if len(moves) > len(at_place):
+            faults.append(f"its way out has {len(moves)} moves, and its part is on {len(at_place)} lines")
+        for order, leg in enumerate(legs):
             if leg.kind != "line":
                 continue
             _, samples = leg.dense(0.01)
-            tools = np.array([self.grips.tool(step.robot, values) for values in samples])
+            tools = np.array([self.grips.tool(robot, values) for values in samples])
             carries = leg.part is not None
+            number = order if self.plan.direction is Direction.DISASSEMBLY else last - order
+            if carries and number < len(moves):  # on a move of its way, the last of which may end early
+                way = tools if self.plan.direction is Direction.DISASSEMBLY else tools[::-1]
+                if fault := move_fault(way, moves[number], whole=number + 1 < len(moves)):
+                    faults.append(f"motion {order + 1} {fault}, which is move {number + 1} of its way")
+                continue
             longest = margin * (LONGEST_WITHDRAWAL if carries else LONGEST_APPROACH)
             if fault := line_fault(tools, longest if carries or leg.touches is not None else np.inf):
                 faults.append(f"motion {order + 1} {fault}")
@@ -139,17 +148,24 @@ class HandlingChecker:
             )
         return faults
 
+    def _moves(self, index: int) -> list[PathMove]:
+        """Return the moves in the world on which the part of a step leaves, or came, in the order of leaving."""
+        paths, rows = self.plan.plan.exit_paths, self.plan.rows[index : index + 2]
+        alone = rows[0] != rows[1] and not self.plan.steps[index].partners
+        way = paths[rows.min()] if paths and alone else ()
+        return [placed_move(move, self.cell.placement) for move in way]
 
-def place_lines(plan: RobotPlan, index: int) -> frozenset[int]:
+
+def place_lines(plan: RobotPlan, index: int, robot: int | None = None) -> frozenset[int]:
     """Return the motions of a step on which its part leaves or reaches its place, or the floor where it is put down.
 
     These are lines: the first ones of a removal up to its first other motion, in an insertion the last ones, and those
     before and after the part lies on the floor.
     """
-    step, parts = plan.steps[index], len(plan.plan.boundary)
-    if int(plan.actions[index]) < parts:
+    robot = plan.steps[index].robot if robot is None else robot
+    if plan.part_of(index, robot) is None:
         return frozenset()
-    apart, legs = plan.direction is Direction.DISASSEMBLY, step.trajectories
+    apart, legs = plan.direction is Direction.DISASSEMBLY, plan.steps[index].of(robot)
     found = set()
     for order in range(len(legs)) if apart else reversed(range(len(legs))):
         if legs[order].kind != "line" or legs[order].part is None:
@@ -157,7 +173,7 @@ def place_lines(plan: RobotPlan, index: int) -> frozenset[int]:
         found.add(order)
     lying = lying_motions(plan, index)
     found |= {lying.start - 1, lying.stop} if lying else set()
-    return frozenset(order for order in found if load_of(plan, index, order) is not None)
+    return frozenset(order for order in found if load_of(plan, index, order, robot) is not None)
 
 
 def put_down_faults(

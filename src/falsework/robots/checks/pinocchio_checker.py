@@ -58,12 +58,18 @@ class PreparedQuery:
     names: tuple[str, ...]
     values: Array
     """Joint values of all robots; those of the moving one are filled in for each sample."""
-    slot: slice
+    slots: Sequence[slice]
+    """Places of the joint values of each robot."""
+    robot: int
 
-    def hits(self, configuration: Array) -> tuple[str, str] | None:
-        """Return the names of the first two bodies that collide at joint values of the moving robot, or None."""
+    def hits(self, configuration: Array, others: Mapping[int, Array] | None = None) -> tuple[str, str] | None:
+        """Return the names of the first two bodies that collide at joint values of the moving robot, or None.
+
+        `others` has those of robots that move at the same instant.
+        """
         pinocchio, _ = import_pinocchio()
-        self.values[self.slot] = configuration
+        for robot, values in {**(others or {}), self.robot: configuration}.items():
+            self.values[self.slots[robot]] = values
         if not pinocchio.computeCollisions(self.model, self.data, self.manager, self.values, True):
             return None
         pinocchio.computeCollisions(self.model, self.data, self.geometry, self.found, self.values, False)
@@ -175,7 +181,7 @@ class PinocchioCollisionChecker:
         found = self._pin.GeometryData(geometry)
         manager = self._pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.model, geometry, found)
         names = tuple(body.name for body in bodies)
-        return PreparedQuery(self.model, data, geometry, found, manager, names, values, self.slots[robot])
+        return PreparedQuery(self.model, data, geometry, found, manager, names, values, self.slots, robot)
 
     def obstructs(self, load: Load, present: NDArray[np.bool_]) -> str | None:
         """Return the name of a fixed body that a part put down collides with, the floor aside; None if it lies free."""

@@ -64,10 +64,10 @@ Task = int | Pressing
 """Node of the schedule, by its index, or the beginning or end of a press."""
 
 
-def events_of(plan: RobotPlan, step: int) -> Iterator[Trajectory | Grip]:
-    """Yield the motions of a step and the gripper actions before or after them, in time."""
-    grip, apart = plan.grip(step), plan.direction is Direction.DISASSEMBLY
-    robot, moves = plan.steps[step].robot, plan.steps[step].trajectories
+def events_of(plan: RobotPlan, step: int, robot: int | None = None) -> Iterator[Trajectory | Grip]:
+    """Yield the motions of a robot, by default the first, in a step and the gripper actions around them, in time."""
+    robot = plan.steps[step].robot if robot is None else robot
+    grip, apart, moves = plan.grip(step), plan.direction is Direction.DISASSEMBLY, plan.steps[step].of(robot)
     before, after = plan.keyframes[step].load(robot) is not None, plan.keyframes[step + 1].load(robot) is not None
     if plan.steps[step].transit:
         has = [before, *(leg.part is not None for leg in moves), after]
@@ -114,7 +114,7 @@ def commands_of(plan: RobotPlan, robot: int, presses: Sequence[TimedPress] = ())
         if now != step:
             yield from left
             step = now
-            left = [] if node is None else list(events_of(plan, step))
+            left = [] if node is None else list(events_of(plan, step, robot))
             yield Begin(step)
         for wait in sorted(waits.get(task, []), key=lambda entry: (entry.robot, -entry.count)):
             if wait.count > heard[wait.robot]:

@@ -29,6 +29,8 @@ from falsework.utils.files.output_file import write_whole
 Format = Literal["ros2-json", "ros2-yaml", "ros2-goals", "csv", "rapid", "urscript", "mcap"]
 
 FORMATS: tuple[str, ...] = get_args(Format)
+ONE_CLOCK_EACH = ("ros2-goals", "rapid", "urscript")
+"""Formats in which each robot goes by its own clock, and waits for others between motions only."""
 
 
 def export_plan(
@@ -65,8 +67,9 @@ def export_plan(
         The files written.
 
     Raises:
-        InputError: no such format, a rate that is not above zero, a folder that cannot be written, programs for arms of
-            another maker, or a signal that a program cannot have.
+        InputError: no such format, or one that cannot have robots that move at the same instant; a rate that is not
+            above zero, a folder that cannot be written, programs for arms of another maker, or a signal that a program
+            cannot have.
         PlanError: the plan is for another structure or cell, or exceeds the limits of the cell, or robots press and
             the structure or cell is missing, or a program is wanted without the cell.
     """
@@ -76,6 +79,13 @@ def export_plan(
         raise InputError(f"a rate of {rate:g} positions per second cannot be exported; give one above 0, up to 10000")
     if joint_prefix and not form.startswith("ros2-"):
         raise InputError(f"a prefix of joints is for ros2-json, ros2-yaml and ros2-goals, not {form}; leave it out")
+    joint = next((k for k, step in enumerate(plan.steps) if step.partners), None)
+    if joint is not None and form in ONE_CLOCK_EACH:
+        others = ", ".join(kept for kept in FORMATS if kept not in ONE_CLOCK_EACH)
+        raise InputError(
+            f"in step {plan.number(joint)} ({plan.does(joint)}) several robots move at the same instant, which {form} "
+            f"cannot say: each robot has a clock of its own; choose {others}"
+        )
     writers: dict[str, Callable[[], Iterable[tuple[str, str]]]] = {
         "ros2-json": lambda: ros2_messages(plan, presses, "json", joint_prefix),
         "ros2-yaml": lambda: ros2_messages(plan, presses, "yaml", joint_prefix),

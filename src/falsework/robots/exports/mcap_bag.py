@@ -32,7 +32,8 @@ from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import inverse_pose, move
 from falsework.robots.plans.loads import Load, load_of, loads_at
 from falsework.robots.plans.robot_forces import TimedPress, flange_of
-from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.robot_plan import RobotPlan, RobotStep
+from falsework.robots.plans.temporal_graph import MotionNode
 from falsework.robots.plans.timeline import schedule_of
 from falsework.search.problem.task import Direction
 from falsework.utils.files.output_file import write_whole
@@ -126,25 +127,16 @@ def write_bag(
     def scene(now: float, **fields: Any) -> None:
         bag.write("/planning_scene", "moveit_msgs/msg/PlanningScene", _scene(now, **fields), now)
 
-    if placed is not None:
-        present = np.flatnonzero(plan.states[0] != REMOVED).tolist()
-        names = [joint for robot in range(len(plan.robots)) for joint in joint_names(plan, robot, "{robot}_")]
-        things = [_part(plan, part, _ADD, _WORLD, 0.0, placed.shapes.meshes[part]) for part in present]
-        scene(0.0, joints={"name": names, "position": np.concatenate(plan.keyframes[0].configurations)}, things=things)
-    for robot, load in loads_at(plan, 0).items():
-        scene(0.0, attached=_attached(plan, robot, load.part, 0.0, load, placed))
-    for index in np.argsort(starts, kind="stable").tolist():
-        node, now = nodes[index], float(starts[index])
-        step, robot, topic = plan.steps[node.step], node.robot, topics[node.robot]
-        if node.trajectory is None:
-            continue
-        carried = [plan.keyframes[node.step].load(robot), *(leg.part for leg in step.trajectories)]
+    def play(node: MotionNode, step: RobotStep, robot: int, now: float) -> None:
+        assert node.trajectory is not None
+        topic = topics[robot]
+        carried = [plan.keyframes[node.step].load(robot), *(leg.part for leg in step.of(robot))]
         carried.append(plan.keyframes[node.step + 1].load(robot))
         part = carried[node.trajectory + 1]
         if part is not None and carried[node.trajectory] is None:
-            load = load_of(plan, node.step, node.trajectory)
+            load = load_of(plan, node.step, node.trajectory, robot)
             scene(now, attached=_attached(plan, robot, part, now, load, placed))
-        message = joint_trajectory(plan, robot, step.trajectories[node.trajectory], "{robot}_")
+        message = joint_trajectory(plan, robot, step.of(robot)[node.trajectory], "{robot}_")
         message["header"] = _header(plan.robots[robot].name, now)
         whole = {"joint_trajectory": message, "multi_dof_joint_trajectory": {"header": message["header"]}}
         bag.write(f"/{topic}/joint_trajectory", "trajectory_msgs/msg/JointTrajectory", message, now)
@@ -155,6 +147,18 @@ def write_bag(
             gone = step.transit or (last and plan.direction is Direction.DISASSEMBLY)
             things = [_part(plan, part, _REMOVE, _flange(plan, robot), end)] if gone else []
             scene(end, attached=_attached(plan, robot, part, end, None, None), things=things)
+
+    if placed is not None:
+        present = np.flatnonzero(plan.states[0] != REMOVED).tolist()
+        names = [joint for robot in range(len(plan.robots)) for joint in joint_names(plan, robot, "{robot}_")]
+        things = [_part(plan, part, _ADD, _WORLD, 0.0, placed.shapes.meshes[part]) for part in present]
+        scene(0.0, joints={"name": names, "position": np.concatenate(plan.keyframes[0].configurations)}, things=things)
+    for robot, load in loads_at(plan, 0).items():
+        scene(0.0, attached=_attached(plan, robot, load.part, 0.0, load, placed))
+    for index in np.argsort(starts, kind="stable").tolist():
+        node, now, step = nodes[index], float(starts[index]), plan.steps[nodes[index].step]
+        for robot in node.robots if node.trajectory is not None else ():
+            play(node, step, robot, now)
     for press in presses:
         name, wrench = plan.robots[press.robot].name, press.wrench_in(flange_of(press, plan))
         for moment, values in ((press.start, wrench), (press.end, np.zeros(6))):

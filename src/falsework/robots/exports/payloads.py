@@ -76,7 +76,7 @@ def part_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> PartLoads:
     center = move(placement.pose, placement.scale * own.center)
     found: PartLoads = {}
     for step, entry in enumerate(plan.steps):
-        for motion in range(len(entry.trajectories)):
+        for motion in range(len(entry.trajectories)):  # programs have no robots that move at the same instant
             load = load_of(plan, step, motion)
             if load is None or load.grip is None:
                 continue

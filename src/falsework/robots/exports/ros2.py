@@ -84,17 +84,18 @@ def ros2_messages(
     start = 0.0
     for index in range(len(plan)):
         entries: list[dict[str, Any]] = []
-        robot = plan.steps[index].robot
-        for event in events_of(plan, index):
-            if isinstance(event, Grip):
-                what = "close" if event.close else "open"
-                entries.append({"gripper": what, "robot": plan.robots[robot].name, "part": _part(plan, index)})
-            else:
-                message = joint_trajectory(plan, robot, event, prefix)
-                entries.append(
-                    {"robot": plan.robots[robot].name, "start": round(start, 9), "joint_trajectory": message}
-                )
-                start += event.seconds
+        robots = plan.steps[index].robots
+        # Robots that move at the same instant do nothing else in their step, and each has a message with one start.
+        for events in zip(*(events_of(plan, index, robot) for robot in robots), strict=True):
+            for robot, event in zip(robots, events, strict=True):
+                about = {"robot": plan.robots[robot].name}
+                if isinstance(event, Grip):
+                    what = "close" if event.close else "open"
+                    entries.append({"gripper": what, **about, "part": _part(plan, index)})
+                else:
+                    message = joint_trajectory(plan, robot, event, prefix)
+                    entries.append({**about, "start": round(start, 9), "joint_trajectory": message})
+            start += 0.0 if isinstance(events[0], Grip) else events[0].seconds
         pressed = [_press(plan, press) for press in presses if press.step == index]
         step = {"step": index + 1, "do": plan.does(index), "sequence": entries, "presses": pressed}
         everything.append(step)

@@ -25,17 +25,19 @@ def csv_tables(plan: RobotPlan, presses: Sequence[TimedPress], rate: float) -> I
     for index in range(len(plan)):
         rows: list[list[Any]] = []
         standing = [np.array(values) for values in plan.keyframes[index].configurations]
-        for trajectory in plan.steps[index].trajectories:
-            robot = plan.steps[index].robot
-            count = max(int(np.ceil(trajectory.seconds * rate)), 1)
-            moments = np.linspace(0.0, trajectory.seconds, count + 1)
-            carried = "" if trajectory.part is None else plan.plan.part_names[trajectory.part]
-            for moment, positions in zip(moments, trajectory.sample(moments), strict=True):
-                standing[robot] = positions
+        robots = plan.steps[index].robots
+        moving = " and ".join(plan.robots[robot].name for robot in robots)
+        for legs in zip(*(plan.steps[index].of(robot) for robot in robots), strict=True):
+            seconds = legs[0].seconds
+            moments = np.linspace(0.0, seconds, max(int(np.ceil(seconds * rate)), 1) + 1)
+            carried = " and ".join(plan.plan.part_names[leg.part] for leg in legs if leg.part is not None)
+            samples = [leg.sample(moments) for leg in legs]
+            for row, moment in enumerate(moments):
+                for robot, positions in zip(robots, samples, strict=True):
+                    standing[robot] = positions[row]
                 joints = [f"{value:.7f}" for values in standing for value in values]
-                about = [index + 1, plan.does(index), plan.robots[robot].name, carried]
-                rows.append([f"{start + moment:.6f}", *about, *joints])
-            start += trajectory.seconds
+                rows.append([f"{start + moment:.6f}", index + 1, plan.does(index), moving, carried, *joints])
+            start += seconds
         everything += rows
         yield f"step-{index + 1:03d}.csv", _table(header, rows)
     yield "plan.csv", _table(header, everything)

@@ -12,9 +12,6 @@ from falsework.assembly.state import HELD, States
 from falsework.robots.interleaving.work import NO_WAIT, ArmSweep, Leg, Unit, Work, bits
 from falsework.robots.keyframes.keyframes import Edge, Node, state_after
 from falsework.robots.keyframes.trajectory_assembly import STANDSTILL
-from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.model.cell import CellRobot
-from falsework.robots.model.shapes import Array
 from falsework.stability.oracle import StabilityOracle
 
 _Value = TypeVar("_Value")
@@ -246,7 +243,6 @@ class NextSteps:
         """Whether the arm has a way to go from the end of a unit to the first line of another one."""
         self._refused: set[tuple[Unit, int, bytes]] = set()
         self._stable: dict[bytes, bool] = {}
-        self._ways: dict[Edge, Array] = {}
         self._rules: dict[tuple[bytes, Edge], bool] = {}
 
     def add_approach(self, last: Unit | None, unit: Unit) -> None:
@@ -340,10 +336,8 @@ class NextSteps:
         return self._rules[key]
 
     def is_removable(self, state: States, edge: Edge) -> bool:
-        """Return whether the direction of a removal is a free exit."""
-        if edge not in self._ways:
-            self._ways[edge] = exit_direction_of(self.graph.cell.robots[edge.robot], edge)
-        return self.graph.exits.allows(edge.action - self.parts, state, self._ways[edge])
+        """Return whether the way of a removal is a free one."""
+        return self.graph.exits.allows(edge.action - self.parts, state, edge.way)
 
     def _is_free(self, partial: Partial, unit: Unit, leg: Leg) -> bool:
         """Return whether a motion keeps clear of other robots at rest and of parts that it was not planned around."""
@@ -367,10 +361,3 @@ def grippers_allow(node: Node, edge: Edge) -> bool:
     if mine is not None:
         return mine == part and not edge.hands_over
     return edge.action < len(node.state) and edge.hands_over == (part in node.held)
-
-
-def exit_direction_of(robot: CellRobot, edge: Edge) -> Array:
-    """Return the direction in which a robot withdraws a part."""
-    path = edge.segments[0].path
-    ends = tool_pose(robot, path[[0, -1]])[:, :3, 3]
-    return (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])

@@ -91,7 +91,7 @@ def views(graph: KeyframeGraph, node: Node, edge: Edge) -> list[CollisionQuery]:
         if line and (load is None or load.lies):
             contact = grasp_contact(part)
         elif line:
-            contact = contacts.pop() if found else withdrawal_contact(scene)
+            contact = withdrawal_contact(scene) if len(found) < max(len(edge.way), 1) else contacts.pop()
         else:
             contacts = [PUT_DOWN, PUT_DOWN]
         found.append(graph.cache.view(scene, robot, contact))

@@ -7,7 +7,6 @@ completely: edges are computed on demand and cached.
 
 from __future__ import annotations
 
-import itertools
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,11 +17,12 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
-from falsework.robots.grasping.exit_directions import ExitDirections
+from falsework.robots.grasping.exit_ways import ExitWays
 from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.robots.keyframes.joint_holds import JointHolds
-from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, PathSegment, accept_all
+from falsework.robots.keyframes.joint_removals import JointRemovals
+from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, PathSegment, accept_all, removed_by
 from falsework.robots.keyframes.putting_down import PuttingDown
 from falsework.robots.keyframes.withdrawal import Withdrawal
 from falsework.robots.kinematics.forward import tool_pose
@@ -88,7 +88,8 @@ class KeyframeGraph:
         self._alone: dict[tuple[int, int, bytes, bytes, bool, bool], bool] = {}
         self.withdrawal = Withdrawal(self.cache, self.reasons, self.grasp_configurations, settings.withdrawals)
         self.putting_down = PuttingDown(assembly, self.cache, self.reasons, self.grasp_configurations, self.retreat)
-        self.exits = ExitDirections(assembly, self.parts.turn, present, leaving)
+        self.exits = ExitWays(assembly, cell.placement, present, leaving)
+        self.joint_removals = JointRemovals(self.cache, self.reasons, self.exits, self.withdrawal)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
         """Return an initial node."""
@@ -99,6 +100,8 @@ class KeyframeGraph:
         parts = self.assembly.part_count
         if action < parts and node.state[action] == HELD:
             return self._release(node, action)
+        if len(removed := removed_by(action, parts)) > 1:
+            return filter(self.accepts, self.joint_removals.edges(node, tuple(removed)))
         return filter(self.accepts, self._remove(node, action - parts) if action >= parts else self._hold(node, action))
 
     def take_over(self, node: Node, part: int) -> Iterator[Edge]:
@@ -123,40 +126,13 @@ class KeyframeGraph:
         assert node.handed is not None
         return self._release(node, node.handed)
 
-    def keyframes(self, state: States) -> Iterator[Node]:
-        """Yield every keyframe of a state: every assignment of robots to held parts, every grasp and joint branch.
-
-        Robots that hold nothing are at home. Yields only those in which nothing collides.
-        """
-        state = np.asarray(state, np.uint8)
-        wanted = np.flatnonzero((state == HELD) & ~self.assembly.boundary).tolist()
-        robots, line = range(self.cell.robot_count), self.cell.margins.line
-        for chosen in itertools.permutations(robots, len(wanted)):
-            options = [self.grips(robot, part, state) for robot, part in zip(chosen, wanted, strict=True)]
-            for grips in itertools.product(*options):
-                values = list(self.cell.homes)
-                held: list[int | None] = [None] * self.cell.robot_count
-                for grip, part in zip(grips, wanted, strict=True):
-                    values[grip.robot], held[grip.robot] = grip.configuration, part
-                node = Node(state, tuple(values), tuple(held))
-                if not any(self._view(node, r, line).collides(node.configurations[r])[0] for r in robots):
-                    yield node
-
     def grips(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
         """Return all grasps of a part by a robot among the parts of a state; other robots are ignored."""
         return self.grasp_configurations.get(robot, part, state)
 
-    def exit_direction_of(self, part: int, state: States) -> tuple[States, Array]:
-        """Return the state in which the least blocked exit of a part is free, and its free exit directions, (n, 3)."""
-        blockers = self.exits.blockers(part) & (state != REMOVED)
-        count = blockers.sum(axis=1) + 1000 * (blockers & self.assembly.boundary).any(axis=1)
-        later = state.copy()
-        later[blockers[int(np.argmin(count))] & ~self.assembly.boundary] = REMOVED
-        return later, self.exits.free(part, later)
-
     def blocked_by(self, part: int, state: States) -> int:
         """Count the parts that block the least blocked exit direction of a part."""
-        return int((self.exits.blockers(part) & (state != REMOVED)).sum(axis=1).min())
+        return int((self.exits.blockers(part) & (state != REMOVED)).sum(axis=1).min(initial=len(state)))
 
     def reachable(self, part: int) -> bool:
         """Return whether any robot can hold a part that is alone with the boundary."""
@@ -286,7 +262,7 @@ class KeyframeGraph:
     def _can_leave_later(self, node: Node, part: int, grip: GraspConfiguration) -> bool:
         if part in self.given:  # held to the end
             return True
-        later, ways = self.exit_direction_of(part, node.state)
+        later, ways = self.exits.free_later(part, node.state)
         values = tuple(
             np.asarray(grip.configuration)
             if robot == grip.robot
@@ -323,33 +299,23 @@ class KeyframeGraph:
             return
         here = node.configurations[robot]
         ways = self.exits.free(part, node.state)
-        if not len(ways):
-            self.reasons.add("remove", part, robot, "no free exit direction")
+        if not ways:
+            self.reasons.add("remove", part, robot, "no free way out")
             return
-        stuck: list[tuple[tuple[Array, ...], Scene]] = []
-        delivered = False
-        for paths, scene in self.withdrawal.lines(node.scene, part, robot, here, ways, "way out"):
-            edge = self._carry(node, part, robot, paths, scene)
-            if edge is None:
-                stuck.append((paths, scene))
+        action, stuck, delivered = part + self.assembly.part_count, [], False
+        for way, paths, scene in self.withdrawal.lines(node.scene, part, robot, here, ways, "way out"):
+            lines = tuple(PathSegment("line", path, part=part) for path in paths)
+            away = self.withdrawal.delivery(part, robot, paths[-1][-1], scene)
+            if away is None:
+                stuck.append((way, lines, scene))
             else:
                 delivered = True
-                yield edge
-        for paths, scene in stuck[:_MAX_DETOURS] if self.allow_regrasp and not delivered else ():
-            detour = self.putting_down.detour(part, robot, here, paths[-1][-1], scene)
+                yield Edge(action, robot, (*lines, away), node.after(action, robot, away.path[-1]), way=way)
+        for way, lines, scene in stuck[:_MAX_DETOURS] if self.allow_regrasp and not delivered else ():
+            detour = self.putting_down.detour(part, robot, here, lines[-1].path[-1], scene)
             if detour is not None:
-                lines = tuple(PathSegment("line", path, part=part) for path in paths)
-                action = part + self.assembly.part_count
                 after = node.after(action, robot, detour.end)
-                yield Edge(action, robot, (*lines, *detour.segments), after, put_down=detour.pose)
-
-    def _carry(self, node: Node, part: int, robot: int, paths: tuple[Array, ...], scene: Scene) -> Edge | None:
-        away = self.withdrawal.delivery(part, robot, paths[-1][-1], scene)
-        if away is None:
-            return None
-        lines = tuple(PathSegment("line", path, part=part) for path in paths)
-        action = self.assembly.part_count + part
-        return Edge(action, robot, (*lines, away), node.after(action, robot, away.path[-1]))
+                yield Edge(action, robot, (*lines, *detour.segments), after, put_down=detour.pose, way=way)
 
     # Helpers of all
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
+from falsework.geometry.clearance.moves import ExitPath
 from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import Attached, CollisionQuery, Scene
 from falsework.search.problem.result import Route
@@ -55,7 +56,8 @@ class Node:
         """Key that is equal for equal nodes."""
         rounded = np.round(np.concatenate(self.configurations), 6) + 0.0
         released = sorted(entry for entry in self.changed if entry[1])
-        return self.state.tobytes() + rounded.tobytes() + repr((self.held, released)).encode()
+        carried = [None if load is None else load.attached.part for load in self.carried]
+        return self.state.tobytes() + rounded.tobytes() + repr((self.held, released, carried)).encode()
 
     @property
     def scene(self) -> Scene:
@@ -102,6 +104,14 @@ class Node:
         configurations[robot], carried[robot] = np.asarray(values), load
         kept = tuple(carried) if any(entry is not None for entry in carried) else ()
         return replace(self, configurations=tuple(configurations), carried=kept)
+
+    def carrying(self, loads: Mapping[int, CarriedLoad], configurations: tuple[Array, ...]) -> Node:
+        """Return the keyframe after robots have removed the parts that they hold, and carry them."""
+        state, held = self.state.copy(), list(self.held)
+        for robot, load in loads.items():
+            state[load.attached.part], held[robot] = REMOVED, None
+        carried = tuple(loads.get(robot) for robot in range(len(held)))
+        return Node(state, configurations, tuple(held), carried=carried)
 
     def after(self, action: int, robot: int, values: Array) -> Node:
         """Return the keyframe after an action as of `state_after`, or half of a hand-over of a held part."""
@@ -178,6 +188,10 @@ class Edge:
     """Where the part lies while its robot changes its grasp: displacement from its place, shape (4, 4)."""
     transit: bool = False
     """Whether the robot only goes to another place; the action is -1."""
+    way: ExitPath = ()
+    """Way on which the part of a removal leaves."""
+    partners: tuple[tuple[int, tuple[PathSegment, ...]], ...] = ()
+    """Other robots that move their own parts at the same instant, with as many segments, of as many points."""
 
 
 def _grip(robot: int, values: Array) -> bytes:
@@ -185,10 +199,28 @@ def _grip(robot: int, values: Array) -> bytes:
     return bytes([robot]) + values.tobytes()
 
 
+def set_action(parts: Sequence[int], count: int) -> int:
+    """Return the action that removes held parts at the same instant: twice the count of all, and a bit for each."""
+    return 2 * count + sum(1 << part for part in parts)
+
+
+def removed_by(action: int, count: int) -> list[int]:
+    """Return the parts that an action removes, of a structure of so many parts."""
+    if action < 2 * count:
+        return [action - count] if action >= count else []
+    return [part for part in range(count) if (action - 2 * count) >> part & 1]
+
+
 def state_after(state: States, action: int) -> States:
-    """Return the state after an action: `i` holds part `i`, or releases it if it is held; `parts + i` removes it."""
-    after, part = state.copy(), action % len(state)
-    after[part] = REMOVED if action >= len(state) else INSTALLED if state[part] == HELD else HELD
+    """Return the state after an action: `i` holds part `i`, or releases it if it is held; `parts + i` removes it.
+
+    Those of `set_action` remove several.
+    """
+    after, removed = state.copy(), removed_by(action, len(state))
+    if removed:
+        after[removed] = REMOVED
+    else:
+        after[action] = INSTALLED if state[action] == HELD else HELD
     return after
 
 
@@ -201,4 +233,6 @@ def route_along(root: Node, chain: Sequence[Edge]) -> Route:
     """Return the states and actions of a chain of edges, hand-overs and transits left out."""
     chain = [edge for edge in chain if not (edge.hands_over or edge.transit)]
     states: States = np.array([root.state, *(edge.node.state for edge in chain)], dtype=np.uint8)
-    return Route(states, np.array([edge.action for edge in chain], dtype=np.int64))
+    count = len(root.state)
+    actions = [count + min(removed) if (removed := removed_by(edge.action, count)) else edge.action for edge in chain]
+    return Route(states, np.array(actions, dtype=np.int64))

@@ -16,11 +16,12 @@ from falsework.robots.kernels.collision import distance_between
 from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
 from falsework.robots.keyframes.keyframes import PathSegment
+from falsework.robots.keyframes.withdrawal import lifted
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.shapes import Array, inverse_pose, move, move_pieces
 from falsework.robots.motion.collision_world import PUT_DOWN, CollisionQuery, Scene, grasp_contact
-from falsework.robots.motion.path_planner import MotionCache, follow_line
+from falsework.robots.motion.path_planner import MotionCache
 
 Retreat = Callable[[str, int, int, Array, Array, CollisionQuery, CollisionQuery], Array | None]
 
@@ -133,7 +134,7 @@ class PuttingDown:
                 lines += 1
                 if lines > _MOST_LINES:
                     return
-                up = self._lift(scene, robot, at)
+                up = lifted(self.cache, scene, robot, at, PUT_DOWN, _LIFT)
                 if up is None:
                     continue
                 lying = scene.with_put_down(robot, part, pose)
@@ -159,7 +160,7 @@ class PuttingDown:
         for row in good[np.argsort(far, kind="stable")].tolist():
             at, goals = values[row], wanted[which[row]][1]
             carried = scene.with_attached(robot, part, inverse_pose(down.pose) @ tool_pose(entry, at))
-            up = self._lift(carried, robot, at)
+            up = lifted(self.cache, carried, robot, at, PUT_DOWN, _LIFT)
             if up is None:
                 continue
             approach = self._leave(down.scene, part, robot, at)
@@ -243,12 +244,6 @@ class PuttingDown:
                 if not apart and distance_between(np.array(piece), np.array(other)) <= margin:
                     return False
         return True
-
-    def _lift(self, scene: Scene, robot: int, at: Array) -> Array | None:
-        """Return the line on which a part is lifted off the floor until it is clear; None if it is blocked."""
-        line = self.cache.view(scene, robot, PUT_DOWN)
-        up = follow_line(line, at, (0.0, 0.0, 1.0), _LIFT * self.cell.margins.approach).path
-        return None if up is None or self.cache.view(scene, robot).collides(up[-1])[0] else up
 
     def _leave(self, lying: Scene, part: int, robot: int, at: Array) -> Array | None:
         """Return the line on which an empty gripper leaves a part that lies on the floor; None if it is blocked."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Array
 from falsework.robots.motion.timing import time_path
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotStep, records_of
+from falsework.robots.plans.robot_plan import Keyframe, Partner, RobotPlan, RobotStep, records_of
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.find import prove_route
 from falsework.search.problem.task import Direction, Task
@@ -47,16 +48,20 @@ def make_robot_plan(
     steps = []
     nodes = (root, *(edge.node for edge in chain))
     for before, edge in zip(nodes, chain, strict=False):
-        model = cell.robots[edge.robot].model
-        for segment in edge.segments:
-            if segment not in timed:
-                timed[segment] = timed_leg(model, segment, cell.speed)
-        legs = (timed[segment] for segment in edge.segments)
+        robots = (edge.robot, *(robot for robot, _ in edge.partners))
+        models = [cell.robots[robot].model for robot in robots]
+        for together in zip(edge.segments, *(segments for _, segments in edge.partners), strict=True):
+            if any(segment not in timed for segment in together):
+                timed.update(zip(together, timed_legs(models, together, cell.speed), strict=True))
         handed = edge.action if edge.hands_over else None
-        made = tuple(leg for leg in legs if leg is not None)
+        made, *others = (
+            tuple(leg for segment in segments if (leg := timed[segment]) is not None)
+            for segments in (edge.segments, *(segments for _, segments in edge.partners))
+        )
+        partners = tuple(Partner(robot, legs) for robot, legs in zip(robots[1:], others, strict=True))
         load = (before.load(edge.robot) or edge.node.load(edge.robot)) if edge.transit else None
         gripped = None if load is None else load.gripped
-        steps.append(RobotStep(edge.robot, made, handed, edge.put_down, edge.transit, gripped))
+        steps.append(RobotStep(edge.robot, made, handed, edge.put_down, edge.transit, gripped, partners))
     return RobotPlan(
         plan=abstract,
         keyframes=tuple(Keyframe(node.configurations, node.held, _loads(node)) for node in nodes),
@@ -74,28 +79,45 @@ def _loads(node: Node) -> tuple[int | None, ...]:
 
 def timed_leg(model: RobotModel, segment: PathSegment, speed: float) -> Trajectory | None:
     """Return the time-optimal trajectory of a path at a share of the arm's limits; None for a path of zero length."""
-    if np.abs(np.diff(segment.path, axis=0)).sum() < STANDSTILL:
-        return None
-    timed = time_path(model, segment.path, speed)
-    knots = _enough(timed.times, timed.positions, timed.velocities, model.acceleration * speed**2)
-    made = Trajectory(
-        "line" if segment.kind == "line" else "free",
-        timed.times[knots],
-        timed.positions[knots],
-        timed.velocities[knots],
-        segment.part,
-        segment.touches,
-    )
+    return timed_legs([model], [segment], speed)[0]
+
+
+def timed_legs(
+    models: Sequence[RobotModel], segments: Sequence[PathSegment], speed: float
+) -> tuple[Trajectory | None, ...]:
+    """Return the time-optimal trajectories, by one clock, of arms on paths with equal numbers of points."""
+    path = np.concatenate([segment.path for segment in segments], axis=1)
+    if np.abs(np.diff(path, axis=0)).sum() < STANDSTILL:
+        return (None,) * len(segments)
+    names = "velocity", "acceleration", "lower", "upper", "prismatic", "joint_names"
+    joined: dict[str, Any] = {name: np.concatenate([getattr(model, name) for model in models]) for name in names}
+    whole = replace(max(models, key=lambda model: model.reach), **joined) if len(models) > 1 else models[0]
+    timed = time_path(whole, path, speed)
+    knots = _enough(timed.times, timed.positions, timed.velocities, whole.acceleration * speed**2)
+    ends = np.cumsum([model.joints for model in models])[:-1]
+    positions, velocities = (np.split(values[knots], ends, axis=1) for values in (timed.positions, timed.velocities))
+    made = [
+        Trajectory(
+            "line" if segment.kind == "line" else "free",
+            timed.times[knots],
+            positions[k].copy(),
+            velocities[k].copy(),
+            segment.part,
+            segment.touches,
+        )
+        for k, segment in enumerate(segments)
+    ]
     # Where the acceleration changes between two samples, the cubic between them needs more of it: slow down for that.
-    fastest, strongest = made.peaks()
-    over = max(
-        float((fastest / (model.velocity * speed)).max()),
-        float(np.sqrt((strongest / (model.acceleration * speed**2)).max())),
-    )
-    if over <= 1.0:
-        return made
-    stretch = over * (1 + 1e-6)
-    return replace(made, times=made.times * stretch, velocities=made.velocities / stretch)
+    over = 1.0
+    for model, leg in zip(models, made, strict=True):
+        fastest, strongest = leg.peaks()
+        over = max(
+            over,
+            float((fastest / (model.velocity * speed)).max()),
+            float(np.sqrt((strongest / (model.acceleration * speed**2)).max())),
+        )
+    stretch = over * (1 + 1e-6) if over > 1.0 else 1.0
+    return tuple(replace(leg, times=leg.times * stretch, velocities=leg.velocities / stretch) for leg in made)
 
 
 def _enough(times: Array, positions: Array, velocities: Array, acceleration: Array) -> NDArray[np.int64]:

@@ -1,24 +1,28 @@
-"""Withdrawal of held parts: straight lines until they are clear of all bodies, then free motions to drop-off poses."""
+"""Withdrawal of held parts: along their ways until they are clear of all bodies, then freely to drop-off poses."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from falsework.geometry.clearance.moves import ExitPath, PathMove
 from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
 from falsework.robots.keyframes.keyframes import PathSegment
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import Array
-from falsework.robots.motion.collision_world import LIFT, NO_CONTACT, CollisionQuery, Scene, withdrawal_contact
-from falsework.robots.motion.path_planner import MotionCache, follow_line
+from falsework.robots.motion.collision_world import LIFT, NO_CONTACT, CollisionQuery, Contact, Scene, withdrawal_contact
+from falsework.robots.motion.path_planner import Motion, MotionCache, follow_line, follow_move
 
 _ROOM = 2.0
 """Margin at the end of such a line, in margins of free motions, below which a longer line is tried first: between other
 bodies hardly any motion is free."""
-_MAX_DIRECTIONS = 16
-"""Exit directions that are tried for a part."""
+_MAX_WAYS = 16
+"""Ways out that are tried for a part."""
+_LIFT = 0.3
+"""Length of the line on which a part that was withdrawn along the floor is lifted off it, in approach margins."""
 _MAX_PLACES = 4
 """Number of free motions to a drop-off pose that are tried."""
 
@@ -37,47 +41,71 @@ class Withdrawal:
         self.grips, self.lengths = grips, lengths
 
     def lines(
-        self, scene: Scene, part: int, robot: int, here: Array, directions: Array, what: str
-    ) -> Iterator[tuple[tuple[Array, ...], Scene]]:
-        """Yield withdrawal paths of a part from a configuration, each with the scene in which it is carried, on demand.
+        self, scene: Scene, part: int, robot: int, here: Array, ways: Sequence[ExitPath], what: str
+    ) -> Iterator[tuple[ExitPath, tuple[Array, ...], Scene]]:
+        """Yield ways on which a part can be withdrawn, the paths from a configuration, and the scene that carries it.
 
-        `directions` are free exit directions in the world, shape (n, 3); `what` names the motion in logged reasons.
+        Args:
+            scene: with the part in place.
+            part: the part.
+            robot: holds it.
+            here: configuration of the robot, shape (joints,).
+            ways: free ways of the part in the world; the last move of each is cut where the part is clear.
+            what: name of the motion in logged reasons.
         """
         tool = tool_pose(self.cell.robots[robot], here)
         scene = scene.with_configuration(robot, here).with_attached(robot, part, tool)
         line = self.cache.view(scene, robot, withdrawal_contact(scene))
-        free: CollisionQuery | None = None
-        roomy: CollisionQuery | None = None
-        for way in self._ordered(directions, tool):
-            tight: Array | None = None
-            for times in self.lengths:
-                out = follow_line(line, here, way, times * self.cell.margins.approach)
-                if not out:
-                    if tight is None:
-                        self.reasons.add("remove", part, robot, f"{what}: {out.reason}", out.pair, out.at)
+        for way in self._ordered(ways, tool):
+            begun: list[Array] = []
+            for number, move in enumerate(way[:-1]):
+                out = follow_move(line, begun[-1][-1] if begun else here, move)
+                if out.path is None:
+                    self._refuse(part, robot, told(way, number, what), out)
                     break
-                free = free or self.cache.view(scene, robot)
-                roomy = roomy or self.cache.view(scene, robot, NO_CONTACT, _ROOM * self.cell.margins.free)
-                path = out.path
-                assert path is not None
-                hit = int(free.hits(path[-1])[0])
-                if hit < 0:
-                    if not roomy.collides(path[-1])[0]:
-                        tight = None
-                        yield (path,), scene
-                        break
-                    if tight is None:
-                        tight = path
-                    continue
-                if tight is not None:
-                    break
-                lift = self._lift(scene, robot, path[-1], free)
-                if lift is not None:
-                    yield (path, lift), scene
-                    break
-                self.reasons.add("remove", part, robot, f"{what}: not clear at its end", free.pair(hit), path[-1])
+                begun.append(out.path)
+            else:
+                last = told(way, len(way) - 1, what)
+                for paths in self._until_clear(
+                    scene, line, part, robot, begun[-1][-1] if begun else here, way[-1], last
+                ):
+                    yield way, (*begun, *paths), scene
+
+    def _until_clear(
+        self, scene: Scene, line: CollisionQuery, part: int, robot: int, here: Array, move: PathMove, what: str
+    ) -> Iterator[tuple[Array, ...]]:
+        """Yield paths along the last move of a way until the part is clear, with room for free motions if possible."""
+        tight: Array | None = None
+        done: PathMove | None = None
+        for times in self.lengths:
+            some = shortened(move, times * self.cell.margins.approach, tool_pose(self.cell.robots[robot], here))
+            out = None if some == done else follow_move(line, here, some)
+            if out is None or out.path is None:
+                if tight is None and out is not None:
+                    self._refuse(part, robot, what, out)
+                break
+            path, done = out.path, some
+            free = self.cache.view(scene, robot)
+            hit = int(free.hits(path[-1])[0])
+            if hit < 0:
+                roomy = self.cache.view(scene, robot, NO_CONTACT, _ROOM * self.cell.margins.free)
+                if not roomy.collides(path[-1])[0]:
+                    yield (path,)
+                    return
+                tight = path if tight is None else tight
+                continue
             if tight is not None:
-                yield (tight,), scene
+                break
+            lift = lifted(self.cache, scene, robot, path[-1], LIFT, _LIFT)
+            if lift is not None:
+                yield path, lift
+                return
+            self.reasons.add("remove", part, robot, f"{what}: not clear at its end", free.pair(hit), path[-1])
+        if tight is not None:
+            yield (tight,)
+
+    def _refuse(self, part: int, robot: int, what: str, motion: Motion) -> None:
+        self.reasons.add("remove", part, robot, f"{what}: {motion.reason}", motion.pair, motion.at)
 
     def delivery(self, part: int, robot: int, start: Array, scene: Scene) -> PathSegment | None:
         """Return the motion of a robot with a part to the nearest free drop-off configuration; None without one."""
@@ -100,15 +128,32 @@ class Withdrawal:
             self.reasons.add("remove", part, robot, what, free.pair, free.at)
         return None
 
-    def _lift(self, scene: Scene, robot: int, here: Array, free: CollisionQuery) -> Array | None:
-        """Return the path on which a part that was withdrawn along the floor is lifted off it; None if blocked."""
-        view = self.cache.view(scene, robot, LIFT)
-        up = follow_line(view, here, (0.0, 0.0, 1.0), 0.3 * self.cell.margins.approach)
-        if up.path is None or free.collides(up.path[-1])[0]:
-            return None
-        return up.path
-
-    def _ordered(self, directions: Array, tool: Array) -> Array:
-        """Return the exit directions to try, best first: away from the gripper's pointing direction, then upwards."""
+    def _ordered(self, ways: Sequence[ExitPath], tool: Array) -> list[ExitPath]:
+        """Return the ways to try, best first: away from the gripper's pointing direction, then upwards."""
+        directions = np.array([way[0].direction for way in ways]).reshape(-1, 3)
         score = directions @ -tool[:3, 2] + 0.5 * directions[:, 2]
-        return directions[np.argsort(-score, kind="stable")][:_MAX_DIRECTIONS]
+        return [ways[row] for row in np.argsort(-score, kind="stable")[:_MAX_WAYS]]
+
+
+def lifted(cache: MotionCache, scene: Scene, robot: int, here: Array, contact: Contact, share: float) -> Array | None:
+    """Return the line on which a part is lifted off the floor, a share of the approach margin; None if blocked."""
+    up = follow_line(
+        cache.view(scene, robot, contact), here, (0.0, 0.0, 1.0), share * cache.world.cell.margins.approach
+    )
+    return None if up.path is None or cache.view(scene, robot).collides(up.path[-1])[0] else up.path
+
+
+def told(way: ExitPath, number: int, what: str) -> str:
+    """Return the name of a move of a way: that of the way, and where it has several, which one it is."""
+    if len(way) == 1:
+        return what
+    does = "turn" if way[number].turns else "line"
+    return f"{what}, move {number + 1} of {len(way)} (a {does})"
+
+
+def shortened(move: PathMove, length: float, tool: Array) -> PathMove:
+    """Return the first part of a move, on which a tool at a pose, shape (4, 4), goes a length in metres at most."""
+    if not move.turns:
+        return replace(move, distance=min(length, move.distance))
+    radius = np.linalg.norm(np.cross(tool[:3, 3] - np.array(move.point), move.direction))
+    return move.until(min(1.0, length / float(np.hypot(move.distance, radius * move.angle))))

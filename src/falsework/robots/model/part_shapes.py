@@ -6,7 +6,7 @@ The cover is exact for unions of boxes, tight for most meshes, and not smaller t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from scipy.spatial import ConvexHull
 from falsework.assembly.groups import groups_of
 from falsework.assembly.model import Assembly
 from falsework.errors import DependencyError
+from falsework.geometry.clearance.moves import PathMove, apply
 from falsework.geometry.mesh.bodies import merge_equal
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.robots.model.cell import Placement
@@ -179,3 +180,10 @@ def place_parts(assembly: Assembly, placement: Placement = Placement(), *, toler
     groups = groups_of(assembly)
     gripped = {} if groups is None else groups.carried_faces
     return PartShapes(assembly.names, assembly.boundary, meshes, pieces, mass, center, world[:3, :3], gripped)
+
+
+def placed_move(move: PathMove, placement: Placement) -> PathMove:
+    """Return a move of a part of the structure in the frame of the world."""
+    x, y, z = (placement.pose[:3, :3] @ move.direction).tolist()
+    a, b, c = apply(placement.pose, placement.scale * np.array(move.point)).tolist()
+    return replace(move, direction=(x, y, z), distance=placement.scale * move.distance, point=(a, b, c))

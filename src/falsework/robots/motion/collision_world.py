@@ -52,6 +52,8 @@ class Scene:
     """Part in the gripper of each robot; such a part is not `present`."""
     elsewhere: tuple[tuple[int, Array], ...] = ()
     """Parts lying elsewhere, with their pose (4, 4) relative to their place in the structure."""
+    beside: frozenset[int] = frozenset()
+    """Robots that move at the same instant, of which the moving robot is kept clear otherwise; their bases count."""
 
     @staticmethod
     def at_home(cell: Cell, parts: PartShapes) -> Scene:
@@ -301,7 +303,7 @@ class CollisionWorld:
                 fixed = _SUPPORT if index in supports else _OBSTACLE
                 stands.append((name, _ROBOT if index < self.cell.robot_count else fixed, pieces))
         for other in range(self.cell.robot_count):
-            if other != robot:
+            if other != robot and other not in scene.beside:
                 stands += [(name, _ROBOT, (piece,)) for name, _, piece in self.robot_pieces(other, scene)]
         for part in np.flatnonzero(scene.present).tolist():
             stands.append((f"part {self.parts.names[part]}", part, self.parts.pieces[part]))

@@ -1,4 +1,4 @@
-"""Motion planning of one robot among static obstacles: free paths, straight lines of the tool, and a cache of both."""
+"""Motion planning of one robot among static obstacles: free paths, lines and turns of the tool, and a cache of both."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import InputError
+from falsework.geometry.clearance.moves import PathMove
 from falsework.robots.kernels.collision import CLEAR
 from falsework.robots.kernels.numeric_ik import reach_poses
 from falsework.robots.kernels.rrt_connect import grow, shorten
@@ -33,6 +34,10 @@ LINE_HALVINGS = 4
 """Halvings of that distance before the line counts as infeasible."""
 LINE_DEVIATION = 0.0002
 """Largest distance of the tool from the line between two points, metres."""
+TURN_STEP = 0.05
+"""Initial angle between points of a turn, rad; halved like the distance."""
+TURN_DEVIATION = 0.0005
+"""Largest difference of an entry of the rotation of the tool from that of a turn between two points."""
 LINE_JOINT_STEP = 0.2
 """Largest change of a joint from one point to the next, rad: more is a change of branch or a singularity."""
 
@@ -118,10 +123,7 @@ def plan_free(view: CollisionQuery, start: ArrayLike, goal: ArrayLike, *, seed: 
 
 
 def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, distance: float) -> Motion:
-    """Move the tool along a straight line without rotation, on one branch of the inverse kinematics.
-
-    The contact rule of the view gives the pairs that may touch, its margin the distance to all others. The path is
-    proven free between its points too.
+    """Move the tool along a straight line without rotation, as `follow_move`.
 
     Args:
         start: configuration at the start of the line, shape (joints,).
@@ -137,6 +139,16 @@ def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, di
         raise InputError(f"direction is {direction!r}; give three numbers that are not all zero")
     if not distance > 0:
         raise InputError(f"the length of the line is {distance:g} m; give a distance above zero")
+    x, y, z = (along / length).tolist()
+    return follow_move(view, start, PathMove((), (x, y, z), distance))
+
+
+def follow_move(view: CollisionQuery, start: ArrayLike, move: PathMove, *, points: int = 2) -> Motion:
+    """Move the tool in a line, a turn or a screw in the world, on one branch of the inverse kinematics.
+
+    The contact rule of the view gives the pairs that may touch, its margin the distance to all others. The path is
+    proven free between its points too; these are at equal shares of the move, `points` or more of them.
+    """
     first = np.array(start, dtype=np.float64)
     if not view.model.within_limits(first):
         return Motion("start outside limits", at=first)
@@ -145,28 +157,26 @@ def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, di
         return Motion("start in collision", pair=view.pair(hit), at=first)
     robot = view.world.cell.robots[view.robot]
     home = tool_pose(robot, first)
-    step = LINE_STEP
+    arm = np.linalg.norm(np.cross(home[:3, 3] - np.array(move.point), move.direction))
+    steps = max(np.hypot(move.distance, arm * move.angle) / LINE_STEP, abs(move.angle) / TURN_STEP)
+    tail = tail_of(view.model, robot.gripper.tool)
     for halving in range(LINE_HALVINGS + 1):
-        count = max(1, int(np.ceil(distance / step)))
-        ahead = np.linspace(0.0, distance, count + 1)
-        targets = np.repeat(home[None, :3], count + 1, axis=0)
-        targets[:, :, 3] += np.outer(ahead, along / length)
+        count = max(points - 1, int(np.ceil(steps * 2**halving)))
+        targets = _poses(move, home, np.linspace(0.0, 1.0, count + 1))
         values = np.repeat(first[None], count + 1, axis=0)
         reached = np.zeros(count + 1, bool)
-        tail = tail_of(view.model, robot.gripper.tool)
-        reach_poses(
-            values, np.ascontiguousarray(targets), view.arrays.chain, tail, 20, 0.0, LINE_JOINT_STEP, True, reached
-        )
+        wanted = np.ascontiguousarray(targets[:, :3])
+        reach_poses(values, wanted, view.arrays.chain, tail, 20, 0.0, LINE_JOINT_STEP, True, reached)
         good = int(np.argmin(reached)) if not reached.all() else count + 1
         path = values[:good]
         smooth = (np.abs(np.diff(path, axis=0)).max(axis=1, initial=0.0) <= LINE_JOINT_STEP).all()
         if smooth and good > 1:
-            middle = tool_pose(robot, (path[:-1] + path[1:]) / 2)[:, :3, 3]
-            wanted = (targets[: good - 1, :, 3] + targets[1:good, :, 3]) / 2
-            smooth = bool((np.linalg.norm(middle - wanted, axis=1) <= LINE_DEVIATION).all())
+            middle = _poses(move, home, (np.arange(good - 1) + 0.5) / count)
+            away = tool_pose(robot, (path[:-1] + path[1:]) / 2) - middle
+            smooth = bool((np.linalg.norm(away[:, :3, 3], axis=1) <= LINE_DEVIATION).all())
+            smooth &= not move.turns or bool((np.abs(away[:, :3, :3]) <= TURN_DEVIATION).all())
         if smooth and good == count + 1:
             break
-        step /= 2
         if halving == LINE_HALVINGS:
             return Motion("no solution on the line", at=path[-1])
     inside = view.model.within_limits(path)
@@ -177,6 +187,15 @@ def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, di
     if free < len(path) - 1:
         return _blocked(view, path, free)
     return Motion("found", path)
+
+
+def _poses(move: PathMove, home: Array, shares: Array) -> Array:
+    """Return where a move brings a frame, shape (4, 4), after shares of it, shape (shares, 4, 4)."""
+    if move.turns:
+        return np.array([move.displacement(float(share)) for share in shares]).reshape(-1, 4, 4) @ home
+    found = np.repeat(home[None], len(shares), axis=0)
+    found[:, :3, 3] += np.outer(shares * move.distance, move.direction)
+    return found
 
 
 def _branch(tree: Array, parents: NDArray[np.int64], leaf: int) -> list[Array]:
@@ -253,10 +272,13 @@ class MotionCache:
 
 def scene_digest(scene: Scene, robot: int) -> bytes:
     """Return a key of all data of a scene that a motion of one robot depends on."""
-    others = [np.round(values, 6) + 0.0 for other, values in enumerate(scene.configurations) if other != robot]
+    away = {robot, *scene.beside}
+    others = [np.round(values, 6) + 0.0 for other, values in enumerate(scene.configurations) if other not in away]
     pieces = [bytes([robot]), np.packbits(scene.present).tobytes(), *(values.tobytes() for values in others)]
+    if scene.beside:
+        pieces.append(bytes(sorted(scene.beside)))
     for owner, carried in enumerate(scene.attached):
-        if carried is not None:
+        if carried is not None and owner not in scene.beside:
             who = np.array([owner, carried.part], dtype=np.int32)
             pieces.append(who.tobytes() + np.round(carried.tool_from_part, 7).tobytes())
     for part, pose in scene.elsewhere:

@@ -10,7 +10,7 @@ import numpy as np
 
 from falsework.assembly.state import HELD, Mask, States
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.keyframes.keyframes import Edge, Node
+from falsework.robots.keyframes.keyframes import Edge, Node, removed_by
 from falsework.robots.model.shapes import Array
 from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.search.problem.guide import Guide
@@ -64,10 +64,11 @@ class ActionRanking:
         actions = self.solvability.legal(node.state)
         if not actions:
             return releases
+        single = [action for action in actions if action < 2 * len(node.state)]  # those of sets come last
         allowed: Mask = np.zeros((1, 2 * len(node.state)), dtype=bool)
-        allowed[0, actions] = True
+        allowed[0, single] = True
         scores = np.array([self._score(node, action) for action in actions])
-        scores += self.ease.guided(node.state[None], allowed)[0, actions]
+        scores[: len(single)] += self.ease.guided(node.state[None], allowed)[0, single]
         scores += rng.normal(size=len(actions)) * (0.1 if attempt == 0 else 0.4 * min(attempt, 4))
         ordered = [actions[k] for k in np.argsort(-scores, kind="stable")]
         return releases + ordered
@@ -112,7 +113,7 @@ class FailedActions:
         three parts turned out to be ones that no arms can hold at the same time.
         """
         parts, names = self.graph.assembly.part_count, [robot.name for robot in self.graph.cell.robots]
-        found = {node.held.index(action - parts)} if action >= parts else set()
+        found = {node.held.index(part) for part in removed_by(action, parts)}
         for reason in self.graph.reasons.recent:
             for body in reason.pair or ():
                 found |= {k for k, name in enumerate(names) if k != reason.robot and body.startswith(f"{name} ")}
@@ -134,7 +135,10 @@ class FailedActions:
     def kinds(self, node: Node) -> list[tuple[str, int]]:
         """Return kind and part of the actions that have failed at a keyframe."""
         parts = len(node.state)
-        return [("hold" if action < parts else "remove", action % parts) for action in self.of(node)]
+        return [
+            ("remove", removed[0]) if (removed := removed_by(action, parts)) else ("hold", action)
+            for action in self.of(node)
+        ]
 
     def repairs(self, node: Node) -> list[int]:
         """Return held parts to release or hand over, whose robots block actions that failed; those that stay first."""

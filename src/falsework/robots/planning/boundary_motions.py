@@ -16,10 +16,11 @@ import numpy as np
 
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.errors import InputError
+from falsework.geometry.clearance.moves import ExitPath
 from falsework.robots.grasping.grasp import Grasp
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
-from falsework.robots.keyframes.keyframes import CarriedLoad, Edge, Node, PathSegment, accept_all
+from falsework.robots.keyframes.keyframes import CarriedLoad, Edge, Node, PathSegment, accept_all, removed_by
 from falsework.robots.keyframes.trajectory_assembly import STANDSTILL
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import Array
@@ -132,8 +133,8 @@ class BoundaryMotions:
         assert self._last is not None
         if not np.array_equal(edge.node.state, self._target(self._last.state)) or self._after(edge.node) is not None:
             return True
-        parts = self.graph.assembly.part_count
-        self.graph.reasons.add("hold" if edge.action < parts else "remove", edge.action % parts, *self._blocked)
+        removed = removed_by(edge.action, self.graph.assembly.part_count)
+        self.graph.reasons.add("remove" if removed else "hold", removed[0] if removed else edge.action, *self._blocked)
         return False
 
     def around(self, root: Node, chain: list[Edge]) -> tuple[Node, list[Edge]]:
@@ -223,20 +224,23 @@ class BoundaryMotions:
         line = self._on_line(node, robot, load, goal, ways)
         if line is not None:
             return (line,)
-        for paths, scene in self.graph.withdrawal.lines(node.scene, part, robot, here, ways, "way out"):
+        for _, paths, scene in self.graph.withdrawal.lines(node.scene, part, robot, here, ways, "way out"):
             free = self._free(scene, robot, paths[-1][-1], goal, part)
             if free is not None:
                 return (*(PathSegment("line", path, part=part) for path in paths), free)
         return None
 
-    def _on_line(self, node: Node, robot: int, load: CarriedLoad, goal: Array, ways: Array) -> PathSegment | None:
+    def _on_line(
+        self, node: Node, robot: int, load: CarriedLoad, goal: Array, ways: Sequence[ExitPath]
+    ) -> PathSegment | None:
         """Return the line on which a held part leaves as far as where it is at the end, if it is on such a line."""
         part, entry, here = load.attached.part, self.graph.cell.robots[robot], node.configurations[robot]
         tools = tool_pose(entry, np.array([here, goal]))
         far = tools[1, :3, 3] - tools[0, :3, 3]
         length = float(np.linalg.norm(far))
         turned = np.abs(tools[1, :3, :3] - tools[0, :3, :3]).max() > _SAME_WAY
-        if turned or length < _SAME_WAY or not len(ways) or (ways @ far).max() < (1 - _SAME_WAY) * length:
+        straight = np.array([way[0].direction for way in ways if len(way) == 1 and not way[0].turns]).reshape(-1, 3)
+        if turned or length < _SAME_WAY or (straight @ far).max(initial=0.0) < (1 - _SAME_WAY) * length:
             return None
         scene = node.scene.with_attached(robot, part, tools[0])
         view = self.graph.cache.view(scene, robot, withdrawal_contact(scene))

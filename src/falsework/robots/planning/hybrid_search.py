@@ -179,7 +179,7 @@ class HybridSearch:
                 self.tried.clear()
                 stuck.clear()  # beyond them: another search would have to come here first
             self._report(len(stuck))
-            if np.array_equal(edge.node.state, self.task.target):
+            if np.array_equal(edge.node.state, self.task.target) and not edge.node.carried:
                 keep = self._keyframes_before_failure(root, chain)
                 if keep is None:
                     return chain
@@ -221,12 +221,16 @@ class HybridSearch:
         if forbidden is None or self.counts["replays_fallen"] == MAX_FALLEN_REPLAYS:
             return 0
         first = len(route.actions) - forbidden
-        return int(np.searchsorted(np.cumsum([0, *(not edge.hands_over for edge in chain)]), first))
+        acts = [not (edge.hands_over or edge.transit) for edge in chain]
+        return int(np.searchsorted(np.cumsum([0, *acts]), first))
 
     def options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Yield edges out of a keyframe in order of trial."""
         if node.handed is not None:
             yield from (edge for edge in self.graph.leave(node) if edge.node not in self.dead)
+            return
+        if node.carried:  # after parts that left at the same instant
+            yield from (edge for edge in self.graph.joint_removals.deliveries(node) if edge.node not in self.dead)
             return
         tried, verdicts, probes, worked = 0, 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
         for action in self.ranking.actions(node, self.attempt, rng):
@@ -330,8 +334,9 @@ class HybridSearch:
             chain = self._shortened(chain)
             self._make(root, chain)
             given = {"legal": self.solvability.legal, "stop": self.deadline_passed, "builds": builds}
-            other = reorder(self.graph, self.oracle, root, chain, self._timed, **given)
-            chain = other if not other or self.graph.accepts(other[-1]) else chain
+            if not any(edge.partners for edge in chain):
+                other = reorder(self.graph, self.oracle, root, chain, self._timed, **given)
+                chain = other if not other or self.graph.accepts(other[-1]) else chain
             root, chain = self.ends.around(root, chain)
             chain = self._shortened(chain, done=self._timed)
         else:

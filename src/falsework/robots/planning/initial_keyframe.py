@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
 from falsework.errors import InputError, StateError
-from falsework.robots.grasping.exit_directions import ExitDirections
+from falsework.robots.grasping.exit_ways import ExitWays
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import CarriedLoad, Node
 from falsework.robots.kinematics.forward import tool_pose
@@ -21,16 +21,18 @@ from falsework.search.problem.task import STAGE, Task
 from falsework.utils.quantity import format_quantity
 
 
-def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitDirections) -> Task:
-    """Return a task with the number of robots of the cell, and with free exit directions, none of them downwards.
+def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitWays) -> Task:
+    """Return a task with the number of robots of the cell, and with ways out of which none begins downwards.
 
-    InputError for props or ways out of several moves, StateError for more held parts than robots.
+    `exits` then know the ways that the task allows. InputError for props or parts that wait half way out, StateError
+    for more held parts than robots.
     """
     given = task or Task.from_rules(assembly.boundary, cell.robot_count, identity=assembly.identity)
     if given.props:
         raise InputError("robot plans have no props; plan for the structure without them")
-    if given.moves_out > 1 or given.turns:
-        raise InputError("robots move parts out in straight lines; plan motions for a task without moves and turns")
+    if given.waiting:
+        raise InputError("arms let go of no part half way out; plan motions for a task without waiting parts")
+    exits.allow(given)
     freed = np.flatnonzero(STAGE[given.target] < STAGE[given.start])
     if len(freed):
         name = assembly.names[int(freed[0])]
@@ -42,9 +44,10 @@ def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitD
         target=given.target,
         fixed=given.fixed,
         missing=given.missing,
-        clearance=exits.table,
+        clearance=exits.clearance,
         identity=assembly.identity,
         allow_regrasp=given.allow_regrasp,
+        together=given.together,
     )
 
 

@@ -19,16 +19,19 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, Mask, States
+from falsework.geometry.clearance.locked import PartSet
 from falsework.robots.keyframes.joint_holds import HoldingOracle, JointHolds
-from falsework.robots.keyframes.keyframes import state_after
+from falsework.robots.keyframes.keyframes import set_action, state_after
 from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_replay import Acceptance
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.result import Route, SearchResult, Stop, barred_row
 from falsework.search.problem.rollout import follow_scores
+from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
+from falsework.search.together_beam import TogetherBeam
 from falsework.stability.cache import unique_rows
 from falsework.stability.oracle import StabilityOracle
 
@@ -149,6 +152,7 @@ class SolvabilityCheck:
         self.task = task.judged_by(self.oracle)
         self._guide, self._score, self._seed = guide or SupportGuide(assembly), score, seed
         self._touched = ~task.boundary & ~np.isin(np.arange(task.part_count), task.fixed)
+        self._sets = () if task.together is None else task.together.sets(self._touched)
         self.postponed: tuple[int, ...] = ()
         self.fallen: tuple[Route, int] | None = None
         """Where `prepare` finds nothing: the plan that got farthest in its replay, and the state of its collapse."""
@@ -197,12 +201,9 @@ class SolvabilityCheck:
             scores = np.asarray(self._guide(states, actions, direction), dtype=np.float64)
             return scores + rng.normal(scale=0.3 * (scores.std() + 1e-3), size=scores.shape)
 
-        directions = [Direction.DISASSEMBLY, Direction.ASSEMBLY]
-        for direction in reversed(directions) if seed % 2 else directions:
-            beam = BackjumpingBeam(self.task, self.oracle, BackjumpingSettings(direction, seed=seed), guide=disturbed)
-            routes = self._search(beam, _VARIED_WIDTH, self._varied_verdicts)
-            if routes:
-                self.follow(routes)
+        for direction in [*Direction][:: -1 if seed % 2 else 1]:
+            beam = self._beam(self.task, direction, seed, disturbed)
+            if self.follow(self._search(beam, _VARIED_WIDTH, self._varied_verdicts)):
                 return
 
     def falls(self, route: Route) -> int | None:
@@ -236,11 +237,10 @@ class SolvabilityCheck:
             return False
         task = replace(self.task, start=state)
         for _ in range(MAX_FALLEN_REPLAYS):
-            beam = BackjumpingBeam(task, self.oracle, BackjumpingSettings(seed=self._seed), guide=self._guide)
+            beam = self._beam(task, seed=self._seed)
             routes = self._search(beam, _VARIED_WIDTH, self._varied_verdicts)
             if not routes or not any(self.joint.learn_from(route.states) for route in routes):
-                self.follow(routes)
-                return bool(routes)
+                return self.follow(routes)
         return False
 
     def _prune(self) -> None:
@@ -251,7 +251,10 @@ class SolvabilityCheck:
         moves = self.task.moves(known, Direction.DISASSEMBLY)
         moves[:, : self.task.part_count] |= self.releasable(known)
         before: dict[bytes, set[bytes]] = defaultdict(set)
-        for row, action in zip(*(index.tolist() for index in np.nonzero(moves)), strict=True):
+        steps = [*zip(*(index.tolist() for index in np.nonzero(moves)), strict=True)]
+        for row, state in enumerate(known):
+            steps += [(row, set_action(parts, len(state))) for parts in self._leaving_sets(state)]
+        for row, action in steps:
             before[state_after(known[row], action).tobytes()].add(known[row].tobytes())
         left = new = {self.task.target.tobytes()}
         while new:
@@ -260,15 +263,23 @@ class SolvabilityCheck:
         self._solvable = left
         self._preferred = {state: place for state, place in self._preferred.items() if state in left}
 
-    def _search(self, beam: BackjumpingBeam, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
+    def _beam(
+        self, task: Task, direction: Direction = Direction.DISASSEMBLY, seed: int = 0, guide: Guide | None = None
+    ) -> Search:
+        """Return a beam over the states of a task, by default with the guide of this search."""
+        if task.together is not None:
+            return TogetherBeam(replace(task, allow_regrasp=False), self.oracle, direction, guide=guide or self._guide)
+        return BackjumpingBeam(task, self.oracle, BackjumpingSettings(direction, seed=seed), guide=guide or self._guide)
+
+    def _search(self, beam: Search, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
         """Return routes of a beam search with successful replays; none if time or verdicts do not suffice."""
 
         def stop() -> bool:
-            return beam.search.counters.asked >= verdicts or self._stop()
+            return beam.counters.asked >= verdicts or self._stop()
 
         for _ in range(MAX_FALLEN_REPLAYS):
             if self._forbidden:
-                beam.search.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
+                beam.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
             routes = beam.run(widest, stop=stop).unless_interrupted(stop).routes
             row = self.falls(routes[0]) if routes else None
             if row is None:
@@ -317,11 +328,12 @@ class SolvabilityCheck:
         place = self._preferred.get(state_after(state, action).tobytes(), -1)
         return place > self._preferred.get(state.tobytes(), -1)
 
-    def follow(self, routes: Sequence[Route]) -> None:
-        """Take the states of routes for solvable, and prefer the steps along them."""
+    def follow(self, routes: Sequence[Route]) -> bool:
+        """Take the states of routes for solvable, and prefer the steps along them; return whether there are any."""
         if routes:
             self._preferred = {state.tobytes(): k for route in routes for k, state in enumerate(route.states)}
             self._solvable |= self._preferred.keys()
+        return bool(routes)
 
     def relax(self, share: float) -> None:
         """Let missing parts come after a share of the steps that stability alone allows them to wait."""
@@ -331,15 +343,22 @@ class SolvabilityCheck:
         self._moves.clear()
         self._not_found.clear()
         # The known states surround the plan with the latest parts: add one for the new rules.
-        beam = BackjumpingBeam(self.task, self.oracle, BackjumpingSettings(seed=self._seed), guide=self._guide)
+        beam = self._beam(self.task, seed=self._seed)
         self.follow(self._search(beam, _FIRST_BEAM_WIDTH))
 
     def legal(self, state: States) -> list[int]:
         """Return actions that the rules allow, stability and releases aside."""
         key = state.tobytes()
         if key not in self._moves:
-            self._moves[key] = np.flatnonzero(self.task.moves(state[None], Direction.DISASSEMBLY)[0]).tolist()
+            single = np.flatnonzero(self.task.moves(state[None], Direction.DISASSEMBLY)[0]).tolist()
+            self._moves[key] = single + [set_action(parts, len(state)) for parts in self._leaving_sets(state)]
         return self._moves[key]
+
+    def _leaving_sets(self, state: States) -> list[PartSet]:
+        """Return the sets of held parts that can leave at the same instant in a state."""
+        held = [parts for parts in self._sets if (state[list(parts)] == HELD).all()]
+        rule = self.task.together
+        return [parts for parts in held if rule is not None and rule.leave_together(parts, state[None], apart=True)[0]]
 
     def planned_releases(self, state: States) -> list[int]:
         """Return the part that the plan found last releases in a state, if it does."""
@@ -365,7 +384,8 @@ class SolvabilityCheck:
         if self.joint is not None and not self.joint.possible(after[None])[0]:
             return False
         release = action < len(state) and state[action] == HELD
-        asked = release or self.task.needs_verdict(np.array([action]), Direction.DISASSEMBLY)[0]
+        number = np.array([min(action, len(state))])
+        asked = release or self.task.needs_verdict(number, Direction.DISASSEMBLY)[0]
         if (asked and not self.oracle.verdicts(after[None], near=state[None]).stable[0]) or not self._join(after):
             self._not_found.add(key)
             return False

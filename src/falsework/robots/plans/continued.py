@@ -9,7 +9,7 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.replanning.replanner import settings_of
 from falsework.robots.plans.robot_plan import RobotPlan, acts
-from falsework.search.find import prove_route
+from falsework.search.find import make_task, prove_route
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
@@ -39,6 +39,10 @@ def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) 
     whole = prove_route(route, assembly, _task(route, rest.plan, begun.plan, assembly), oracle, forces=forces)
     if whole.replay is not None and not whole.replay.stands:
         return rest, whole.replay.falls_at
+    ways, told = (plan.exit_paths or ((),) * len(plan) for plan in (rest.plan, begun.plan))
+    ways = (*told[:done], *ways) if builds else (*ways, *told[len(told) - done :])
+    moves, turns = max(rest.plan.moves, begun.plan.moves), rest.plan.turns or begun.plan.turns
+    whole = replace(whole, exit_paths=ways if any(ways) else (), moves=moves, turns=turns)
     robots = (*begun.done_by, *(step.robot for step in begun.steps if acts(step)))[:done]
     before, after = (robots, ()) if builds else ((), robots[::-1])
     return replace(rest, plan=replace(whole, source=rest.plan.source), before=before, after=after), None
@@ -47,13 +51,13 @@ def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) 
 def _task(route: Route, rest: Plan, begun: Plan, assembly: Assembly) -> Task:
     """Return the task of a route of steps that are done and those that follow."""
     moved = set((begun.actions % len(begun.boundary)).tolist())
-    return Task.from_rules(
-        assembly.boundary,
+    return make_task(
+        assembly,
         max(rest.robots, begun.robots),
         start=route.states[0],
         target=route.states[-1],
         fixed=tuple(part for part in rest.fixed if part not in moved),
         missing=rest.missing,
-        clearance=assembly.clearance if rest.removable_only_if_clear and begun.removable_only_if_clear else None,
-        identity=assembly.identity,
+        removable_only_if_clear=rest.removable_only_if_clear and begun.removable_only_if_clear,
+        parts_at_once=max(rest.parts_at_once, begun.parts_at_once),
     )

@@ -9,6 +9,7 @@ import numpy as np
 from falsework.assembly.state import HELD, REMOVED
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.problem.task import Direction
 
 LoadKey = tuple[int, bytes, bytes]
@@ -37,23 +38,28 @@ class Load:
         return self.part, b"" if self.grip is None else self.grip.tobytes(), self.pose.tobytes()
 
 
-def load_of(plan: RobotPlan, step: int, motion: int | None) -> Load | None:
-    """Return the load of a robot in a motion of a step, None an action of its gripper; None without a load."""
-    entry, part = plan.steps[step], int(plan.actions[step]) - len(plan.plan.boundary)
+def load_of(plan: RobotPlan, step: int, motion: int | None, robot: int | None = None) -> Load | None:
+    """Return the load of a robot in a motion of a step, None an action of its gripper; None without a load.
+
+    The robot is by default that of the step, or another one that moves at the same instant.
+    """
+    entry = plan.steps[step]
+    robot = entry.robot if robot is None else robot
+    part = plan.part_of(step, robot)
     if entry.transit and motion is not None and (carried := entry.trajectories[motion].part) is not None:
         assert entry.gripped is not None
         return Load(carried, entry.gripped, np.eye(4))
-    if motion is None or part < 0:
+    if motion is None or part is None:
         return None
     apart = plan.direction is Direction.DISASSEMBLY
     lying = lying_motions(plan, step)
     if motion in lying:
         assert entry.put_down is not None
         return Load(part, None, entry.put_down)
-    if entry.trajectories[motion].part is None:
+    if entry.of(robot)[motion].part is None:
         return None
     if not lying or (motion < lying.start) == apart:
-        return Load(part, plan.keyframes[step + (0 if apart else 1)].configurations[entry.robot], np.eye(4))
+        return Load(part, plan.in_place(step).configurations[robot], np.eye(4))
     assert entry.put_down is not None
     first, last = entry.trajectories[lying.start], entry.trajectories[lying.stop - 1]
     return Load(part, last.positions[-1] if apart else first.positions[0], entry.put_down)
@@ -67,10 +73,10 @@ def load_at_rest(
     `last` and `following` are a step and its trajectory, None an action of the gripper; None at the start, at the end.
     """
     if following is None:
-        return None if last is None or plan.keyframes[-1].load(robot) is None else load_of(plan, *last)
+        return None if last is None or plan.keyframes[-1].load(robot) is None else load_of(plan, *last, robot)
     on_way = last is not None and last[0] == following[0]
     carries = on_way or plan.keyframes[following[0]].load(robot) is not None
-    return load_of(plan, *following) if carries else None
+    return load_of(plan, *following, robot) if carries else None
 
 
 def loads_at(plan: RobotPlan, keyframe: int) -> dict[int, Load]:
@@ -79,10 +85,10 @@ def loads_at(plan: RobotPlan, keyframe: int) -> dict[int, Load]:
     for robot in range(len(plan.robots)):
         if plan.keyframes[keyframe].load(robot) is None:
             continue
-        own = [k for k, entry in enumerate(plan.steps) if entry.robot == robot and entry.trajectories]
+        own = [k for k, entry in enumerate(plan.steps) if robot in entry.robots and entry.trajectories]
         later = [(k, 0) for k in own if k >= keyframe][:1]
         place = later or [(k, len(plan.steps[k].trajectories) - 1) for k in own][-1:]
-        load = load_of(plan, *place[0]) if place else None
+        load = load_of(plan, *place[0], robot) if place else None
         if load is not None:
             found[robot] = load
     return found
@@ -90,7 +96,7 @@ def loads_at(plan: RobotPlan, keyframe: int) -> dict[int, Load]:
 
 def loads_beside(plan: RobotPlan, step: int) -> dict[int, Load]:
     """Return the parts that other robots carry while they rest during a step, by robot."""
-    return {robot: load for robot, load in loads_at(plan, step).items() if robot != plan.steps[step].robot}
+    return {robot: load for robot, load in loads_at(plan, step).items() if robot not in plan.steps[step].robots}
 
 
 def lying_motions(plan: RobotPlan, step: int) -> range:
@@ -104,7 +110,39 @@ def lying_motions(plan: RobotPlan, step: int) -> range:
 
 def step_fault(plan: RobotPlan, step: int) -> str:
     """Return why a step is not the hand-over, transit, or action with a part put down that it says; empty if it is."""
-    return hand_over_fault(plan, step) or put_down_fault(plan, step) or transit_fault(plan, step)
+    faults = partner_fault, hand_over_fault, put_down_fault, transit_fault
+    return next((found for fault in faults if (found := fault(plan, step))), "")
+
+
+def partner_fault(plan: RobotPlan, step: int) -> str:
+    """Return why several robots cannot move their parts at the same instant as a step says; empty if they can."""
+    entry = plan.steps[step]
+    parts = ~plan.resting(step) & (plan.states[step : step + 2] != REMOVED).any(axis=0)
+    if not entry.partners:
+        return "" if parts.sum() <= 1 else "it moves several parts with one robot"
+    if (
+        entry.transit
+        or entry.hands_over is not None
+        or entry.put_down is not None
+        or plan.part_of(step, entry.robot) is None
+    ):
+        return "several robots move at the same instant although no parts leave the structure or come to it"
+    if len(set(entry.robots)) < len(entry.robots):
+        return "a robot moves twice at the same instant"
+    if {plan.part_of(step, robot) for robot in entry.robots} != {*np.flatnonzero(parts).tolist()}:
+        return "its robots do not move one each of the parts that leave or come"
+    for partner in entry.partners:
+        if [*map(_clock, partner.trajectories)] != [*map(_clock, entry.trajectories)]:
+            return (
+                f"{plan.robots[partner.robot].name} does not move at the same times as {plan.robots[entry.robot].name}"
+            )
+    if any(leg.kind != "line" for robot in entry.robots for leg in entry.of(robot)):
+        return "its robots move at the same instant although they are clear of the structure"
+    return ""
+
+
+def _clock(trajectory: Trajectory) -> list[float]:
+    return np.round(trajectory.times, 9).tolist()
 
 
 def hand_over_fault(plan: RobotPlan, step: int) -> str:
@@ -165,17 +203,17 @@ def transit_fault(plan: RobotPlan, step: int) -> str:
     entry, before, after = plan.steps[step], plan.keyframes[step], plan.keyframes[step + 1]
     for robot in range(len(plan.robots)):
         old, new = before.load(robot), after.load(robot)
-        if old != new and robot != entry.robot:
+        if old != new and robot not in entry.robots:
             return f"{plan.robots[robot].name} comes to carry another part without a motion"
         if any(part is not None and (plan.states[k][part] != REMOVED) for k, part in ((step, old), (step + 1, new))):
             return f"{plan.robots[robot].name} carries a part that is in place"
-    ends = before.load(entry.robot), after.load(entry.robot)
-    parts = [trajectory.part for trajectory in entry.trajectories]
-    removal = int(plan.actions[step]) >= len(plan.plan.boundary)
-    if ends != (None, None) and not (entry.transit or removal):
-        return "a robot that carries a part can neither hold nor release one"
-    if any(end is not None and part != end for end, part in zip(ends, (*parts[:1], *parts[-1:]), strict=False)):
-        return "the part that its robot carries at the keyframe is not in its gripper in the motion"
+    removal, ends, parts = int(plan.actions[step]) >= len(plan.plan.boundary), (None, None), list[int | None]()
+    for robot in entry.robots[::-1]:  # the first one last: of a transit more is said below
+        ends, parts = (before.load(robot), after.load(robot)), [leg.part for leg in entry.of(robot)]
+        if ends != (None, None) and not (entry.transit or removal):
+            return "a robot that carries a part can neither hold nor release one"
+        if any(end is not None and part != end for end, part in zip(ends, (*parts[:1], *parts[-1:]), strict=False)):
+            return "the part that its robot carries at the keyframe is not in its gripper in the motion"
     if not entry.transit:
         return "" if entry.gripped is None else "it has a grip of a part although it is no transit"
     carried = {part for part in (*parts, *ends) if part is not None}

@@ -25,6 +25,8 @@ def loose_plan(plan: Plan, groups: Groups) -> Plan:
     loose, carrier = groups.loose, groups.carrier.tolist()
     states, count = groups.loosen(plan.states), len(plan.states)
     largest = int(np.bincount(groups.joined).max())
+    members = [tuple(np.flatnonzero(groups.joined == part).tolist()) for part in range(len(carrier))]
+    ways = tuple(tuple(replace(move, parts=members[move.parts[0]]) for move in way) for way in plan.exit_paths)
     return replace(
         plan,
         states=states,
@@ -38,7 +40,8 @@ def loose_plan(plan: Plan, groups: Groups) -> Plan:
         fixed=tuple(part for part in range(loose.part_count) if int(groups.joined[part]) in plan.fixed),
         missing=tuple(carrier[part] for part in plan.missing),
         removable_only_if_clear=True,
-        parts_at_once=largest,
+        parts_at_once=max(largest, plan.parts_at_once),
+        exit_paths=ways,
         presses=tuple(tuple(replace(press, part=carrier[press.part]) for press in presses) for presses in plan.presses),
         loads=(),
         replay=None,

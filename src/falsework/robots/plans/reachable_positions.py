@@ -4,7 +4,8 @@ The progress of an arm is a number: 2 i while it rests before motion i, 2 i + 1 
 ends. A motion begins only when every arm has made some least progress, its own waits and the waits of what it waits for
 included. Two positions can therefore coincide if and only if each arm has made the progress that the motion begun last
 by the other needs: the least progress of all arms that reaches both positions is then itself an execution. So the
-positions of two motions that can coincide form a rectangle.
+positions of two motions that can coincide form a rectangle. Arms that move as one make equal progress in that motion:
+its positions coincide only with each other.
 """
 
 from __future__ import annotations
@@ -35,6 +36,13 @@ class Overlap:
     one_range: tuple[float, float]
     other_range: tuple[float, float]
 
+    @property
+    def as_one(self) -> bool:
+        """Whether both are one motion of several arms, or their rest within it: only equal progress coincides."""
+        both_rest = self.one.trajectory is None and self.other.trajectory is None
+        on_way = bool(self.one.frames and self.other.frames) if both_rest else self.one.trajectory is not None
+        return self.one.begun is not None and self.one.begun == self.other.begun and on_way
+
 
 class ReachablePositions:
     """Positions of all arms that can coincide under the schedule of a plan."""
@@ -47,16 +55,19 @@ class ReachablePositions:
         self.plan, self.graph = plan, graph
         self.events: tuple[Event, ...] = nodes_of(plan)[1]
         self._own = [graph.of_robot(robot) for robot in range(graph.robots)]
-        self.begins = np.zeros(len(graph.nodes))
-        for nodes in self._own:
-            self.begins[nodes] = 2 * np.arange(len(nodes)) + 1.0
+        self.begins = np.zeros((len(graph.nodes), graph.robots))
+        """Progress at which each arm of a node begins it, shape (nodes, robots)."""
+        for robot, nodes in enumerate(self._own):
+            self.begins[nodes, robot] = 2 * np.arange(len(nodes)) + 1.0
         self.needed = np.zeros((len(graph.nodes), graph.robots))
         """Least progress of each arm when a node begins, shape (nodes, robots)."""
-        self._before = np.zeros(len(graph.nodes))
-        """Progress of its own arm that each node waits for, shape (nodes,)."""
+        self._before = np.zeros((len(graph.nodes), graph.robots))
+        """Progress of each arm that a node waits for, shape (nodes, robots)."""
         self._find_least_progress()
+        self._first = np.array([graph.nodes[event.node].robot for event in self.events], dtype=np.int64)
+        """First arm of each event, shape (events,)."""
         self.reached = np.array([self.begins[event.node] + event.at_end for event in self.events])
-        """Progress of the arm of each event when it happens, shape (events,)."""
+        """Progress of each arm of an event when that happens, shape (events, robots)."""
         self.segments = segments_of(plan)
 
     def _find_least_progress(self) -> None:
@@ -70,15 +81,21 @@ class ReachablePositions:
         for index in graph.order:
             for before, share in waits[index]:
                 np.maximum(found[index], found[before], out=found[index])
-                robot = graph.nodes[before].robot
-                found[index, robot] = max(found[index, robot], self.begins[before] + share)
-            own = graph.nodes[index].robot
-            self._before[index] = found[index, own]
-            found[index, own] = max(found[index, own], self.begins[index])
+                for robot in graph.nodes[before].robots:
+                    found[index, robot] = max(found[index, robot], self.begins[before, robot] + share)
+            self._before[index] = found[index]
+            own = list(graph.nodes[index].robots)
+            found[index, own] = np.maximum(found[index, own], self.begins[index, own])
 
     def _needs(self, segments: Sequence[Segment], robot: int) -> Array:
         """Return the least progress of an arm in each segment of another, shape (segments,)."""
-        return np.array([0.0 if entry.begun is None else self.needed[entry.begun, robot] for entry in segments])
+        return np.array([self._need(entry, robot) for entry in segments])
+
+    def _need(self, segment: Segment, robot: int) -> float:
+        if segment.begun is None:
+            return 0.0
+        ended = segment.trajectory is None and robot in self.graph.nodes[segment.begun].robots
+        return float(self.begins[segment.begun, robot] + 1 if ended else self.needed[segment.begun, robot])
 
     def overlaps(self, one: int, other: int) -> Iterator[Overlap]:
         """Yield all pairs of segments of two arms of which positions can coincide."""
@@ -96,14 +113,14 @@ class ReachablePositions:
     def out_of_order(self) -> list[tuple[int, str]]:
         """Return the nodes that a delay can bring before what they must follow, motion or state, and what that is."""
         found = []
-        for nodes in self._own:
+        for arm, nodes in enumerate(self._own):
             for before, after in pairwise(nodes):
-                end = self.begins[before] + (self.graph.nodes[before].seconds > 0)
-                if self._before[after] < end:
+                end = self.begins[before, arm] + (self.graph.nodes[before].seconds > 0)
+                if self._before[after, arm] < end:
                     found.append((after, "its motion does not wait for the motion before"))
         for k, (before, after) in enumerate(pairwise(self.events)):
             robot, same = self.graph.nodes[before.node].robot, before.node == after.node
-            if not same and self.needed[after.node, robot] < self.reached[k]:
+            if not same and self.needed[after.node, robot] < self.reached[k, robot]:
                 found.append((after.node, "it does not wait for the state of the previous step"))
         return found
 
@@ -113,14 +130,14 @@ class ReachablePositions:
         The end of a range is included only as a limit: what happens when the motion ends belongs to the rest after it.
         """
         robot, count = segment.robot, len(self.events)
-        arms = [self.graph.nodes[event.node].robot for event in self.events]
+        arms = self._first
         must = np.zeros(self.graph.robots) if segment.begun is None else self.needed[segment.begun]
-        happened = np.array([must[arm] for arm in arms]) >= self.reached
+        happened = must[arms] >= self.reached[np.arange(count), arms]
         first = count if happened.all() else int(np.argmin(happened))
         # The progress of this arm without which an event cannot happen.
         needs = np.array([self.needed[event.node, robot] for event in self.events])
-        own = np.array(arms) == robot
-        needs[own] = np.maximum(needs[own], self.reached[own])
+        own = np.array([robot in self.graph.nodes[event.node].robots for event in self.events], dtype=bool)
+        needs[own] = np.maximum(needs[own], self.reached[own, robot])
         cuts = np.unique(np.clip(needs[first:], segment.low, segment.high))
         cuts = np.unique(np.concatenate([[segment.low], cuts, [segment.high]]))
         states, found = self.plan.states, []
@@ -138,7 +155,7 @@ class ReachablePositions:
             place = np.searchsorted(starts[own], starts + _INSTANT, side="right") - 1
             index = np.asarray(own)[np.maximum(place, 0)]
             span = np.maximum(ends[index] - starts[index], _INSTANT)
-            made = self.begins[index] + np.clip((starts - starts[index] + _INSTANT) / span, 0.0, 1.0)
+            made = self.begins[index, robot] + np.clip((starts - starts[index] + _INSTANT) / span, 0.0, 1.0)
             if (np.where(place < 0, 0.0, made) < self.needed[:, robot] - 1e-9).any():
                 return False
         return True

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, States
+from falsework.assembly.state import HELD, REMOVED, States
 from falsework.errors import PlanError
 from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.model.shapes import Array
@@ -76,8 +76,21 @@ def record_fault(records: Sequence[RobotRecord], cell: Cell) -> str:
 
 
 @dataclass(frozen=True, eq=False)
+class Partner:
+    """Another robot of a step in which several parts move at the same instant, each carried by its own robot."""
+
+    robot: int
+    trajectories: tuple[Trajectory, ...]
+    """Each at the same times as that of the step."""
+
+    def reverse(self) -> Partner:
+        """Return the same in the other order."""
+        return replace(self, trajectories=_reversed(self.trajectories))
+
+
+@dataclass(frozen=True, eq=False)
 class RobotStep:
-    """Action of the plan, or half of a hand-over, executed by one robot.
+    """Action of the plan, or half of a hand-over, executed by one robot, or by several in which each moves its part.
 
     A hand-over is two steps, between which two robots hold a part: one takes it over, then the other leaves it.
     """
@@ -96,11 +109,32 @@ class RobotStep:
     gripped: Array | None = None
     """Configuration in which the robot would hold the part of a transit at its place in the structure, shape (joints,);
     None: it carries no part."""
+    partners: tuple[Partner, ...] = ()
+    """Robots that move their own parts at the same instant; what each carries on alone is in transits."""
+
+    @property
+    def robots(self) -> tuple[int, ...]:
+        """Robots that move."""
+        return (self.robot, *(partner.robot for partner in self.partners))
+
+    def of(self, robot: int) -> tuple[Trajectory, ...]:
+        """Return the trajectories of one of its robots."""
+        found = {partner.robot: partner.trajectories for partner in self.partners}
+        return self.trajectories if robot == self.robot else found[robot]
 
     @property
     def seconds(self) -> float:
         """Duration of the robot's motions."""
         return sum(trajectory.seconds for trajectory in self.trajectories)
+
+    def reverse(self) -> RobotStep:
+        """Return the step in the other order."""
+        partners = tuple(partner.reverse() for partner in self.partners)
+        return replace(self, trajectories=_reversed(self.trajectories), partners=partners)
+
+
+def _reversed(trajectories: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
+    return tuple(trajectory.reverse() for trajectory in reversed(trajectories))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +165,8 @@ class RobotPlan(Displayed):
     keyframes: tuple[Keyframe, ...]
     """One keyframe before each step, and one after the last."""
     steps: tuple[RobotStep, ...]
-    """One step for every action of the plan, two for each hand-over, and one for each transit."""
+    """One step for every action of the plan, two for each hand-over, and one for each transit; transits bring away, or
+    fetch, the parts that several robots move at once."""
     robots: tuple[RobotRecord, ...]
     cell_name: str
     cell_identity: str
@@ -151,8 +186,6 @@ class RobotPlan(Displayed):
     """The same of its last steps: they were undone before, in disassembly."""
 
     def __post_init__(self) -> None:
-        if self.plan.parts_at_once > 1 or self.plan.exit_paths:
-            raise PlanError("robot plans move one part at a time, and straight, but the plan does not; plan again")
         actions = sum(acts(step) for step in self.steps)
         if len(self.keyframes) != len(self.steps) + 1 or actions != len(self.plan) - len(self.before) - len(self.after):
             raise PlanError(
@@ -218,6 +251,21 @@ class RobotPlan(Displayed):
         """Duration of the schedule, or of sequential motions without a schedule."""
         return self.seconds if self.schedule is None else self.schedule.makespan
 
+    def part_of(self, step: int, robot: int) -> int | None:
+        """Return the part that a robot of a step removes or inserts; None if the step does neither."""
+        part = int(self.actions[step]) - len(self.plan.boundary)
+        if part < 0 or robot == self.steps[step].robot:
+            return part if part >= 0 else None
+        return self.in_place(step).held[robot]
+
+    def in_place(self, step: int) -> Keyframe:
+        """Return the keyframe of a removal or insertion at which its parts are at their places."""
+        return self.keyframes[step + (self.direction is Direction.ASSEMBLY)]
+
+    def resting(self, step: int) -> NDArray[np.bool_]:
+        """Return the parts that are in place throughout a step, shape (parts,)."""
+        return (self.states[step : step + 2] != REMOVED).all(axis=0)
+
     def grip_of(self, robot: int, part: int) -> Array | None:
         """Return the configuration in which a robot holds a part last before it leaves; None if it never does."""
         frames = self.keyframes if self.direction is Direction.ASSEMBLY else self.keyframes[::-1]
@@ -249,20 +297,19 @@ class RobotPlan(Displayed):
     def describe(self, step: int) -> str:
         """Describe a step, such as `left: remove keystone (3.1 s)`."""
         entry = self.steps[step]
-        return f"{self.robots[entry.robot].name}: {self.does(step)} ({entry.seconds:.1f} s)"
+        names = " and ".join(self.robots[robot].name for robot in entry.robots)
+        return f"{names}: {self.does(step)} ({entry.seconds:.1f} s)"
 
     def moves(self) -> Iterator[tuple[int, int, Trajectory]]:
         """Yield all trajectories in time order: step, robot, trajectory."""
         for index, step in enumerate(self.steps):
-            for trajectory in step.trajectories:
-                yield index, step.robot, trajectory
+            for robot in step.robots:
+                for trajectory in step.of(robot):
+                    yield index, robot, trajectory
 
     def reverse(self) -> RobotPlan:
         """Return the motions in the other order: assembly from disassembly, or back."""
-        steps = tuple(
-            replace(step, trajectories=tuple(trajectory.reverse() for trajectory in reversed(step.trajectories)))
-            for step in reversed(self.steps)
-        )
+        steps = tuple(step.reverse() for step in reversed(self.steps))
         schedule = None if self.schedule is None else self.schedule.reverse()
         other = Direction.DISASSEMBLY if self.direction is Direction.ASSEMBLY else Direction.ASSEMBLY
         return replace(self, keyframes=self.keyframes[::-1], steps=steps, schedule=schedule, direction=other)
@@ -310,3 +357,26 @@ class RobotPlan(Displayed):
 def acts(step: RobotStep) -> bool:
     """Return whether a step has an action of the plan: it is neither half of a hand-over nor a transit."""
     return step.hands_over is None and not step.transit
+
+
+@dataclass(frozen=True)
+class PlanProblem:
+    """Problem found by a check."""
+
+    step: int
+    """Step of the plan, from 0."""
+    robot: str
+    what: str
+    """Description of the problem."""
+    pair: tuple[str, str] | None = None
+    """Names of the colliding bodies, for a collision."""
+    seconds: float | None = None
+    """Nominal time from the start of its trajectory; from the start of the schedule for a problem of the schedule
+    without delays."""
+    configuration: tuple[float, ...] | None = None
+    distance: float | None = None
+    """Distance of bodies that some delay brings together, metres; 0 where they collide."""
+
+    def __str__(self) -> str:
+        when = "" if self.seconds is None else f" after {self.seconds:.2f} s"
+        return f"step {self.step + 1}, {self.robot}{when}: {self.what}"

@@ -13,7 +13,7 @@ from msgspec import convert, to_builtins
 from falsework.errors import PlanError
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.loads import step_fault
-from falsework.robots.plans.robot_plan import Keyframe, RobotPlan, RobotRecord, RobotStep
+from falsework.robots.plans.robot_plan import Keyframe, Partner, RobotPlan, RobotRecord, RobotStep
 from falsework.robots.plans.robot_plan_model import (
     FORMAT,
     KeyframeEntry,
@@ -160,7 +160,8 @@ class _Reader:
             self._fail(f"its schedule has {len(data.motions)} motions, its steps have {len(expected)}")
         for k, (entry, node) in enumerate(zip(data.motions, expected, strict=True)):
             place = f"schedule.motions[{k}]"
-            if (entry.robot, entry.step, entry.trajectory) != (node.robot, node.step, node.trajectory):
+            told = entry.robot, tuple(entry.others), entry.step, entry.trajectory
+            if told != (node.robot, node.others, node.step, node.trajectory):
                 self._fail(f"{place} does not match its step", "the motions must be in the order of the steps")
             if abs(entry.seconds - node.seconds) > JOINS:
                 self._fail(f"{place} has another duration than its trajectory")
@@ -207,19 +208,27 @@ class _Reader:
         return Keyframe(tuple(arrays), tuple(held), tuple(carried or ()))
 
     def _step(self, data: RobotStepEntry, place: str, parts: int) -> RobotStep:
-        if data.robot >= len(self._joints):
-            self._fail(f"{place}.robot is {data.robot}", f"it must be a number from 0 to {len(self._joints) - 1}")
+        for robot in (data.robot, *(partner.robot for partner in data.partners)):
+            if robot >= len(self._joints):
+                self._fail(f"{place}.robot is {robot}", f"it must be a number from 0 to {len(self._joints) - 1}")
         self._part(data.hands_over, parts, f"{place}.hands_over")
         joints = self._joints[data.robot]
         pose, grip = (
             None if value is None else self._array(value, shape, f"{place}.{key}")
             for key, value, shape in (("put_down", data.put_down, (4, 4)), ("gripped", data.gripped, (joints,)))
         )
-        moves = tuple(
-            self._trajectory(entry, f"{place}.trajectories[{k}]", joints, parts)
-            for k, entry in enumerate(data.trajectories)
+        moves, *others = (
+            tuple(
+                self._trajectory(leg, f"{where}.trajectories[{k}]", self._joints[entry.robot], parts)
+                for k, leg in enumerate(entry.trajectories)
+            )
+            for entry, where in (
+                (data, place),
+                *((one, f"{place}.partners[{k}]") for k, one in enumerate(data.partners)),
+            )
         )
-        return RobotStep(data.robot, moves, data.hands_over, pose, data.transit, grip)
+        partners = tuple(Partner(one.robot, legs) for one, legs in zip(data.partners, others, strict=True))
+        return RobotStep(data.robot, moves, data.hands_over, pose, data.transit, grip, partners)
 
     def _trajectory(self, data: TrajectoryEntry, place: str, joints: int, parts: int) -> Trajectory:
         times = np.array(data.times)
@@ -239,13 +248,14 @@ class _Reader:
             step, place = plan.steps[index], f"step {index + 1} ({plan.does(index)})"
             if fault := step_fault(plan, index):
                 self._fail(f"{place}: {fault}")
-            values = before.configurations[step.robot]
-            for trajectory in step.trajectories:
-                if np.abs(trajectory.positions[0] - values).max() > JOINS:
-                    self._fail(f"{place}: a motion does not begin where the previous one ended")
-                values = trajectory.positions[-1]
-            for robot, (old, new) in enumerate(zip(before.configurations, after.configurations, strict=True)):
-                if np.abs((values if robot == step.robot else old) - new).max() > JOINS:
+            ends = [*before.configurations]
+            for robot in step.robots:
+                for trajectory in step.of(robot):
+                    if np.abs(trajectory.positions[0] - ends[robot]).max() > JOINS:
+                        self._fail(f"{place}: a motion does not begin where the previous one ended")
+                    ends[robot] = trajectory.positions[-1]
+            for robot, (end, new) in enumerate(zip(ends, after.configurations, strict=True)):
+                if np.abs(end - new).max() > JOINS:
                     self._fail(f"{place}: robot {robot} does not reach keyframe {index + 1}")
 
     def _array(self, value: Any, shape: tuple[int, ...], place: str) -> Array:

@@ -57,7 +57,7 @@ class TrajectoryEntry(FileModel, frozen=True):
     """Knots; between two of them, each joint follows the cubic with their positions and velocities."""
 
     kind: Literal["free", "line"]
-    """free: through the open; line: the tool moves straight to or from the place of a part."""
+    """free: through the open; line: the tool moves straight to or from the place of a part, or on a move of its way."""
     part: Part
     """Part in the gripper."""
     touches: Part
@@ -66,6 +66,14 @@ class TrajectoryEntry(FileModel, frozen=True):
     """Seconds, ascending from 0."""
     positions: list[Numbers]
     velocities: list[Numbers]
+
+
+class PartnerEntry(FileModel, frozen=True):
+    """Motions of another robot that moves its own part at the same instant."""
+
+    robot: Index
+    trajectories: list[TrajectoryEntry]
+    """At the times of those of the step."""
 
 
 class RobotStepEntry(FileModel, frozen=True):
@@ -86,6 +94,8 @@ class RobotStepEntry(FileModel, frozen=True):
     gripped: Numbers | None = None
     """Joint values with which the robot would hold the part of a transit at its place in the structure; absent: it
     carries none."""
+    partners: list[PartnerEntry] = []
+    """Other robots that move their own parts at the same instant."""
 
 
 class MotionEntry(FileModel, frozen=True):
@@ -97,6 +107,8 @@ class MotionEntry(FileModel, frozen=True):
     """Its number in the step; null: a gripper closes or opens."""
     start: Seconds
     seconds: Seconds
+    others: list[Index] = []
+    """Robots that move at the same instant, as one motion."""
 
 
 class PrecedenceEntry(FileModel, frozen=True):

@@ -33,6 +33,13 @@ class MotionNode:
     """Index of its trajectory in the step."""
     seconds: float
     """Nominal duration."""
+    others: tuple[int, ...] = ()
+    """Arms that move at the same instant: all of them begin, go on and end as one, whatever the delays."""
+
+    @property
+    def robots(self) -> tuple[int, ...]:
+        """All arms that move."""
+        return (self.robot, *self.others)
 
 
 @dataclass(frozen=True)
@@ -129,12 +136,12 @@ class TemporalPlanGraph:
     @property
     def busiest(self) -> float:
         """Duration of the motions of the busiest arm, a lower bound on any makespan, seconds."""
-        work = (sum(node.seconds for node in self.nodes if node.robot == robot) for robot in range(self.robots))
+        work = (sum(node.seconds for node in self.nodes if robot in node.robots) for robot in range(self.robots))
         return float(max(work, default=0.0))
 
     def of_robot(self, robot: int) -> list[int]:
         """Return the nodes of one arm in order."""
-        return [index for index, node in enumerate(self.nodes) if node.robot == robot]
+        return [index for index, node in enumerate(self.nodes) if robot in node.robots]
 
     def reverse(self) -> TemporalPlanGraph:
         """Return the graph of the reverse plan: a wait for part of a motion becomes a wait for all of it.
@@ -153,6 +160,7 @@ class TemporalPlanGraph:
                 steps - node.step,
                 None if node.trajectory is None else lots[node.step] - 1 - node.trajectory,
                 node.seconds,
+                node.others,
             )
             for node in reversed(self.nodes)
         )

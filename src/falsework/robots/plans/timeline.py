@@ -57,7 +57,7 @@ def bars_of(plan: RobotPlan) -> list[Bar]:
                 found.append(Bar(robot, free, starts[index], "holds", held))
             free = starts[index] + node.seconds
             if node.trajectory is not None:
-                part = plan.steps[node.step].trajectories[node.trajectory].part
+                part = plan.steps[node.step].of(robot)[node.trajectory].part
                 found.append(Bar(robot, starts[index], free, "moves" if part is None else "carries", part))
                 held = None
             if node.trajectory is None or node.trajectory == len(plan.steps[node.step].trajectories) - 1:
@@ -96,7 +96,8 @@ def nodes_of(plan: RobotPlan) -> tuple[tuple[MotionNode, ...], tuple[Event, ...]
     events = []
     apart = plan.direction is Direction.DISASSEMBLY
     for index, step in enumerate(plan.steps):
-        moves = [MotionNode(step.robot, index, k, t.seconds) for k, t in enumerate(step.trajectories)]
+        others = step.robots[1:]
+        moves = [MotionNode(step.robot, index, k, t.seconds, others) for k, t in enumerate(step.trajectories)]
         grip = plan.grip(index)
         first = apart if grip is None else grip == "open"
         if grip is not None or not moves:
@@ -163,7 +164,7 @@ def segments_of(plan: RobotPlan) -> tuple[tuple[Segment, ...], ...]:
 
 def _segments(plan: RobotPlan, nodes: Sequence[MotionNode], robot: int) -> Iterator[Segment]:
     values, last = plan.keyframes[0].configurations[robot], None
-    own = [index for index, node in enumerate(nodes) if node.robot == robot]
+    own = [index for index, node in enumerate(nodes) if robot in node.robots]
     for count, index in enumerate((*own, None)):
         places = [None if k is None else (nodes[k].step, nodes[k].trajectory) for k in (last, index)]
         step, load = 0 if last is None else nodes[last].step, load_at_rest(plan, robot, *places)
@@ -173,8 +174,8 @@ def _segments(plan: RobotPlan, nodes: Sequence[MotionNode], robot: int) -> Itera
             return
         last, step, number = index, nodes[index].step, nodes[index].trajectory
         if number is not None:
-            trajectory = plan.steps[step].trajectories[number]
-            values, load = trajectory.positions[-1], load_of(plan, step, number)
+            trajectory = plan.steps[step].of(robot)[number]
+            values, load = trajectory.positions[-1], load_of(plan, step, number, robot)
             yield Segment(robot, step, index, count + 1, trajectory, values, load, frozenset({step}))
 
 

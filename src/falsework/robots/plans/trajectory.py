@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from falsework.geometry.clearance.moves import PathMove
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Array
 from falsework.utils.quantity import format_quantity
@@ -37,7 +38,8 @@ class Trajectory:
     """
 
     kind: Literal["free", "line"]
-    """`free` moves clear of everything; `line` moves the tool straight to or from the place of a part."""
+    """`free` moves clear of everything; `line` moves the tool straight to or from the place of a part, or on a move of
+    its way."""
     times: Array
     """Seconds from the start of the trajectory, ascending from 0, shape (knots,)."""
     positions: Array
@@ -178,20 +180,48 @@ def line_fault(tools: Array, longest: float) -> str:
 
     On a line the tool moves in one direction only and does not turn.
     """
-    at = tools[:, :3, 3] - tools[0, :3, 3]
-    length = float(np.linalg.norm(at[-1]))
-    along = at[-1] / length if length > 0 else np.zeros(3)
-    ahead = at @ along
-    aside = float(np.linalg.norm(at - ahead[:, None] * along, axis=1).max())
-    if aside > STRAIGHT:
-        return f"is no straight line: the tool is {1000 * aside:.1f} mm beside it"
-    back = float((np.maximum.accumulate(ahead) - ahead).max())
-    if back > STRAIGHT:
-        return f"is no straight line: the tool turns back by {1000 * back:.1f} mm"
-    trace = np.einsum("nij,ij->n", tools[:, :3, :3], tools[0, :3, :3])
-    turn = float(np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0)).max())
-    if turn > TURNED:
-        return f"is no straight line: the tool turns by {np.degrees(turn):.1f} degrees"
+    far = tools[-1, :3, 3] - tools[0, :3, 3]
+    length = float(np.linalg.norm(far))
+    x, y, z = (far / length if length > 0 else far).tolist()
+    if fault := move_fault(tools, PathMove((), (x, y, z), length)):
+        return fault
     if length > longest + STRAIGHT:
         return f"is a line of {1000 * length:.0f} mm; the cell allows {1000 * longest:.0f} mm"
+    return ""
+
+
+def move_fault(tools: Array, move: PathMove, *, whole: bool = False) -> str:
+    """Return why tool poses, shape (samples, 4, 4), are not on a line, a turn or a screw; empty if they are.
+
+    They go along it one way from its beginning, to its end if it is `whole`, and beyond only on a line.
+    """
+    what = f"is no turn by {np.degrees(move.angle):.0f} degrees" if move.turns else "is no straight line"
+    along, at = np.array(move.direction), tools[:, :3, 3] - tools[0, :3, 3]
+    if move.turns:
+        turned = np.einsum("nij,kj->nik", tools[:, :3, :3], tools[0, :3, :3])
+        sine = np.stack(
+            [turned[:, 2, 1] - turned[:, 1, 2], turned[:, 0, 2] - turned[:, 2, 0], turned[:, 1, 0] - turned[:, 0, 1]],
+            axis=1,
+        )
+        cosine = (np.einsum("nii->n", turned) - 1) / 2
+        share = np.unwrap(np.arctan2(sine @ along / 2, cosine)) / move.angle
+        radius = float(np.linalg.norm(np.cross(tools[0, :3, 3] - np.array(move.point), along)))
+        length = float(np.hypot(move.distance, max(radius, 0.1) * move.angle))
+    else:
+        length = move.distance
+        share = at @ along / length if length > 0 else np.zeros(len(at))
+    wanted = np.array([move.displacement(float(some)) for some in share]) @ tools[0]
+    aside = float(np.linalg.norm(wanted[:, :3, 3] - tools[:, :3, 3], axis=1).max())
+    if aside > STRAIGHT:
+        return f"{what}: the tool is {1000 * aside:.1f} mm beside it"
+    back = length * float((np.maximum.accumulate(share) - share).max())
+    if back > STRAIGHT:
+        return f"{what}: the tool turns back by {1000 * back:.1f} mm"
+    trace = np.einsum("nij,nij->n", tools[:, :3, :3], wanted[:, :3, :3])
+    turn = float(np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0)).max())
+    if turn > TURNED:
+        return f"{what}: the tool turns by {np.degrees(turn):.1f} degrees"
+    left = length * float(1 - share[-1])
+    if (whole and abs(left) > STRAIGHT) or (move.turns and left < -STRAIGHT):
+        return f"{what}: it ends {1000 * abs(left):.1f} mm {'before' if left > 0 else 'beyond'} its end"
     return ""

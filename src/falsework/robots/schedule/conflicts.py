@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from falsework.assembly.state import REMOVED
 from falsework.robots.kernels.coordination import Swept, conflicts
 from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import CollisionWorld
@@ -50,6 +49,8 @@ class Stretch:
     """Swept bodies in cells and in finer cells."""
     line: bool
     """Whether it keeps the margin of straight lines only."""
+    phase: tuple[int, ...]
+    """For each arm, twice the motions that it and this one have made as one by then, and one more during such one."""
     frames: frozenset[int]
     """Keyframes around which a motion was planned, or in which the arm rests there."""
 
@@ -70,8 +71,8 @@ class Itineraries:
 
     def _row(self, robot: int) -> Iterator[Stretch]:
         """Yield rests and motions of one arm in turn, a rest first and last."""
-        own = [k for k, event in enumerate(self.events) if self.nodes[event.node].robot == robot]
-        first = 0
+        own = [k for k, event in enumerate(self.events) if robot in self.nodes[event.node].robots]
+        first, phase = 0, np.zeros(len(self.plan.robots), dtype=np.int64)
         for segment in segments_of(self.plan)[robot]:
             moves = segment.trajectory is not None
             # What happens when a motion ends belongs to the rest after it.
@@ -90,7 +91,10 @@ class Itineraries:
                 frames |= set(np.flatnonzero(far <= _SAME).tolist())
             line = segment.trajectory is not None and segment.trajectory.kind == "line"
             node = segment.begun if moves else None
-            yield Stretch(node, first, len(ends), after, before, ends, swept, line, frames)
+            others = [] if node is None else [other for other in self.nodes[node].robots if other != robot]
+            phase[others] += 1
+            yield Stretch(node, first, len(ends), after, before, ends, swept, line, tuple(phase.tolist()), frames)
+            phase[others] += 1
             first += len(ends)
 
     def _swept(self, segment: Segment) -> tuple[tuple[Swept, Swept], Array]:
@@ -105,24 +109,14 @@ class Itineraries:
                 self._known[key] = (found, found), np.zeros(1)
         return self._known[key]
 
-    def of_robot(self, robot: int) -> list[int]:
-        """Return the nodes of one arm in their order."""
-        return [index for index, node in enumerate(self.nodes) if node.robot == robot]
-
     def present(self, node: int) -> NDArray[np.bool_]:
         """Return the parts that were in place when a motion was planned, shape (parts,)."""
-        entry = self.nodes[node]
-        state = self.plan.states[entry.step] != REMOVED
-        action, parts = int(self.plan.actions[entry.step]), len(state)
-        if action >= parts:
-            state = state.copy()
-            state[action - parts] = False
-        return state
+        return self.plan.resting(self.nodes[node].step)
 
-    def moved(self, event: int) -> int | None:
-        """Return the part that leaves its place, or reaches it, at an event; None for a hold or a hand-over."""
-        action, parts = int(self.plan.actions[event]), len(self.plan.plan.boundary)
-        return action - parts if action >= parts else None
+    def moved(self, event: int) -> list[int]:
+        """Return the parts that leave their places, or reach them, at an event."""
+        robots = self.plan.steps[event].robots
+        return [part for robot in robots if (part := self.plan.part_of(event, robot)) is not None]
 
     def conflicts(self, one: Stretch, other: Stretch, margin: float) -> NDArray[np.bool_]:
         """Return which cells of two motions or rests are not proven to keep a distance, shape (cells, cells)."""
@@ -147,7 +141,8 @@ def fixed_precedences(rows: Itineraries) -> list[Precedence]:
     """Return the precedences of every schedule of a plan: of each arm, of the states, of parts in place."""
     found = []
     for robot in range(len(rows.rows)):
-        found += [Precedence(a, rows.nodes[a].seconds, b, "arm") for a, b in pairwise(rows.of_robot(robot))]
+        own = [index for index, node in enumerate(rows.nodes) if robot in node.robots]
+        found += [Precedence(a, rows.nodes[a].seconds, b, "arm") for a, b in pairwise(own)]
     for one, other in pairwise(rows.events):
         offset = rows.nodes[one.node].seconds if one.at_end else 0.0
         found.append(Precedence(one.node, offset, other.node, "state"))
@@ -166,15 +161,16 @@ def _parts_in_the_way(rows: Itineraries, robot: int) -> list[Precedence]:
         first, last = stretch.after + 1, min(stretch.before, len(rows.events))
         others = range(first, step) if apart else range(step + 1, last)
         for event in others:
-            part, mover = rows.moved(event), rows.events[event].node
-            if part is None or present[part] or rows.nodes[mover].robot == robot:
-                continue
-            place = rows.bodies.standing(part)
-            hit = np.flatnonzero(conflicts(stretch.swept, (place, place), _margin_of(rows, stretch))[:, 0])
-            if len(hit) and apart:
-                found.append(Precedence(mover, 0.0, stretch.node, "part"))
-            elif len(hit):
-                found.append(Precedence(stretch.node, float(stretch.ends[hit[-1]]), mover, "part"))
+            mover = rows.events[event].node
+            for part in rows.moved(event):
+                if present[part] or robot in rows.nodes[mover].robots:
+                    continue
+                place = rows.bodies.standing(part)
+                hit = np.flatnonzero(conflicts(stretch.swept, (place, place), _margin_of(rows, stretch))[:, 0])
+                if len(hit) and apart:
+                    found.append(Precedence(mover, 0.0, stretch.node, "part"))
+                elif len(hit):
+                    found.append(Precedence(stretch.node, float(stretch.ends[hit[-1]]), mover, "part"))
     return found
 
 
@@ -207,7 +203,9 @@ def _conflict_table(rows: Itineraries, one: int, other: int) -> NDArray[np.bool_
     table = np.zeros(size, dtype=bool)
     for a in rows.rows[one]:
         for b in rows.rows[other]:
-            if a.after >= b.before or b.after >= a.before or _is_proven(a, b):
+            if a.node is not None and a.node == b.node:  # one motion of both
+                continue
+            if a.phase[other] != b.phase[one] or a.after >= b.before or b.after >= a.before or _is_proven(a, b):
                 continue
             margin = min(_margin_of(rows, a), _margin_of(rows, b))
             table[a.first : a.first + a.cells, b.first : b.first + b.cells] = rows.conflicts(a, b, margin)

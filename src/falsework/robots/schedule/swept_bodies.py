@@ -40,6 +40,11 @@ class SweptBodies:
         cells = np.atleast_2d(np.asarray(values, dtype=np.float64))
         return self._swept(robot, cells, np.zeros_like(cells), load)
 
+    def along(self, robot: int, path: Array, load: Load | None, pieces: int) -> tuple[Swept, Swept]:
+        """Return the bodies along a path, shape (points, joints), each edge in some pieces, and in finer ones."""
+        coarse, fine = (self._swept(robot, *_pieces_of(path, count), load) for count in (pieces, SPLIT * pieces))
+        return coarse, fine
+
     def standing(self, part: int) -> Swept:
         """Return the body of a part in place."""
         if part not in self._standing:
@@ -80,6 +85,14 @@ def _beside(moving: Swept, lying: Swept) -> Swept:
         np.minimum(moving.low, lying.low),
         np.maximum(moving.high, lying.high),
     )
+
+
+def _pieces_of(path: Array, count: int) -> tuple[Array, Array]:
+    """Return joint values in the middle of pieces of the edges of a path, and the largest deviations from them."""
+    steps = np.diff(path, axis=0)[:, None]
+    middle = path[:-1, None] + steps * ((np.arange(count) + 0.5) / count)[:, None]
+    spread = np.repeat(np.abs(steps) / (2 * count), count, axis=1)
+    return middle.reshape(-1, path.shape[1]), spread.reshape(-1, path.shape[1])
 
 
 def reach_of(trajectory: Trajectory, cells: int) -> tuple[Array, Array]:

@@ -15,11 +15,18 @@ class Together(Protocol):
     largest: int
     """Parts of a step at most."""
     each_held: bool
-    """Whether several robots may move a set, each with a part of its own; else one robot carries it."""
+    """Whether several robots may move a set, each with a part of its own."""
+    by_one: bool
+    """Whether one robot may carry a set."""
 
     @property
     def carried(self) -> Together:
         """The same rule for sets that one robot carries."""
+        ...
+
+    @property
+    def held(self) -> Together:
+        """The same rule for sets of which a robot of its own holds each part."""
         ...
 
     def sets(self, movable: Mask) -> tuple[PartSet, ...]:

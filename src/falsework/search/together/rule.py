@@ -34,7 +34,7 @@ class InterlockedSets:
                 f"{largest} is not a number of parts of {assembly.name} that can move at once; give 1 (one at a time) "
                 f"to {max(most, 1)}"
             )
-        self.largest, self._assembly, self.each_held = int(largest), assembly, True
+        self.largest, self._assembly, self.each_held, self.by_one = int(largest), assembly, True, True
         self._carriers: dict[tuple[PartSet, StabilitySettings], tuple[int, ...]] = {}
 
     @property
@@ -42,6 +42,13 @@ class InterlockedSets:
         """The same rule for sets that one robot carries."""
         new = copy(self)
         new.each_held = False
+        return new
+
+    @property
+    def held(self) -> InterlockedSets:
+        """The same rule for sets of which a robot of its own holds each part."""
+        new = copy(self)
+        new.by_one = False
         return new
 
     def sets(self, movable: Mask) -> tuple[PartSet, ...]:
@@ -58,7 +65,7 @@ class InterlockedSets:
         None if no contacts connect the set, or the oracle has no settings.
         """
         settings = oracle.settings
-        if settings is None:
+        if settings is None or not self.by_one:
             return ()
         if (parts, settings) not in self._carriers:
             try:
