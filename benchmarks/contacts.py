@@ -3,16 +3,17 @@
     python benchmarks/contacts.py
     python benchmarks/contacts.py --structures vault:parts=300 path/to/assembly --repeats 10
     python benchmarks/contacts.py --fine 50000 --repeats 3
-    python benchmarks/contacts.py --settled cad/fabrica-car:cm:2 --repeats 1
+    python benchmarks/contacts.py --loose --repeats 1
 
 Without names: the real structures where they are found (FALSEWORK_DATA, else the folder `shared` beside the
 repository) and public ones whose faces overlap, then the built-in vault of 1,000 parts. `seconds`, median and range of
 the repeats, cover what `find_contacts` does, the search for overlaps included; `joints` are those that were resolved;
 `cpu_s` is processor time; `peak_gib` is the memory of the whole process so far.
 
-With `--fine`: pairs of parts of so many faces each, flat, wavy and in bearings, instead. With `--settled`: folders of
-meshes with their unit and a length in mm, on a ground, whose parts settle by at most that; `moved` and `most_mm` are
-the parts that moved and the largest motion, `stopped` says whether contacts stopped all of them.
+With `--fine`: pairs of parts of so many faces each, flat, wavy and in bearings, instead. With `--loose`: assemblies
+with clearance that nothing describes, twenty generated ones and those of CAD benchmarks where they are found. They are
+loaded with no setting and planned for two robots within a minute; `moved` and `most_mm` are the parts that settled and
+the largest motion, `stopped` says whether contacts stopped all of them.
 """
 
 from __future__ import annotations
@@ -22,18 +23,22 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-import numpy as np
 import tyro
 from fine_pairs import FINE_PAIRS
+from loose_parts import LOOSE, write_meshes
 from record import report, spread, write_to
 from states import find, one_core, real_structures
 
-from falsework import StabilityOracle, load_structure
+from falsework import find_plans, load_structure
 from falsework.geometry import ContactSettings, TriangleMesh, find_contacts
 
 REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72")
 INEXACT = ("ursula-6", "cra-curve-3-blocks", "dome-90", "genevault-110", "pavilion-vault-387", "armadillo-399-cra")
+CAD = ("cad/asap-beam/original", *(f"cad/fabrica-{name}" for name in ("beam", "car", "duct", "plumbers_block")))
+MINUTE = 60.0
+"""Time for a plan, seconds."""
 LARGE = "vault:parts=1000"
 
 
@@ -45,8 +50,8 @@ class Options:
     """Built-in names or paths; empty for all real structures and the large vault."""
     fine: int = 0
     """Faces of each part of pairs that are timed instead."""
-    settled: tuple[str, ...] = ()
-    """Folders that are settled instead, each as FOLDER:UNIT:MM."""
+    loose: bool = False
+    """Load and plan assemblies with clearance instead."""
     repeats: int = 5
     """Number of runs of each."""
     out: Path | None = None
@@ -62,9 +67,9 @@ def main(options: Options) -> None:
             meshes = pair(options.fine)
             _report(name, meshes, None, options.repeats, kind="contacts fine")
         return
-    if options.settled:
-        for text in options.settled:
-            _settle(text, options.repeats)
+    if options.loose:
+        for name in (*LOOSE, *real_structures(CAD)):
+            _plan(name, options.repeats)
         return
     for structure in options.structures or (*real_structures(REAL + INEXACT), LARGE):
         assembly = load_structure(find(structure))
@@ -100,31 +105,31 @@ def _report(
     )
 
 
-def _settle(text: str, repeats: int) -> None:
-    """Time the settling of the parts of a folder, and what it did."""
-    place, unit, length = text.rsplit(":", 2)
-    folder = find(place)
-    seconds, cpu = [], []
-    for _ in range(repeats):
-        begin, spent = time.perf_counter(), time.process_time()
-        assembly = load_structure(folder, unit=unit, ground=True, settle=float(length) / 1000)
-        seconds.append(time.perf_counter() - begin)
-        cpu.append(time.process_time() - spent)
+def _plan(name: str, repeats: int) -> None:
+    """Time the loading and planning of an assembly with clearance, generated or a folder, without any setting."""
+    load_s, plan_s, cpu = [], [], []
+    with TemporaryDirectory() as scratch:
+        folder = write_meshes(LOOSE[name](), Path(scratch)) if name in LOOSE else find(name)
+        for _ in range(repeats):
+            begin, spent = time.perf_counter(), time.process_time()
+            assembly = load_structure(folder)
+            loaded = time.perf_counter()
+            result = find_plans(assembly, robots=2, deadline=MINUTE)
+            load_s.append(loaded - begin)
+            plan_s.append(time.perf_counter() - loaded)
+            cpu.append(time.process_time() - spent)
     settled = assembly.settlement
-    assert settled is not None
-    state = np.where(assembly.boundary, 2, 1)
     report(
-        "contacts settled",
-        structure=Path(place).name,
+        "contacts loose",
+        structure=name,
         parts=assembly.part_count,
         faces=sum(len(mesh.faces) for mesh in assembly.meshes),
-        bound_mm=float(length),
-        steps=settled.steps,
-        moved=int((settled.motion > 0).sum()),
-        most_mm=1000 * float(settled.motion.max()),
-        stopped=bool(settled.stopped.all()),
-        stable=bool(StabilityOracle(assembly).verdicts(state[None]).stable[0]),
-        seconds=spread(seconds),
+        outcome=str(result.outcome),
+        moved=0 if settled is None else int((settled.motion > 0).sum()),
+        most_mm=0.0 if settled is None else 1000 * float(settled.motion.max()),
+        stopped=settled is None or bool(settled.stopped.all()),
+        load_s=spread(load_s),
+        plan_s=spread(plan_s),
         cpu_s=spread(cpu),
         peak_gib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
     )

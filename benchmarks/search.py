@@ -41,7 +41,7 @@ from falsework import (
     make_task,
 )
 from falsework.search import BeamSearch, BeamSettings, SearchProgress
-from falsework.search.plans.plan_check import validate_proofs
+from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.hold_bound import HoldBound
 from falsework.stability.settings import EQUILIBRIUM
@@ -123,7 +123,7 @@ def plan(options: Options) -> None:
             seconds=round(seconds, 3),
             criterion=options.criterion,
             replay_stands=planning.found and planning.plans[0].replay is not None and planning.plans[0].replay.stands,
-            proofs_accepted=planning.found and validate_proofs(planning.plans[0], assembly, oracle.settings).good,
+            proofs_accepted=planning.found and validate_plan(planning.plans[0], assembly, oracle.settings).good,
         )
 
 

@@ -91,7 +91,7 @@ def _kind(module: str, name: str) -> Any:
     return getattr(import_module(f"falsework.{module}"), name)
 
 
-_JUMPS, _CONFLICTS = "search.beam.backjumping", "search.beam.nogoods"
+_CONFLICTS = "search.beam.nogoods"
 _SELECTION = "search.beam.selection"
 _GUIDE, _MEMORY, _SOLVER = "search.problem.guide", "search.beam.failed_moves", "stability.cpu.solver"
 
@@ -108,11 +108,11 @@ def _patch_refuted() -> None:
 
 
 def _patch_jumps() -> None:
-    _answer(import_module(f"falsework.{_JUMPS}"), "luby", 1)
+    _answer(import_module(f"falsework.{_CONFLICTS}"), "luby", 1)
 
 
 def _probe_jumps(note: Note) -> None:
-    _watch(import_module(f"falsework.{_JUMPS}"), "luby", note, lambda distance, _: distance > 1)
+    _watch(import_module(f"falsework.{_CONFLICTS}"), "luby", note, lambda distance, _: distance > 1)
 
 
 def _patch_hopeful() -> None:

@@ -87,12 +87,16 @@ def test_boundary_by_name(folder: Path):
     assert load_assembly(folder).boundary.tolist() == [True, False, True]
 
 
-def test_a_folder_without_description_needs_a_boundary(tmp_path: Path):
+def test_a_folder_without_description_stands_on_a_ground(tmp_path: Path):
     for part in range(2):
         (tmp_path / f"{part}.obj").write_text(obj_text(box(str(part), (0, 0, part))))
-    with pytest.raises(AssemblyError, match="--ground"):
-        load_assembly(tmp_path)
+    with pytest.raises(AssemblyError, match=r"no part is boundary.*--ground"):
+        load_assembly(tmp_path, boundary=[])
+    with pytest.warns(ReadWarning, match="no part is fixed, so a ground was added under the lowest point"):
+        unsaid = load_assembly(tmp_path)
     grounded = load_assembly(tmp_path, ground=True)
+    assert unsaid.identity == grounded.identity
+    assert unsaid.settlement is None
     assert grounded.names == ("0", "1", "ground")
     assert grounded.boundary.tolist() == [False, False, True]
     assert grounded.name == tmp_path.name
@@ -128,8 +132,11 @@ def test_one_file_with_its_description_beside_it(tmp_path: Path):
             {"boundary": ["roof"]},
             "assembly.json: boundary is part 'roof', which does not exist; give an id from 0 to 2",
         ),
-        ({"boundary": [[0]]}, r"boundary is \[\[0\]\]; give ids of parts, 0 to 2, or names"),
-        ({"boundary": [[0, 1], [2]]}, r"boundary is \[\[0, 1\], \[2\]\]; give ids of parts, 0 to 2, or names"),
+        ({"boundary": [[0]]}, r"assembly\.json: boundary parts are \[\[0\]\]; give a list of part numbers or names"),
+        (
+            {"boundary": [[0, 1], [2]]},
+            r"assembly\.json: boundary parts are \[\[0, 1\], \[2\]\]; give a list of part numbers or names",
+        ),
         ({"boundary": [[0], "0"]}, "boundary parts are"),
         ({"boundary": []}, "--ground"),
         ({"unit": "furlong"}, "unknown unit 'furlong'"),

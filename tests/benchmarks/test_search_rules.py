@@ -15,16 +15,15 @@ from search_rules import ALL, EACH, LEFT_OUT, RULES, acts_in, each_of, parts_of,
 
 from falsework import StabilityOracle, StabilitySettings, Task, load_structure
 from falsework.assembly import States
-from falsework.search import Oracle, SupportGuide, strategies
-from falsework.search.beam import backjumping, beam, failed_moves, nogoods
-from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
+from falsework.search import BeamSearch, BeamSettings, Oracle, SupportGuide
+from falsework.search.beam import beam, failed_moves, nogoods
 from falsework.search.problem import guide
 from falsework.stability import Verdicts
 from falsework.stability.cpu import solver
 from falsework.stability.settings import EQUILIBRIUM
 
 PATCHED = (
-    *(backjumping, beam, strategies, solver, BackjumpingSettings),
+    *(beam, nogoods, solver),
     *(nogoods.Nogoods, guide.SupportGuide, failed_moves.FailedMoves, solver.CpuSolver),
 )
 """Modules and classes that patches and probes change."""
@@ -54,11 +53,11 @@ class Chance(Oracle):
         return verdicts
 
 
-def dying_beam(name: str = "dome:rings=2,blocks=6") -> BackjumpingBeam:
+def dying_beam(name: str = "dome:rings=2,blocks=6") -> BeamSearch:
     """Return a beam that dies again and again."""
     assembly = load_structure(name)
     task = Task.from_rules(assembly.boundary, 3, contacts=assembly.contacts.parts)
-    return BackjumpingBeam(task, Chance(0.3), guide=SupportGuide(assembly))
+    return BeamSearch(task, Chance(0.3), BeamSettings.from_width(), guide=SupportGuide(assembly))
 
 
 def die() -> None:
@@ -78,10 +77,8 @@ def fall_again() -> None:
     """Have a beam with few states ahead die where parts are known to fall."""
     assembly, levels = load_structure("dome:rings=2,blocks=6"), iter(range(300))
     task = Task.from_rules(assembly.boundary, 3, contacts=assembly.contacts.parts)
-    settings = BackjumpingSettings(lookahead=2)
-    BackjumpingBeam(task, Chance(0.3), settings, guide=SupportGuide(assembly)).run(
-        stop=lambda: next(levels, None) is None
-    )
+    settings = BeamSettings.from_width(lookahead=2)
+    BeamSearch(task, Chance(0.3), settings, guide=SupportGuide(assembly)).run(stop=lambda: next(levels, None) is None)
 
 
 USES: dict[str, Callable[[], Any]] = {
@@ -117,7 +114,7 @@ def test_probes_change_no_search() -> None:
     def ways() -> list[bytes]:
         found = dying_beam()
         result = found.run(4)
-        return [found.search.states().tobytes(), result.deepest.tobytes(), bytes(str(result.counters), "ascii")]
+        return [found.states().tobytes(), result.deepest.tobytes(), bytes(str(result.counters), "ascii")]
 
     before = ways()
     assert probe_all() == set()

@@ -16,7 +16,7 @@ import pytest
 
 from falsework import load_structure
 from falsework.search import BeamSearch
-from falsework.search.plans.plan_check import validate_plan, validate_proofs
+from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import load_plan
 from falsework.search.problem.state_graph import load_state_graph
 from falsework.stability.judges import discrete_elements
@@ -352,7 +352,7 @@ def test_round_cone_is_checked_as_such(falsework: Run, tmp_path: Path) -> None:
 def test_proofs_can_be_written(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     assert falsework("plan", "arch:blocks=5", "--proofs", "--out", out).code == 0
-    assert validate_proofs(load_plan(out), load_structure("arch:blocks=5")).good
+    assert validate_plan(load_plan(out), load_structure("arch:blocks=5")).good
 
 
 def test_graph(falsework: Run, tmp_path: Path) -> None:

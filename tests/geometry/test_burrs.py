@@ -7,7 +7,8 @@ one say which of the twelve inner cubes of a stick of 2 by 2 by 6 are cut away.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import permutations, product
+from functools import cache
+from itertools import pairwise, permutations, product
 
 import numpy as np
 import pytest
@@ -130,6 +131,7 @@ class Sliding:
         return None, frozenset()
 
 
+@cache
 def opened(name: str) -> tuple[list[Cells], int]:
     """The sticks of a burr as the assembly that comes apart has them, and the one that is out first."""
     numbers, level = BURRS[name]
@@ -157,16 +159,93 @@ def test_burrs_open_at_their_published_levels(name: str) -> None:
             assert motions.leaves(found.way, np.ones(6, dtype=bool)) == ""
 
 
+@pytest.mark.parametrize("name", BURRS)
+def test_later_sticks_leave_at_their_levels(name: str) -> None:
+    """As in a search by cells, in which any sticks may part from the others, one stick after the other."""
+    sticks, _ = opened(name)
+    motions, left, levels = motions_of(*map(solid, sticks)), list(range(6)), list[int]()
+    while len(left) > 1:
+        level, some = Sliding([sticks[part] for part in left]).level()
+        assert level is not None
+        fewest = {}
+        for part in left:
+            stays = next(other for other in left if other != part)
+            aside = tuple(other for other in left if other not in (part, stays))
+            search = PathSearch(motions, part, np.arange(6) == stays, aside)
+            fewest[part] = next((moves for moves in range(1, level + 1) if search.run(moves).way), level + 1)
+        assert min(fewest.values()) == level
+        levels.append(level)
+        out = min(fewest, key=fewest.__getitem__)
+        if len(some) in (1, len(left) - 1):
+            one_side = some if len(some) == 1 else frozenset(range(len(left))) - some
+            assert fewest[left[min(one_side)]] == level
+        left.remove(out)
+    assert levels[0] == BURRS[name][1]
+    assert levels[1] == 2
+
+
 def test_a_burr_is_planned_and_checked() -> None:
+    """Until one stick is left."""
     sticks, first = opened("Philippe Dubois")
-    assembly = structure(*(solid(stick, fixed=part == (first + 1) % 6) for part, stick in enumerate(sticks)))
+    stays = (first + 1) % 6
+    assembly = structure(*(solid(stick, fixed=part == stays) for part, stick in enumerate(sticks)))
     settings = StabilitySettings(criterion="equilibrium")
-    ends = {"start": np.full(6, 2), "target": np.where(np.arange(6) == first, 0, 2)}
-    one_less = find_plans(assembly, robots=5, moves=5, stability=settings, **ends)
+    start = np.full(6, 2)
+    one_less = find_plans(assembly, robots=5, moves=5, stability=settings, start=start)
     assert one_less.outcome is not Outcome.FOUND
-    (plan,) = find_plans(assembly, robots=5, moves=6, stability=settings, **ends).plans
-    assert max(map(len, plan.exit_paths)) == plan.moves == 6
+    (plan,) = find_plans(assembly, robots=5, moves=6, stability=settings, start=start).plans
+    ways = [len(way) for way, action in zip(plan.exit_paths, plan.actions, strict=True) if action >= 6]
+    assert ways[-1] == plan.moves == 6
+    assert len(ways) == 5
     assert validate_plan(plan, assembly, settings).good
+
+
+def winding(moves: int, width: int, shift: int, random: np.random.Generator) -> tuple[set[Place], Place]:
+    """A tunnel in a block of 11 by 11 and a width, that turns at every second cell and meets itself nowhere.
+
+    A cube at its blind end, which is returned too, needs as many moves to get out.
+    """
+
+    def go(path: list[Place], last: Place) -> list[Place] | None:
+        turns = [step for step in STEPS if not np.dot(step, last)]
+        random.shuffle(turns)
+        for step in turns:
+            if len(path) == moves:
+                ray = [plus(path[-1], (k * step[0], k * step[1], k * step[2])) for k in range(1, 11)]
+                ray = [cell for cell in ray if min(cell) >= 0 and max(cell) < 11]
+                if step[0] == 0 and not set(ray) & set(path):
+                    return [*path, *ray]
+                continue
+            new = plus(plus(path[-1], step), step)
+            if new in path or min(new) < 1 or new[0] >= width - 1 or max(new) > 9:
+                continue
+            if (found := go([*path, new], step)) is not None:
+                return found
+        return None
+
+    found = go([(1, 1, 1)], (0, 0, 0))
+    assert found is not None
+    between = {((a[0] + b[0]) // 2, (a[1] + b[1]) // 2, (a[2] + b[2]) // 2) for a, b in pairwise(found[:moves])}
+    return {plus(cell, (shift, 0, 0)) for cell in (*found, *between)}, (1 + shift, 1, 1)
+
+
+def test_levels_of_up_to_98_moves_are_planned() -> None:
+    """Cubes in a block leave in 98, 1, 2, 1, 4 and 2 moves and in no fewer."""
+    levels, random, shift = (98, 1, 2, 1, 4, 2), np.random.default_rng(1), 0
+    dug, cubes = set[Place](), list[Place]()
+    for level in levels:
+        width = 11 if level > 4 else 3
+        tunnel, cube = winding(level, width, shift, random)
+        dug, shift, cubes = dug | tunnel, shift + width - 1, [*cubes, cube]
+    block = frozenset(product(range(shift + 1), range(11), range(11))) - dug
+    pieces = [frozenset({cube}) for cube in cubes]
+    motions, others = motions_of(*map(solid, [*pieces, block])), np.arange(7) == 6
+    for part, level in enumerate(levels):
+        assert PathSearch(motions, part, others).run(level - 1).way is None
+        way = PathSearch(motions, part, others).run(level).way
+        assert way is not None
+        assert len(way) == level
+        assert motions.leaves(way, others) == ""
 
 
 @pytest.mark.parametrize("name", KEYED)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.optimize
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from falsework.errors import InputError
@@ -78,6 +78,7 @@ def test_edges_and_corners_do_not_touch(shapes, shift):
 
 
 @given(seed=st.integers(0, 10_000))
+@example(seed=244)  # edges nearly in line, of which general polygon overlay loses a whole triangle
 @settings(max_examples=25, deadline=None)
 def test_triangulation_and_position_do_not_matter(shapes, seed):
     """Stack of three in a random place: split at random, the contacts are the same."""

@@ -33,8 +33,10 @@ def structure(*solids: Solid) -> Assembly:
     return Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary)
 
 
-def motions_of(*solids: Solid) -> PartMotions:
-    meshes = gather(solids).meshes
+def motions_of(*solids: Solid, turn: float = 0.0) -> PartMotions:
+    """Swept tests of solids that are turned about the vertical, rad; only those that are not consist of cells."""
+    matrix = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    meshes = gather([replace(one, vertices=one.vertices @ matrix.T) for one in solids]).meshes
     return PartMotions(meshes, find_contacts(meshes), 1e-4)
 
 
@@ -101,10 +103,12 @@ def tunnels(seed: int, size: int = 8) -> tuple[Cells, Cells]:
             return piece, frame
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_pieces_leave_tunnels_in_as_few_moves_as_by_cells(seed: int) -> None:
+@pytest.mark.parametrize(
+    ("seed", "turn"), [*((seed, 0.0) for seed in range(40)), *((seed, 0.3) for seed in range(0, 40, 4))]
+)
+def test_pieces_leave_tunnels_in_as_few_moves_as_by_cells(seed: int, turn: float) -> None:
     piece, frame = tunnels(seed)
-    motions, most, others = motions_of(solid(piece), solid(frame)), 7, np.array([False, True])
+    motions, most, others = motions_of(solid(piece), solid(frame), turn=turn), 7, np.array([False, True])
     expected = fewest_moves(piece, frame, most)
     for moves in range(1, most + 1):
         found = PathSearch(motions, 0, others).run(moves)
@@ -135,10 +139,12 @@ def locked_pieces(seed: int) -> tuple[Cells, Cells, Cells, Cells]:
             return pieces[0], pieces[1], pieces[2], pieces[3]
 
 
-@pytest.mark.parametrize("seed", range(1, 12))
-def test_pieces_leave_past_others_that_move_aside_in_as_few_moves_as_by_cells(seed: int) -> None:
+@pytest.mark.parametrize(
+    ("seed", "turn"), [*((seed, 0.0) for seed in range(1, 12)), *((seed, 0.3) for seed in (1, 5, 9))]
+)
+def test_pieces_leave_past_others_that_move_aside_in_as_few_moves_as_by_cells(seed: int, turn: float) -> None:
     pieces = locked_pieces(seed)
-    motions, rest, most = motions_of(*map(solid, pieces)), np.array([False, False, False, True]), 3
+    motions, rest, most = motions_of(*map(solid, pieces), turn=turn), np.array([False, False, False, True]), 3
     expected = fewest_moves(pieces[0], pieces[3], most, pieces[1:3])
     for moves in range(1, most + 1):
         found = PathSearch(motions, 0, rest, (1, 2)).run(moves)
@@ -148,3 +154,40 @@ def test_pieces_leave_past_others_that_move_aside_in_as_few_moves_as_by_cells(se
             assert motions.leaves(found.way, np.ones(4, dtype=bool)) == ""
             break
         assert not found.exact or expected is None
+
+
+def test_what_is_beside_the_grid_proves_nothing() -> None:
+    """A wall that is no union of cells: ways past the box around it are found, and none is not the last word."""
+    piece, ledge = cells(range(1), range(1), range(1)), cells(range(-1, 2), range(-1, 2), range(-1, 0))
+    wall = Assembly.from_meshes(motions_of(solid(cells(range(1, 2), range(1), range(1)))).meshes, boundary=[0]).meshes[
+        0
+    ]
+    slope = wall.vertices * (1.0, 1.0, 1.0) + np.where(wall.vertices[:, 2:] > 0.05, (0.037, 0.0, 0.0), 0.0)
+    leans = replace(wall, vertices=slope)
+    meshes = [*motions_of(solid(piece), solid(ledge)).meshes, leans]
+    motions, others = PartMotions(meshes, find_contacts(meshes), 1e-4), np.array([False, True, True])
+    found = PathSearch(motions, 0, others).run(1)
+    assert found.way is not None
+    assert motions.leaves(found.way, others) == ""
+    lid = cells(range(-1, 2), range(-1, 2), range(1, 2)) | {(-1, 0, 0), (0, -1, 0), (0, 1, 0)}
+    shut = [*meshes[:2], leans, *motions_of(solid(frozenset(lid))).meshes]
+    closed = PathSearch(PartMotions(shut, find_contacts(shut), 1e-4), 0, np.array([False, True, True, True])).run(3)
+    assert closed.way is None
+    assert not closed.exact
+
+
+def test_grids_need_not_be_cubes_nor_begin_at_zero() -> None:
+    piece, frame = tunnels(3)
+    expected = fewest_moves(piece, frame, 7)
+    assert expected is not None
+    solids = [
+        replace(one, vertices=one.vertices * (0.7, 1.3, 2.1) + (0.123, -4.5, 9.87))
+        for one in map(solid, (piece, frame))
+    ]
+    motions, others = motions_of(*solids), np.array([False, True])
+    assert motions.grid((0, 1)) is not None
+    assert motions_of(*solids, turn=0.3).grid((0, 1)) is None
+    assert PathSearch(motions, 0, others).run(expected - 1).way is None
+    way = PathSearch(motions, 0, others).run(expected).way
+    assert way is not None
+    assert motions.leaves(way, others) == ""

@@ -11,9 +11,9 @@ from falsework.errors import InputError
 from falsework.geometry import find_contacts
 from falsework.geometry.clearance import locked
 from falsework.geometry.clearance.directions import sphere_directions
-from falsework.geometry.clearance.first_motions import can_begin_to_move
 from falsework.geometry.clearance.locked import LockedSets
 from falsework.geometry.clearance.part_sets import SetClearance
+from falsework.geometry.clearance.relative_motions import can_begin_to_move
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.clearance.table import clearance_table
 

@@ -10,7 +10,7 @@ import pytest
 from falsework import StabilityOracle, StabilitySettings, StateGraph, find_plans, make_task
 from falsework.assembly.store import load_assembly
 from falsework.search import BeamSearch, BeamSettings
-from falsework.search.plans.plan_check import validate_proofs
+from falsework.search.plans.plan_check import validate_plan
 
 Find = Callable[[str], Path]
 
@@ -45,6 +45,6 @@ def test_two_robots_can_build_it(shared_assembly: Find, name: str) -> None:
     assert planning.found
     plan = planning.plans[0]
     assert len(plan) == 2 * int((~assembly.boundary).sum())
-    assert validate_proofs(plan, assembly).good
+    assert validate_plan(plan, assembly).good
     some = plan.states[:: max(len(plan) // 5, 1)]
     assert StabilityOracle(assembly).exact.check(some).stable.all()

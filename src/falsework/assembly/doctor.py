@@ -62,6 +62,11 @@ class PartReport:
     findings: tuple[str, ...]
     """Findings about it."""
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values, with units in names."""
+        record = asdict(self)
+        return {"size_m": record.pop("size"), "volume_m3": record.pop("volume"), **record}
+
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
@@ -124,7 +129,7 @@ class Diagnosis:
             "stored_interfaces": self.stored.to_dict() if self.stored else None,
             "add": self.additions,
             "loads_with_it": self.cured,
-            "parts": [_part_record(report) for report in self.parts],
+            "parts": [report.to_dict() for report in self.parts],
         }
 
 
@@ -154,7 +159,8 @@ def doctor(
             return Diagnosis(str(path), str(error), (), (), (), 0, None, {}, False, None)
     given = {name: value for name, value in options.items() if value is not None}
     options = {**described, **given}
-    size = _sizes(draft)
+    boxes = [np.ptp(block.vertices, axis=0) if len(block.vertices) else np.zeros(3) for block in draft.blocks]
+    size = np.linalg.norm(boxes, axis=1) * draft.scale
     middle = float(np.median(size))
     likely = [] if path.suffix.lower() in _HAVE_UNITS else likely_units(middle, draft.scale)
     if len(likely) == 1:  # what else is found and proposed, parts of this size have
@@ -172,10 +178,14 @@ def doctor(
     solids, repairs, errors, notes = _solids(draft, options.get("boundary"))
     findings = [[*([error] if error else []), *more] for error, more in zip(errors, notes, strict=True)]
     compare_parts(solids, findings)
-    assembly, error, remarks = _load(draft, options)
+    # Parts are judged where they are modelled, on no ground, although the structure may load if they settle on one.
+    supports = draft.supports(options.get("boundary"))
+    assembly, error, remarks = _load(draft, {"settle": 0.0, **options, "boundary": supports})
+    if error:
+        _, error, remarks = _load(draft, options)
     remarks = list(dict.fromkeys(str(warning.message) for warning in caught) | dict.fromkeys(remarks))
     fixed = np.zeros(len(draft.blocks), dtype=bool)
-    fixed[draft.supports(options.get("boundary"))] = True
+    fixed[supports] = True
     additions, stored = dict[str, Any](), None
     if assembly is not None:
         contacts: Contacts | None = assembly.contacts
@@ -199,8 +209,7 @@ def doctor(
         lying = upright_finding(upright, lambda: _stands(draft, solids, options, stands, _Y_UP))
     remarks += material_findings(draft, options, assembly)
     remarks += inclination_findings(draft.names if assembly is None else assembly.names, contacts)
-    if lying:
-        remarks.append(lying)
+    remarks += [lying] if lying else []
     if fixed.any() and (fixed.all() or not options.get("ground")):
         remarks += support_findings(draft, solids, fixed)
     elif not options.get("ground"):
@@ -239,18 +248,6 @@ def doctor(
         cured=cured,
         draft=draft,
     )
-
-
-def _sizes(draft: Draft) -> np.ndarray:
-    """Return the diagonal of the bounding box of each part, metres, shape (parts,)."""
-    boxes = [np.ptp(block.vertices, axis=0) if len(block.vertices) else np.zeros(3) for block in draft.blocks]
-    return np.linalg.norm(boxes, axis=1) * draft.scale
-
-
-def _part_record(report: PartReport) -> dict[str, Any]:
-    """Return a report as plain JSON values, with units in names."""
-    record = asdict(report)
-    return {"size_m": record.pop("size"), "volume_m3": record.pop("volume"), **record}
 
 
 def _read(path: Path, unit: str | None) -> tuple[Draft, dict[str, Any]]:
@@ -318,9 +315,9 @@ def _stands(
     None if that are all, or if they do not load so.
     """
     blocks = tuple(replace(block, vertices=block.vertices @ turn.T) for block in draft.blocks)
-    fixed = draft.supports(options.get("boundary"))
-    fixed = list(fixed) or lowest([s and replace(s, vertices=s.vertices @ turn.T) for s in solids])
-    others = {"boundary": fixed, "ground": False, "interfaces": "found"}
+    turned = [solid and replace(solid, vertices=solid.vertices @ turn.T) for solid in solids]
+    fixed = draft.supports(options.get("boundary")) or lowest(turned)
+    others = {"boundary": fixed, "ground": False, "interfaces": "found", "settle": options.get("settle", 0.0)}
     assembly = _load(replace(draft, blocks=blocks, interfaces=()), {**options, **others})[0]
     return None if assembly is None or len(fixed) == len(blocks) else stands(assembly)
 
@@ -392,7 +389,7 @@ def _depths(
         else:
             deep[row] = depth(meshes[a], meshes[b]) if len(meshes[a].faces) + len(meshes[b].faces) < _MANY else found
     if rest:
-        among = np.zeros((len(meshes), len(meshes)), dtype=bool)
+        among = np.zeros((len(meshes),) * 2, dtype=bool)
         among[first[rest], second[rest]] = True
         bound = find_joints(meshes, among, settings.curvature, 2 * tolerance).bound
         others = Overlaps(overlaps.parts[rest], overlaps.limit[rest], overlaps.layer[rest])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeGuard, get_args
 
@@ -21,6 +22,7 @@ from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.read import read_surfaces, unit_length
 from falsework.geometry.mesh.repair import check_meshes, thicken_supports
 from falsework.geometry.mesh.surface import distinct_names, warn_of
+from falsework.geometry.settling.fits import settled_if_loose
 from falsework.utils.quantity import listed
 
 InterfaceSource = Literal["found", "stored", "compare"]
@@ -78,6 +80,8 @@ class Draft:
     """At least one, with different names."""
     interfaces: tuple[StoredInterface, ...] = ()
     """In metres."""
+    fits: bool = False
+    """Whether its format is one of models with clearance, whose parts settle if they do not rest as modelled."""
 
     @staticmethod
     def from_blocks(
@@ -185,11 +189,13 @@ class Draft:
             density: kg/m3; that of the parts if none is given.
             friction: coefficient of friction of every contact; that of the parts if none is given.
             boundary: ids or names of the fixed parts; the supports if not given.
-            ground: add a fixed slab under the lowest point, as the last part.
+            ground: add a fixed slab under the lowest point, as the last part. It is added with a warning where neither
+                a boundary is given nor a part is a support.
             contact_settings: tolerances.
             interfaces: source of the contacts; `compare` finds them and warns where the stored ones differ.
             name: name of the structure; that of the file if not given.
-            settle: as for `Assembly.from_meshes`.
+            settle: as for `Assembly.from_meshes`. If not given, parts of a file in which nothing is fixed, or whose
+                format has fits, settle with a warning if they do not rest where they are.
 
         Raises:
             InputError: stored interfaces are requested and there are none.
@@ -206,19 +212,24 @@ class Draft:
         frictions = set(self._values("friction"))
         if friction is None and len(frictions) > 1:
             raise AssemblyError(f"{self.path} has blocks of different friction; give one for all with --friction")
-        if boundary is None:
-            boundary = fixed
-        assembly = Assembly.from_meshes(
+        unsaid = boundary is None and not fixed and not ground and interfaces != "stored"
+        if unsaid:
+            warn_of(self.path, "no part is fixed, so a ground was added under the lowest point, as the last part")
+        make = partial(
+            Assembly.from_meshes,
             meshes,
-            boundary=boundary,
+            boundary=fixed if boundary is None else boundary,
             density=self._density() if density is None else density,
             friction=next(iter(frictions), FRICTION) if friction is None else friction,
-            name=self.path.stem if name is None else name,
-            ground=ground,
+            name=name or (self.path.resolve().name if self.path.is_dir() else self.path.stem),
+            ground=ground or unsaid,
             contact_settings=contact_settings or ContactSettings(),
             contacts=interface_contacts(meshes, self.interfaces) if interfaces == "stored" else None,
-            settle=settle,
         )
+        if settle is None and (unsaid or self.fits):
+            assembly = settled_if_loose(lambda length: make(settle=length), meshes, self.path)
+        else:
+            assembly = make(settle=settle)
         strength = {name: max(self._values(name), default=None) for name in ("cohesion", "tension")}
         assembly = assembly.replace(
             joints=Joints.from_uniform(assembly.contacts, **strength), loads=self._loads(assembly)

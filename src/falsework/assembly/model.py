@@ -16,13 +16,14 @@ from falsework.assembly.assembly_model import Prop
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
-from falsework.assembly.touching import check_touching, clearance_hint, contact_warnings, warn_of
+from falsework.assembly.touching import check_touching, contact_warnings, warn_of
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.part_sets import SetClearance
 from falsework.geometry.clearance.table import ClearanceTable, clearance_table
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, ground_slab, mass_properties
+from falsework.geometry.settling.fits import clearance_hint
 from falsework.geometry.settling.settlement import Settlement
 from falsework.utils.display.notebook import Displayed
 from falsework.utils.quantity import counted

@@ -67,9 +67,9 @@ def load_assembly(
         density: kg/m3.
         friction: coefficient of friction of every contact.
         boundary: ids of the fixed parts, or a mask of shape (parts,).
-        ground: add a fixed slab under the lowest point, as the last part.
+        ground: add a fixed slab under the lowest point, as the last part, as for `Draft.assemble`.
         contact_settings: tolerances.
-        settle: largest motion with which parts settle into their clearance first, metres.
+        settle: largest motion with which parts settle into their clearance first, metres, as for `Draft.assemble`.
         loads: objects with `part`, `force` (N) and perhaps `at` (m) and `moment` (Nm).
         earthquake: pseudo-static horizontal acceleration in shares of gravity, along x, or along x and y.
         materials: of each part, or one for all.
@@ -94,7 +94,7 @@ def load_assembly(
         ground=ground,
         contact_settings=described["contact"] if contact_settings is None else contact_settings,
         settle=described.get("settle") if settle is None else settle,
-        name=described.get("name", source.stem if source.is_file() else source.resolve().name),
+        name=described.get("name"),
     )
     given = {"loads": loads, "earthquake": earthquake, "materials": materials, "joints": joints, "fasteners": fasteners}
     acting = {name: described.get(name) if value is None else value for name, value in given.items()}

@@ -1,4 +1,4 @@
-"""Parts that touch nothing, pairs of parts that touch on less than a face, and parts with clearance."""
+"""Parts that touch nothing, and pairs of parts that touch on less than a face."""
 
 from __future__ import annotations
 
@@ -10,14 +10,9 @@ from numpy.typing import NDArray
 
 from falsework.errors import AssemblyError, UntouchedPartError
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, default_gap
-from falsework.geometry.contact.near import near_points
 from falsework.geometry.mesh.collision import nearest
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.utils.quantity import format_number, format_quantity
-
-_FIT = 1 / 20
-"""Largest clearance of a fit, as a share of the thickness of the thinnest part."""
-
 
 _WARNED = 3
 """Pairs of parts that are named in warnings when an assembly is made; the rest is counted."""
@@ -78,28 +73,6 @@ def contact_warnings(
             where = ("at points", "along lines")[widest[number]]
         lines.append(f"parts {a} and {b} touch {where} only: verdicts may depend on it")
     return tuple(lines)
-
-
-def clearance_hint(meshes: Sequence[TriangleMesh], boundary: NDArray[np.bool_], settings: ContactSettings) -> str:
-    """Return what to do about parts that face others across a clearance; empty if none does.
-
-    Such parts touch on one side only, or not where they would in fact, so that the poses of the model are none in which
-    they rest.
-    """
-    thinnest = min(mesh.thickness for mesh in meshes)
-    tolerance = max(*settings.lengths(meshes), default_gap(meshes))
-    near = near_points(meshes, _FIT * thinnest, tolerance)
-    near = near.take(np.flatnonzero((near.gaps > tolerance) & ~boundary[near.parts].all(axis=1)))
-    if not len(near.gaps):
-        return ""
-    widest = int(near.gaps.argmax())
-    a, b = (meshes[part].name for part in near.parts[widest].tolist())
-    gap = float(near.gaps[widest])
-    return (
-        f"parts {a} and {b} face each other {format_quantity(gap, 'length', 2)} apart, and parts can settle into "
-        f"such clearance before they "
-        f"are judged: --settle {format_number(2000 * gap, 2)}"
-    )
 
 
 def inclinations(contacts: Contacts, of: np.ufunc = np.maximum) -> NDArray[np.float64]:

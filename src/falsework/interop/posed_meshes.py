@@ -8,27 +8,20 @@ parts up, and are not used.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.draft import Draft
-from falsework.assembly.state import complete_state
-from falsework.errors import InputError, UntouchedPartError
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.errors import InputError
 from falsework.geometry.mesh.surface import warn_of
-from falsework.stability.oracle import StabilityOracle
 from falsework.utils.files.formats import FOLDER, Reader
 from falsework.utils.json_text import parse_json
-from falsework.utils.quantity import format_quantity, listed
-
-if TYPE_CHECKING:
-    from falsework.assembly.model import Assembly
+from falsework.utils.quantity import listed
 
 UNIT = "cm"
 """Unit of these folders, which none of their files names."""
@@ -38,55 +31,6 @@ _STEPS = "pose"
 """Folder of the orientation of the whole assembly in each step, in results of ASAP."""
 _SETTINGS = ("contact_eps",)
 """Entries of `config.json` that are of no part."""
-
-
-def load_posed(path: Path | str, *, unit: str | None = None, **options: Any) -> Assembly:
-    """Read an assembly from a folder of meshes with a file of poses.
-
-    Args:
-        unit: of the meshes and translations; centimetres if not given.
-        options: density, friction, boundary, ground, contact_settings and settle, as for `load_assembly`. Without a
-            boundary a ground is added, with a warning, as their programs do. Without a length to settle by, parts
-            settle, with a warning, if one of them touches no other, or if they face each other across gaps and the
-            complete assembly is not stable; 0 leaves them where they are.
-
-    Raises:
-        InputError: no mesh, or a pose that is none.
-        MeshError: a part that does not bound a solid.
-        AssemblyError: the parts make no assembly.
-    """
-    draft = read_posed(path, unit=unit)
-    if options.get("boundary") is None and not options.get("ground"):
-        warn_of(draft.path, "no part is fixed, so a ground was added under the lowest point, as the last part")
-        options["ground"] = True
-    options["name"] = draft.path.resolve().name
-    if options.get("settle") is not None:
-        return draft.assemble(**options)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            as_modelled = draft.assemble(**options)
-        except UntouchedPartError:
-            as_modelled = None
-    if as_modelled is not None and _rests(as_modelled):
-        for warning in caught:
-            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-        return as_modelled
-    parts = [TriangleMesh.from_arrays(*block.triangles(draft.scale)) for block in draft.blocks]
-    play = min(min(part.thickness, float(np.ptp(part.bounds, axis=0).min()) / 2) for part in parts)
-    why = "a part touches no other" if as_modelled is None else "the complete assembly is not stable"
-    warn_of(
-        draft.path,
-        f"{why}, so parts settle into their clearance by at most {format_quantity(play, 'length')}, the thickness of "
-        "the thinnest; --settle 0 (settle=0) leaves them where they are",
-    )
-    return draft.assemble(**options | {"settle": play})
-
-
-def _rests(assembly: Assembly) -> bool:
-    """Return whether a complete assembly is stable as it is modelled, or has no clearance to settle into."""
-    state = complete_state(assembly.boundary)
-    return bool(StabilityOracle(assembly).verdicts(state).stable[0]) or not assembly.clearance_hint
 
 
 def read_posed(path: Path | str, *, unit: str | None = None) -> Draft:
@@ -114,7 +58,7 @@ def read_posed(path: Path | str, *, unit: str | None = None) -> Draft:
         turn, shift = poses.get(block.name, (np.eye(3), np.zeros(3)))
         posed = block.name in poses and not block.error
         blocks.append(replace(block, vertices=block.vertices @ turn.T + shift) if posed else block)
-    return replace(draft, blocks=tuple(blocks))
+    return replace(draft, blocks=tuple(blocks), fits=True)
 
 
 def _states(folder: Path) -> tuple[Path, dict[str, Any]]:
@@ -170,4 +114,4 @@ def _is_posed(folder: Path) -> bool:
     return named or bool(_object(folder / _TRANSLATION))
 
 
-READER = Reader((FOLDER,), load_posed, read_posed, _is_posed)
+READER = Reader((FOLDER,), parts=read_posed, recognizes=_is_posed)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -99,22 +99,10 @@ class Difference:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the difference as a JSON object."""
-        moved = [
-            {"part": move.part, "name": move.name, "before": move.before, "now": move.now, "places": move.places}
-            for move in self.moved
-        ]
-        return {
+        return asdict(self) | {
             "direction": self.direction.value,
-            "same": self.same,
-            "begins_on_the_way": self.begins_on_the_way,
-            "common_steps": self.common_steps,
-            "first_old": self.first_old,
-            "first_new": self.first_new,
-            "old_steps": self.old_steps,
-            "new_steps": self.new_steps,
-            "built": self.built,
             "steps_saved": self.steps_saved,
-            "moved": moved,
+            "moved": [asdict(move) | {"places": move.places} for move in self.moved],
             "added": list(self.added),
             "dropped": list(self.dropped),
             "order_kept": round(self.order_kept, 4),

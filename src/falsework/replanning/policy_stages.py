@@ -98,7 +98,7 @@ def follow_samples(sessions: Sequence[ReplanSession], context: ReplanContext) ->
 def _late(session: ReplanSession) -> bool:
     """Return whether the clock of a session has run out; if so, it need not wait for the others any longer."""
     if session.clock.passed:
-        session.yield_control()
+        session.clock.between()
     return session.clock.passed
 
 
@@ -178,7 +178,7 @@ def _judge(owners: Sequence[ReplanSession], states: States, parents: States) -> 
     while begin < len(states):
         rows = np.arange(begin, min(begin + pace.batch, len(states)))
         begin += len(rows)
-        owners[0].yield_control()
+        owners[0].clock.between()
         rows = np.array([row for row in rows.tolist() if not owners[row].clock.passed], dtype=np.int64)
         if len(rows) == 0:
             continue

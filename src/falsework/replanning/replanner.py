@@ -140,7 +140,7 @@ class _Round:
         self._finished = finished
         self._answers: dict[int, ReplanResult] = {}
         for session in sessions:
-            session.yield_control = self._answer_overdue
+            session.clock.between = self._answer_overdue  # others need not wait beyond their deadlines
             session.oracle.limited = any(other.clock.limited for other in sessions)
 
     def run(self) -> list[ReplanResult]:

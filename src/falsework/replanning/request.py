@@ -177,19 +177,12 @@ class Request:
 
     def _ways(self) -> ExitRules:
         """Return how parts may leave: as the request says, and as the plan that is carried out does."""
-        plan = self.plan
-        if plan is None:
-            return {
-                "parts_at_once": self.parts_at_once,
-                "moves": self.moves,
-                "turns": self.turns,
-                "waiting": self.waiting,
-            }
+        asked = self if self.plan is None else self.plan
         return {
-            "parts_at_once": max(self.parts_at_once, plan.parts_at_once),
-            "moves": max(self.moves, plan.moves),
-            "turns": self.turns or plan.turns,
-            "waiting": self.waiting or plan.waiting,
+            "parts_at_once": max(self.parts_at_once, asked.parts_at_once),
+            "moves": max(self.moves, asked.moves),
+            "turns": self.turns or asked.turns,
+            "waiting": self.waiting or asked.waiting,
         }
 
     def _props_at_once(self, state: States, assembly: Assembly) -> int:

@@ -19,7 +19,7 @@ from falsework.search.exhaustive import ExhaustiveSearch
 from falsework.search.planner import Planner
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide
-from falsework.search.problem.result import Outcome, SearchResult, Stop
+from falsework.search.problem.result import Outcome, Progress, SearchProgress, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction
 from falsework.search.settings import PlannerSettings
@@ -36,7 +36,7 @@ _TURN_LEVELS = 8
 
 
 class _Search(Protocol):
-    def run(self, *, stop: Stop | None = None) -> SearchResult:
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
         """Run as `BeamSearch.run`."""
         ...
 
@@ -48,8 +48,8 @@ class _ReachabilityStage:
         self._session = session
         self._search = ExhaustiveSearch(session.task, session.oracle, state_limit=session.context.settings.state_limit)
 
-    def run(self, *, stop: Stop | None = None) -> SearchResult:
-        session, census = self._session, self._search.run(stop=stop)
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        session, census = self._session, self._search.run(progress=progress, stop=stop)
         result, states = census.result, census.graph.states
         while result.found and not session.stands(result.routes[0], Stage.EXHAUSTIVE):
             # Each turn excludes a state, so that the loop ends; but a route of one step has none to exclude.
@@ -61,6 +61,35 @@ class _ReachabilityStage:
                 return replace(result, outcome=Outcome.NOT_FOUND, routes=())
             result = replace(result, routes=(route,))
         return result
+
+
+class _GuidedBeams:
+    """Beams that the policy guides, each wider than the one before, until the replay of a route succeeds."""
+
+    def __init__(self, session: ReplanSession, guide: Guide) -> None:
+        self._session, self._guide = session, guide
+        self._widths = iter(session.context.settings.widths)
+        self._search = self._beam(next(self._widths))
+
+    def _beam(self, width: int) -> BeamSearch:
+        settings = BeamSettings(width, Direction.DISASSEMBLY, "none", seed=self._session.request.seed)
+        return BeamSearch(self._session.task, self._session.oracle, settings, guide=self._guide)
+
+    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
+        session = self._session
+        while True:
+            result = self._search.run(progress=progress, stop=stop)
+            if result.found and not session.stands(result.routes[0], Stage.GUIDED):
+                states = result.routes[0].states
+                self._search.forbid(states[session.oracle.rules_out(states)])
+                if self._search.found:  # nothing lies between the ends
+                    return replace(result, outcome=Outcome.NOT_FOUND, routes=())
+                continue
+            ended = result.interrupted or result.found or result.outcome is Outcome.PROVED_IMPOSSIBLE
+            wider = None if ended else next(self._widths, None)
+            if wider is None:
+                return result
+            self._search = self._beam(wider)
 
 
 class _TimedGuide:
@@ -104,7 +133,7 @@ def _first_plan(session: ReplanSession, guide: Guide) -> Iterator[None]:
     policy = session.context.guide
     if policy is not None and _affordable(session, policy):
         timed = _TimedGuide(policy.for_task(session.task), session.clock)
-        rivals.insert(0, TimeSlices(_WideningBeam(session, timed), Stage.GUIDED, 1))
+        rivals.insert(0, TimeSlices(_GuidedBeams(session, timed), Stage.GUIDED, 1))
     yield from _finish(rivals, session)
 
 
@@ -187,43 +216,16 @@ class TimeSlices:
     def run(self, stop: Stop) -> SearchResult | None:
         """Run the search; None if the deadline passed before it had anything to report."""
         try:
-            return self.search.run(stop=stop)
+            return self.search.run(progress=self._count, stop=stop)
         except DeadlineExceeded:
             return None
 
     def _over(self) -> bool:
         session = self._session
         if session is not None:
-            session.yield_control()
-        self._told = self._left == 0 or (session is not None and session.clock.passed)
-        self._left -= 1
+            session.clock.between()
+        self._told = self._left <= 0 or (session is not None and session.clock.passed)
         return self._told
 
-
-class _WideningBeam:
-    """Beams that the policy guides, each wider than the one before."""
-
-    def __init__(self, session: ReplanSession, guide: Guide) -> None:
-        self._session = session
-        self._guide = guide
-        self._number = 0
-        self._beam: BeamSearch | None = None
-
-    def run(self, *, stop: Stop | None = None) -> SearchResult:
-        widths = self._session.context.settings.widths
-        while True:
-            if self._beam is None:
-                width, seed = widths[self._number], self._session.request.seed
-                settings = BeamSettings(width, Direction.DISASSEMBLY, "none", seed=seed)
-                self._beam = BeamSearch(self._session.task, self._session.oracle, settings, guide=self._guide)
-            result = self._beam.run(stop=stop)
-            if result.found and not self._session.stands(result.routes[0], Stage.GUIDED):
-                states = result.routes[0].states
-                self._beam.forbid(states[self._session.oracle.rules_out(states)])
-                if self._beam.found:  # nothing lies between the ends
-                    return replace(result, outcome=Outcome.NOT_FOUND, routes=())
-                continue
-            proved = result.outcome is Outcome.PROVED_IMPOSSIBLE
-            if result.interrupted or result.found or proved or self._number == len(widths) - 1:
-                return result
-            self._number, self._beam = self._number + 1, None
+    def _count(self, _: SearchProgress) -> None:
+        self._left -= 1

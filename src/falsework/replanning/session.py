@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,14 +98,12 @@ class ReplanSession:
         self.replayer = None  # under the settings alone: changed ones would take as long again
         if replayer is not None:
             own = replayer.vary() if replayer.varies else replayer
-            self.replayer = DeadlineReplayer(own, self.clock, lambda: self.yield_control(), history)
-        self.oracle = TimedOracle(context.prover.oracle, self.clock, lambda: self.yield_control(), self.replayer)
+            self.replayer = DeadlineReplayer(own, self.clock, history)
+        self.oracle = TimedOracle(context.prover.oracle, self.clock, self.replayer)
         needed = _SAFETY * context.prover.seconds_for(self.task.steps + 1)
         self.clock.reserve = min(needed, _PROVING * request.deadline) if request.deadline is not None else 0.0
         self.routes: list[Route] = []
         """The best one first."""
-        self.yield_control: Callable[[], None] = lambda: None
-        """Called regularly, so that other requests need not wait for this one beyond their deadlines."""
         self.busy = False
         """Whether a search, a replay or the answer is under way, which ends by itself when the clock has run out."""
         self.decided_by = Stage.NONE

@@ -24,15 +24,16 @@ from falsework.search.margins.demands import MarginOracle
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
 from falsework.search.planning import Planning
+from falsework.search.plans.acceptance import Acceptance
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
-from falsework.search.plans.build_proofs import prove_build
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_replay import Acceptance, PlanReplay
+from falsework.search.plans.proofs import prove, prove_build
 from falsework.search.plans.route_tests import barred_state
-from falsework.search.plans.state_proofs import prove
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.hold_bound import HoldBound
+from falsework.search.problem.part_sets import InterlockedSets
+from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import (
     Outcome,
     Progress,
@@ -48,7 +49,6 @@ from falsework.search.settings import PlannerSettings
 from falsework.search.task_rules import TaskRules
 from falsework.search.together.moves import graph_with_sets
 from falsework.search.together.posed_states import PosedStates
-from falsework.search.together.rule import InterlockedSets
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import or_notebook

@@ -21,17 +21,18 @@ from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.result import Outcome, Progress, SearchProgress, SearchResult, Stop
 from falsework.search.problem.task import Task
 from falsework.search.settings import PlannerSettings
+from falsework.stability.margins.brackets import ACCURACY
 from falsework.stability.settings import StabilitySettings
 
 Maximised = Literal["friction", "tilt", "push"]
 
 _EFFORT = 500
 """Verdicts that the longest search counts for at least."""
-_CLOSE = 1.05
-"""The search ends when no plan was found for this many times what the weakest step keeps."""
-_ASIDE = 1.005
-"""The bound itself is tried, divided by this: both ends of the plan are barely stable at it. The search ends when the
-weakest step is within the fourth power of it, which margins, exact to 1 %, cannot tell apart."""
+_CLOSE = 5 * ACCURACY
+"""The search ends when no plan was found for this share more than the weakest step keeps."""
+_ASIDE = ACCURACY / 2
+"""The bound itself is tried, less this share: both ends of the plan are barely stable at it. The search ends when the
+weakest step is within four times this share of it, which margins cannot tell apart."""
 _TWICE = 2
 """Factor from the margin reached to the next demand where no bound is known; a bound nearer than that is tried. The
 search for a stronger plan ends after so many times the verdicts of the longest search that found a plan."""
@@ -82,7 +83,7 @@ def maximise_margin(
         reached = _least(oracle, kind, first.plans[0].states)
     stronger: list[_Stronger] = []
     cut = False
-    while missed > reached * _CLOSE and bound > reached * _ASIDE**4:
+    while missed > reached * (1 + _CLOSE) and bound > reached * (1 + 4 * _ASIDE):
         cut = stop is not None and stop()
         if cut:
             break
@@ -114,7 +115,7 @@ def maximise_margin(
         strength = _weakest(assembly, planning.plans[0].margins, kind)
         if strength > strongest:
             best, strongest = planning, strength
-        if strength * _ASIDE >= candidate.level:
+        if strength * (1 + _ASIDE) >= candidate.level:
             break
     else:
         # A state that rests only beside others of its plan has no margin of its own; then the first plan may be better.
@@ -176,7 +177,7 @@ def _next(reached: float, missed: float, ends: float) -> float:
     if np.isinf(missed):
         return _TWICE * reached
     if missed == ends <= _TWICE * reached:
-        return ends / _ASIDE
+        return ends / (1 + _ASIDE)
     return float(np.sqrt(max(reached, missed / 64) * missed))
 
 

@@ -34,8 +34,6 @@ _VERDICT = 3e-5
 _FIRST_SHARE, _BELOW_SHARE = 0.1, 0.5
 """Shares of the time left for the first search for a plan with each number of robots and, once there is a plan, with
 one robot fewer before refuting that."""
-_FIRST_SECONDS = 15.0
-"""The most of both at first."""
 _SPAN = 4
 """Numbers of robots that are tried at first, one after the other; in each further round one more."""
 _QUICK, _THOROUGH = 1, 10_000
@@ -240,7 +238,8 @@ class _Query:
 
     def _search(self) -> None:
         """Increase the number of robots until there is a plan, then decrease it while plans or proofs are found."""
-        seconds, span = _FIRST_SECONDS, _SPAN
+        # At first an equal share of the effort for each of the numbers that are tried.
+        seconds, span = EFFORT / _SPAN, _SPAN
         while self._plan is None and not all(self._over(n) for n in range(self._least, self._most + 1)):
             for number in range(self._least, min(self._least + span, self._most + 1)):
                 # If a number is not refuted, no larger one is.

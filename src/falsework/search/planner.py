@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.search.beam.backjumping import BackjumpingBeam
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.level_search import Beams
 from falsework.search.plans.route_tests import RouteTests
@@ -35,10 +34,10 @@ from falsework.search.strategies import EDGES, TOGETHER, Portfolio, Turn, regras
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
-FORMAT = "falsework.planner/12"
+FORMAT = "falsework.planner/13"
 
-_MOST_FALLS = 64
-"""Number of routes with a failing replay before an attempt is given up."""
+MOST_FALLS = 64
+"""Routes of one search, or plans with motions, whose replay may fail before it is given up."""
 _NUMBERS = "_round", "_turn", "_rank", "_high", "_trial_reached"
 """Numbers that say where a search stands."""
 
@@ -183,7 +182,7 @@ class Planner:
         self.check_saved()
         beams, arrays = {}, {}
         for key, beam in self._beams.items():
-            assert isinstance(beam, BackjumpingBeam)
+            assert isinstance(beam, BeamSearch)
             beams[key], packed = beam.pack()
             arrays |= {f"{key}_{name}": array for name, array in packed.items()}
         header = {
@@ -241,7 +240,7 @@ class Planner:
         for name, packed in header["beams"].items():
             inner = {key.removeprefix(f"{name}_"): array for key, array in arrays.items() if key.startswith(f"{name}_")}
             guide = self.beam_guide(name)
-            self._beams[name] = BackjumpingBeam.unpack(packed, inner, task, self._oracle, guide=guide)
+            self._beams[name] = BeamSearch.unpack(packed, inner, task, self._oracle, guide=guide)
 
     def _advance(self, report: Progress, stop: Stop | None) -> bool:
         """Run the strategy whose turn it is, and decide on the next; True if it was interrupted."""
@@ -290,7 +289,7 @@ class Planner:
             self.states = np.concatenate([self.states, beam.states()])
         if not self.tests.passes(route, beam.replay_summary(), stop):
             self._falls += 1
-            if self._falls < _MOST_FALLS:
+            if self._falls < MOST_FALLS:
                 beam.forbid(self.tests.forbidden)
             else:
                 limit = f"{self._falls} plans were found, and in each a state tips or the replay fails"

@@ -9,17 +9,16 @@ import numpy as np
 
 from falsework.assembly.state import held_count
 from falsework.errors import InputError
-from falsework.search.beam.backjumping import WIDENING, BackjumpingBeam, BackjumpingSettings
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.level_search import Beams
+from falsework.search.beam.regrasp_beam import RegraspBeam
+from falsework.search.beam.settings import WIDENING, BeamSettings
+from falsework.search.beam.state_beam import StateBeam
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import STAGE, Direction, Task
-from falsework.search.regrasp.beam import RegraspBeam
-from falsework.search.regrasp.exhaustive import ExhaustiveRegraspSearch
 from falsework.search.settings import PlannerSettings
-from falsework.search.together_beam import TogetherBeam
 
 EDGES = "edges"
 """Beam that closes free edges first, see `EdgeGuide`."""
@@ -144,14 +143,12 @@ def start(
     """Return a strategy at its beginning, with beams of some backend; `guide_of` returns the guide of each."""
     direction, guide = direction_of(name), guide_of(name)
     if name == EVERYWHERE:
-        return ExhaustiveRegraspSearch(task, oracle)
+        return StateBeam(task, oracle)
     if name.startswith(REGRASP):
         assert guide is not None
         return RegraspBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
     if name.startswith(TOGETHER):
-        return TogetherBeam(
-            replace(task, allow_regrasp=False), oracle, direction, guide=guide, width=portfolio.narrowest
-        )
-    settings = BackjumpingSettings(direction, portfolio.narrowest, seed)
-    alone = replace(task, allow_regrasp=False, together=None)
-    return BackjumpingBeam(alone, oracle, settings, guide=guide, beams=beams)
+        once = replace(task, allow_regrasp=False)
+        return StateBeam(once, oracle, direction, guide=guide, width=portfolio.narrowest)
+    settings = BeamSettings.from_width(portfolio.narrowest, direction, seed=seed)
+    return beams(replace(task, allow_regrasp=False, together=None), oracle, settings, guide=guide)

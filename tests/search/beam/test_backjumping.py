@@ -10,7 +10,6 @@ import pytest
 
 from falsework import Direction, Outcome, Task
 from falsework.search import BeamSearch, BeamSettings
-from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
 from falsework.search.beam.nogoods import Nogoods, luby
 
 
@@ -29,7 +28,7 @@ def bound_to_the_last(rules: Any, parts: int = 8) -> tuple[Task, Any]:
 
 
 def narrow(task: Task, oracle: Any) -> BeamSearch:
-    """A beam that has one candidate ahead, and so follows its guide into dead ends."""
+    """A beam that has one candidate ahead, and so follows its guide into dead ends, where it ends."""
     return BeamSearch(task, oracle, BeamSettings(width=1, lookahead=1, diversity="none"), guide=misled)
 
 
@@ -38,7 +37,7 @@ def narrow(task: Task, oracle: Any) -> BeamSearch:
 def test_wide_enough_it_decides_like_the_enumeration(rules: Any, direction: Direction, seed: int) -> None:
     oracle, clearance = rules.random(seed, 7)
     task = Task.from_rules(rules.ground(7), 1 + seed % 2, clearance=clearance if seed % 3 == 0 else None)
-    beam = BackjumpingBeam(task, oracle, BackjumpingSettings(direction))
+    beam = BeamSearch(task, oracle, BeamSettings.from_width(1, direction))
     result = beam.run(4**6)
     possible = rules.enumeration(task, oracle).count() > 0
     assert result.found == possible
@@ -57,12 +56,12 @@ def test_restarts_wider_where_narrow_beams_do_not_see_the_way(rules: Any) -> Non
         scores[:, [90, parts + 90]] = -5.0
         return scores
 
-    beam = BackjumpingBeam(Task.from_rules(rules.ground(parts), 1), oracle, guide=guide)
+    beam = BeamSearch(Task.from_rules(rules.ground(parts), 1), oracle, BeamSettings.from_width(), guide=guide)
     first = beam.run(1)
     assert first.outcome is Outcome.NOT_FOUND
     assert "up to a width of 1" in first.limit
     assert beam.run(64).found
-    assert beam.search.settings.width > 1
+    assert beam.settings.width > 1
 
 
 def test_jumps_back_before_the_part_that_no_robot_can_let_go_of(rules: Any) -> None:
@@ -94,7 +93,7 @@ def test_choices_begin_the_chains_of_held_parts(rules: Any) -> None:
 
 
 def test_a_beam_without_dead_ends_has_no_choices_to_take_back(rules: Any) -> None:
-    search = BackjumpingBeam(Task.from_rules(rules.ground(5), 2), rules.blocks(5)).search
+    search = BeamSearch(Task.from_rules(rules.ground(5), 2), rules.blocks(5), BeamSettings.from_width())
     assert list(search.choices()) == []
     assert search.run().found
     assert search.conflicts.count == 0
@@ -102,12 +101,12 @@ def test_a_beam_without_dead_ends_has_no_choices_to_take_back(rules: Any) -> Non
 
 def test_a_choice_that_led_to_a_dead_end_is_not_made_again(rules: Any) -> None:
     task, oracle = bound_to_the_last(rules)
-    beam = BackjumpingBeam(task, oracle, guide=misled)
-    beam.search = narrow(task, oracle)
-    beam.search.run()
+    beam = narrow(task, oracle)
+    beam.run()
     assert beam.jump_back()
-    rows, actions = beam.search.conflicts.barred(task.target[None])
+    rows, actions = beam.conflicts.barred(task.target[None])
     assert (rows.tolist(), actions.tolist()) == ([0], [8 + 7])
+    beam.rewind(0, BeamSettings.from_width())
     assert beam.run(1).found
 
 
@@ -127,18 +126,18 @@ def test_distances_follow_the_sequence_of_luby() -> None:
 @pytest.mark.parametrize("limit", [1, 7])
 def test_stops_in_between_and_goes_on(rules: Any, limit: int) -> None:
     task, oracle = bound_to_the_last(rules, 41)
-    settings = BackjumpingSettings(lookahead=1)
-    whole = BackjumpingBeam(task, oracle, settings, guide=misled)
+    settings = BeamSettings.from_width(lookahead=1)
+    whole = BeamSearch(task, oracle, settings, guide=misled)
     expected = whole.run(64)
-    assert whole.search.conflicts.count > 0
-    halted = BackjumpingBeam(task, oracle, settings, guide=misled)
+    assert whole.conflicts.count > 0
+    halted = BeamSearch(task, oracle, settings, guide=misled)
     while True:
         calls = islice(iter([False] * 1000), limit)
         result = halted.run(64, stop=lambda calls=calls: next(calls, True))
         if not result.interrupted:
             break
         header, arrays = halted.pack()
-        halted = BackjumpingBeam.unpack(header, arrays, task, oracle, guide=misled)
+        halted = BeamSearch.unpack(header, arrays, task, oracle, guide=misled)
     assert result.outcome is expected.outcome
-    assert np.array_equal(halted.search.states(), whole.search.states())
+    assert np.array_equal(halted.states(), whole.states())
     assert result.counters == expected.counters

@@ -13,10 +13,10 @@ import pytest
 
 from falsework import Direction, Outcome, PlannerSettings, Task
 from falsework.search import ExhaustiveSearch, Oracle
+from falsework.search.beam.regrasp_beam import RegraspBeam
+from falsework.search.beam.state_beam import StateBeam
 from falsework.search.planner import Planner
 from falsework.search.problem.regrasp_moves import RegraspMoves
-from falsework.search.regrasp.beam import RegraspBeam
-from falsework.search.regrasp.exhaustive import ExhaustiveRegraspSearch
 
 State = tuple[int, ...]
 
@@ -65,7 +65,7 @@ def test_agrees_with_plain_recursion(rules: Any, seed: int, robots: int) -> None
     if seed % 4 > 1:
         oracle = rules.pressing(seed, 6)
     task = Task.from_rules(rules.ground(6), robots, clearance=clearance if seed % 2 else None, allow_regrasp=True)
-    search = ExhaustiveRegraspSearch(task, oracle)
+    search = StateBeam(task, oracle)
     result = search.run()
     reachable = all_reachable(task, oracle)
     possible = tuple(task.target.tolist()) in reachable
@@ -102,7 +102,7 @@ def test_agrees_with_the_exhaustive_search(rules: Any, seed: int) -> None:
     oracle, _ = rules.random(seed, 6)
     for robots in (1, 2):
         once = ExhaustiveSearch(Task.from_rules(rules.ground(6), robots), oracle).run()
-        again = ExhaustiveRegraspSearch(Task.from_rules(rules.ground(6), robots, allow_regrasp=True), oracle).run()
+        again = StateBeam(Task.from_rules(rules.ground(6), robots, allow_regrasp=True), oracle).run()
         assert again.found or not once.result.found
         if robots == 1:
             assert again.found == once.result.found
@@ -197,3 +197,18 @@ def test_seesaws_that_do_not_come_apart(rules: Any, seed: int) -> None:
     result = Planner(task, oracle, PlannerSettings(width=4), guide=level_guide).run()
     possible = tuple(task.target.tolist()) in all_reachable(task, oracle)
     assert result.outcome is (Outcome.FOUND if possible else Outcome.PROVED_IMPOSSIBLE)
+
+
+@pytest.mark.parametrize("allow_regrasp", [False, True])
+def test_states_that_were_ruled_out_prove_nothing(rules: Any, allow_regrasp: bool) -> None:
+    """A replay excludes states that stand by themselves, so that no plan without them is no proof."""
+    search = StateBeam(Task.from_rules(rules.ground(4), 1, allow_regrasp=allow_regrasp), rules.blocks(4))
+    found = 0
+    while (result := search.run()).found:
+        found += 1
+        assert not {state.tobytes() for state in result.routes[0].states} & search.judge.forbidden
+        search.forbid(result.routes[0].states[1:-1])
+    assert found
+    assert result.outcome is Outcome.NOT_FOUND
+    assert "states slide" in result.limit
+    assert not search.examined_all

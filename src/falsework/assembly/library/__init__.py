@@ -8,15 +8,12 @@ from __future__ import annotations
 from falsework.assembly.library.arches import arch, catenary
 from falsework.assembly.library.blocks import Blocks
 from falsework.assembly.library.catalogue import Parameter, Structure
-from falsework.assembly.library.corbels import corbel
 from falsework.assembly.library.domes import dome
 from falsework.assembly.library.plates import house, shelf
-from falsework.assembly.library.polycubes import polycube
-from falsework.assembly.library.polyominoes import bottle
+from falsework.assembly.library.polyominoes import bottle, polycube
 from falsework.assembly.library.specification import build, built_in, is_built_in, structures
-from falsework.assembly.library.stacks import stack
+from falsework.assembly.library.stacks import corbel, stack, wall
 from falsework.assembly.library.vaults import vault
-from falsework.assembly.library.walls import wall
 
 __all__ = [
     "Blocks",

@@ -7,14 +7,11 @@ from typing import Any
 
 from falsework.assembly.library.arches import arch, catenary
 from falsework.assembly.library.catalogue import Structure
-from falsework.assembly.library.corbels import corbel
 from falsework.assembly.library.domes import dome
 from falsework.assembly.library.plates import house, shelf
-from falsework.assembly.library.polycubes import polycube
-from falsework.assembly.library.polyominoes import bottle
-from falsework.assembly.library.stacks import stack
+from falsework.assembly.library.polyominoes import bottle, polycube
+from falsework.assembly.library.stacks import corbel, stack, wall
 from falsework.assembly.library.vaults import vault
-from falsework.assembly.library.walls import wall
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 

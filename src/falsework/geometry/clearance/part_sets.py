@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from falsework.geometry.clearance.directions import exit_directions
 from falsework.geometry.clearance.exhaustive_directions import all_exits
-from falsework.geometry.clearance.first_motions import can_begin_to_move
 from falsework.geometry.clearance.locked import LockedSets, PartSet
-from falsework.geometry.clearance.relative_motions import RelativeMotions
+from falsework.geometry.clearance.relative_motions import RelativeMotions, can_begin_to_move
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.clearance.table import ClearanceTable
 from falsework.geometry.contact.interfaces import Contacts
@@ -134,7 +133,7 @@ class SetClearance:
         return [] if motion is None else [motion.velocities.copy()]
 
     def can_begin_to_move(self, parts: PartSet, state: NDArray[np.uint8]) -> bool:
-        """Return whether all of some parts can begin to move in a state, shape (parts,); see `first_motions`."""
+        """Return whether all of some parts can begin to move in a state, shape (parts,)."""
         return can_begin_to_move(self._contacts, parts, np.asarray(state) > 0)
 
     def caveat(self, sets: Sequence[PartSet]) -> str:

@@ -1,4 +1,6 @@
-"""Ways out of several parts that move at the same time along different directions.
+"""First motions of parts, and ways out of several that move at the same time along different directions.
+
+What cannot begin to move, shifting or turning, has no way out of any shape. What can, may still have no straight one.
 
 The velocities at which some parts can begin to move past the others form a cone: no contact is pushed into. Linear
 programs tell whether every part of the set can move, and whether two can move relative to each other; if not, no motion
@@ -24,6 +26,8 @@ Mask = NDArray[np.bool_]
 
 _STILL = 1e-6
 """Velocity, as a share of the largest, below which a part rests."""
+_FASTER = 100.0
+"""Largest ratio of the speed of another part to that of a part that counts as moving."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +66,7 @@ class RelativeMotions:
         """
         there = present.copy()
         there[list(parts)] = True
-        beside = there & self._touched(parts)
+        beside = there & self._contacts.touched(parts, self._parts)
         key = parts, np.packbits(beside).tobytes()
         others = there.copy()
         others[list(parts)] = False
@@ -81,14 +85,6 @@ class RelativeMotions:
     def _free(self, parts: PartSet, others: Mask) -> RelativeMotion | None:
         words = pack(others[None])[0]
         return next((motion for motion in self._motions.get(parts, ()) if not (motion.blockers & words).any()), None)
-
-    def _touched(self, parts: PartSet) -> Mask:
-        """Return the parts that touch a set, itself included, shape (parts,)."""
-        pairs = self._contacts.parts
-        found = np.zeros(self._parts, dtype=bool)
-        found[pairs[np.isin(pairs, parts).any(axis=1)]] = True
-        found[list(parts)] = True
-        return found
 
     def _begins(self, parts: PartSet, present: Mask, slack: float) -> list[Array]:
         """Return velocities at which a set can begin to move apart, each of shape (parts of the set, 3); none if not.
@@ -157,6 +153,38 @@ class RelativeMotions:
         only = np.zeros(self._parts, dtype=bool)
         only[b] = True
         return bool(self._sweeper.blocked(a, between[None] / size, only)[0, b])
+
+
+def can_begin_to_move(contacts: Contacts, parts: PartSet, present: NDArray[np.bool_]) -> bool:
+    """Return whether all parts of a set can begin to move at the same time while the others rest.
+
+    To first order: no contact point is pushed into. Each part of the set moves on its own.
+
+    Args:
+        contacts: of the structure.
+        parts: the set.
+        present: parts that are there, shape (parts,).
+    """
+    pairs = contacts.parts[contacts.contact_of_point]
+    rows = np.flatnonzero(np.isin(pairs, parts).any(axis=1) & present[pairs].all(axis=1))
+    points, normals = contacts.points[rows], contacts.point_frames[rows, 0]
+    # About the middle of the contacts, in multiples of their extent: shifts and turns then have like sizes.
+    middle = points.mean(axis=0) if len(rows) else np.zeros(3)
+    extent = max(float(np.abs(points - middle).max(initial=0.0)), 1e-12)
+    twist = np.concatenate([normals, np.cross(points - middle, normals) / extent], axis=1)
+    into = np.zeros((len(rows), len(parts), 6))
+    for place, part in enumerate(parts):
+        into[:, place] = np.where((pairs[rows, 0] == part)[:, None], twist, 0.0)
+        into[:, place] -= np.where((pairs[rows, 1] == part)[:, None], twist, 0.0)
+    flat, bounded = into.reshape(len(rows), 6 * len(parts)), np.eye(6 * len(parts)) / _FASTER
+    return all(
+        any(
+            feasible_velocities(flat, 0.0, sign * axis, bounded) is not None
+            for axis in np.eye(6 * len(parts))[6 * place : 6 * place + 6]
+            for sign in (1.0, -1.0)
+        )
+        for place in range(len(parts))
+    )
 
 
 def feasible_velocities(into: Array, slack: float, fixed: Array, bounded: Array) -> Array | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -101,6 +102,12 @@ class Contacts:
     def points_of(self, chosen: NDArray[np.integer]) -> NDArray[np.int64]:
         """Return the indices of the points of contacts, one contact after another."""
         return expand(self.start[chosen], self.start[np.asarray(chosen) + 1])[1]
+
+    def touched(self, parts: int | Sequence[int], part_count: int) -> NDArray[np.bool_]:
+        """Return the parts that touch some parts, these too if anything touches them, shape (parts,)."""
+        found = np.zeros(part_count, dtype=bool)
+        found[self.parts[np.isin(self.parts, parts).any(axis=1)]] = True
+        return found
 
     def take(self, chosen: NDArray[np.integer]) -> Contacts:
         """Return those contacts alone, in that order."""

@@ -183,8 +183,11 @@ def _contacts(
     local = np.einsum("pij,pj->pi", frames[owner], patches.points - origin[owner])
     order = np.argsort(owner, kind="stable")
     clouds = shapely.multipoints(shapely.points(local[order][:, [1, 2, 0]]), indices=owner[order])
-    # Corners that stand out of the hull by rounding alone depend on the triangulation; simplify drops them.
-    hulls: Any = shapely.simplify(shapely.convex_hull(clouds), tolerance / 100, preserve_topology=True)
+    hulls: Any = shapely.convex_hull(clouds)
+    # Corners that stand out of the hull by rounding alone depend on the triangulation; simplify drops them. Where it is
+    # to preserve topology, it leaves a fourth corner.
+    simple = shapely.simplify(hulls, tolerance / 100, preserve_topology=False)
+    hulls = np.where(shapely.is_empty(simple), hulls, simple)
 
     width = 2 * shapely.area(hulls) / np.maximum(shapely.length(hulls), 1e-300)
     keep = width >= NARROW * tolerance

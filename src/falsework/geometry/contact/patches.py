@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.boxes import pairs_of_groups
@@ -210,17 +208,18 @@ def intersect_faces(
 
     near = _may_touch(a[:, :, 1:], b[:, :, 1:], slope, level, gap=gap, overlap=overlap)
     a, b, slope, level, gap, overlap = a[near], b[near], slope[near], level[near], gap[near], overlap[near]
-    shapes = shapely.intersection(shapely.polygons(a[:, :, 1:]), shapely.polygons(b[:, :, 1:]))
-    shapes = _clip_to_band(shapes, slope, level, gap=gap, overlap=overlap)
-    areas = np.asarray(shapely.area(shapes))
+    corners, count = _common(a[:, :, 1:], b[:, :, 1:])
+    for side, limit in ((1.0, gap), (-1.0, overlap)):  # where the height of the second above the first is in its band
+        slack = 1e-6 * np.maximum(gap, overlap)  # rounding must not cut parallel faces at the limit
+        corners, count = _clipped(corners, count, side * slope, limit + slack - side * level)
+    areas = _areas(corners, count)
     rounding = np.maximum(gap, overlap) / 1000 if least is None else np.full(len(areas), least)
     solid = areas > rounding**2  # touching edges leave slivers of rounding
-    shapes, areas = shapes[solid], areas[solid]
+    corners, count, areas = corners[solid], count[solid], areas[solid]
     kept = np.flatnonzero(near)[solid]
 
-    flat, owner = shapely.get_coordinates(shapes, return_index=True)
-    ring_end = np.append(owner[1:] != owner[:-1], True) if len(owner) else np.zeros(0, bool)
-    flat, owner = flat[~ring_end], owner[~ring_end]  # the last corner of a ring repeats the first
+    owner = np.repeat(np.arange(len(count)), count)
+    flat = corners[np.arange(corners.shape[1]) < count[:, None]]
     source = kept[owner]
     height = np.einsum("pi,pi->p", slope_a[source] + slope_b[source], flat) + level_a[source] + level_b[source]
     local = np.column_stack([height / 2, flat])
@@ -281,34 +280,60 @@ def _may_touch(a: Array, b: Array, slope: Array, level: Array, *, gap: Array, ov
     return (low < high).all(axis=1) & (middle - swing <= gap) & (middle + swing >= -overlap)
 
 
-def _clip_to_band(shapes: NDArray, slope: Array, level: Array, *, gap: Array, overlap: Array) -> NDArray:
-    """Keep the parts of polygons over which `level + slope . (t1, t2)` lies in `[-overlap, gap]`."""
-    flat, owner = shapely.get_coordinates(shapes, return_index=True)
-    value = level[owner] + np.einsum("pi,pi->p", slope[owner], flat)
-    outside = np.zeros(len(shapes), dtype=bool)
-    slack = 1e-6 * np.maximum(gap, overlap)  # rounding must not send parallel faces at the limit through the clipping
-    outside[owner[(value > (gap + slack)[owner]) | (value < (-overlap - slack)[owner])]] = True
-    if not outside.any():
-        return shapes
-    index = np.flatnonzero(outside)
-    bounds = shapely.bounds(shapes[index])
-    centre = (bounds[:, :2] + bounds[:, 2:]) / 2
-    reach = np.linalg.norm(bounds[:, 2:] - bounds[:, :2], axis=1)
-    steepness = np.linalg.norm(slope[index], axis=1)
-    flat_out = steepness < 1e-12  # parallel faces are wholly outside
-    uphill = slope[index] / np.where(flat_out, 1.0, steepness)[:, None]
-    uphill[flat_out] = (1.0, 0.0)
-    at_centre = level[index] + np.einsum("ki,ki->k", slope[index], centre)
-    steepness[flat_out] = 1.0
-    near = np.clip((-overlap[index] - at_centre) / steepness, -reach, reach)
-    far = np.clip((gap[index] - at_centre) / steepness, -reach, reach)
-    across = np.stack([-uphill[:, 1], uphill[:, 0]], axis=1)
-    corners = [
-        centre + along[:, None] * uphill + side * reach[:, None] * across
-        for along, side in ((near, -1), (far, -1), (far, 1), (near, 1))
-    ]
-    bands: Any = shapely.polygons(np.stack(corners, axis=1))
-    bands[flat_out] = shapely.Polygon()
-    clipped = shapes.copy()
-    clipped[index] = shapely.intersection(shapes[index], bands)
-    return clipped
+def _common(a: Array, b: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Return what pairs of triangles, shape (pairs, 3, 2), have in common; polygons as of `_clipped`.
+
+    General polygon overlay decides which edges cross, and loses the whole polygon where rounding makes it contradict
+    itself. Here an edge nearly in line with another moves a corner by rounding at most.
+    """
+    corners, count = a, np.full(len(a), 3)
+    edges = np.roll(b, -1, axis=1) - b
+    double = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+    count[double == 0.0] = 0
+    for side in range(3):
+        outwards = np.sign(double)[:, None] * np.stack([edges[:, side, 1], -edges[:, side, 0]], axis=1)
+        outwards /= np.maximum(np.linalg.norm(outwards, axis=1), 1e-300)[:, None]
+        corners, count = _clipped(corners, count, outwards, np.einsum("ki,ki->k", outwards, b[:, side]))
+    return corners, count
+
+
+def _clipped(corners: Array, count: NDArray[np.int64], uphill: Array, limit: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Clip convex polygons by a half plane each (Sutherland and Hodgman, 1974).
+
+    Args:
+        corners: shape (polygons, slots, 2); the first ones count.
+        count: corners of each polygon, shape (polygons,).
+        uphill: shape (polygons, 2).
+        limit: what the product with it is at most where a polygon is kept, shape (polygons,).
+
+    Returns:
+        The same for what is left, with more slots if need be.
+    """
+    slots = corners.shape[1]
+    there = np.arange(slots) < count[:, None]
+    above = np.einsum("ksi,ki->ks", corners, uphill) - limit[:, None]
+    outside = (above > 0.0) & there
+    cut = np.flatnonzero(outside.any(axis=1))
+    if not len(cut):
+        return corners, count
+    following = (np.arange(slots) + 1) % np.maximum(count[cut], 1)[:, None]
+    here, height = corners[cut], above[cut]
+    then, next_height = np.take_along_axis(here, following[:, :, None], 1), np.take_along_axis(height, following, 1)
+    crosses = there[cut] & (height * next_height < 0.0)
+    share = height / np.where(crosses, height - next_height, 1.0)
+    both = np.stack([here, here + share[:, :, None] * (then - here)], axis=2).reshape(len(cut), -1, 2)
+    kept = np.stack([there[cut] & ~outside[cut], crosses], axis=2).reshape(len(cut), -1)
+    count = count.copy()
+    count[cut] = kept.sum(axis=1)
+    more = max(int(count.max()) - slots, 0)
+    first = np.argsort(~kept, axis=1, kind="stable")[:, : slots + more]
+    corners = np.pad(corners, ((0, 0), (0, more), (0, 0)))
+    corners[cut] = np.take_along_axis(both, first[:, :, None], 1)
+    return corners, count
+
+
+def _areas(corners: Array, count: NDArray[np.int64]) -> Array:
+    """Return the areas of convex polygons as of `_clipped`, shape (polygons,)."""
+    arms = np.where((np.arange(corners.shape[1]) < count[:, None])[:, :, None], corners - corners[:, :1], 0.0)
+    double = arms[:, 1:-1, 0] * arms[:, 2:, 1] - arms[:, 1:-1, 1] * arms[:, 2:, 0]
+    return np.abs(double.sum(axis=1)) / 2

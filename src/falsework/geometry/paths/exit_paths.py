@@ -10,9 +10,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from falsework.errors import InputError
-from falsework.geometry.clearance.first_motions import can_begin_to_move
 from falsework.geometry.clearance.moves import MOST_MOVES, ExitPath, after
 from falsework.geometry.clearance.protocol import Clearance, Mask, States
+from falsework.geometry.clearance.relative_motions import can_begin_to_move
 from falsework.geometry.clearance.table import ClearanceTable
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -173,7 +173,7 @@ class ExitPaths(Clearance):
                 return True
             return all(posed.stands(self._oracle, *stage) for stage in stages(way, state, part, spare, out=out))
 
-        aside = self._touched(part) & able
+        aside = self._contacts.touched(part, len(state)) & able
         while True:
             movable = held | aside
             movable[part] = False
@@ -206,7 +206,7 @@ class ExitPaths(Clearance):
             if not (closed.walls & ~words).any() and not (hands & ~closed.aside).any():
                 return None
         if not self._begins_to_move(state, part, held):
-            touching = pack((present & self._touched(part))[None])[0]
+            touching = pack((present & self._contacts.touched(part, len(state)))[None])[0]
             self._closed.setdefault(part, []).append(_Closed(touching, hands & touching, True))
             return None
         aside = tuple(np.flatnonzero(held).tolist())
@@ -245,12 +245,6 @@ class ExitPaths(Clearance):
             self._stands[rest.tobytes()] = bool(verdicts.stable[0])
             self._undecided += int((~verdicts.stable & ~verdicts.unstable).sum())
         return self._stands[rest.tobytes()]
-
-    def _touched(self, part: int) -> Mask:
-        """Return the parts that touch a part, shape (parts,)."""
-        pairs, found = self._contacts.parts, np.zeros(len(self._meshes), dtype=bool)
-        found[pairs[(pairs == part).any(axis=1)]] = True
-        return found
 
     def _blockers(self, way: ExitPath, part: int, aside: Mask) -> Mask:
         """Return the parts at rest that would block a way, shape (parts,)."""

@@ -14,6 +14,7 @@ from falsework.geometry.clearance.moves import PathMove, Poses, after, apply
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.paths.cells import Grid
 from falsework.geometry.paths.hulls import first_hits, near_order, swept
 
 Array = NDArray[np.float64]
@@ -49,10 +50,16 @@ class PartMotions:
         self.meshes, self.tolerance, self._contacts = meshes, tolerance, contacts
         self._shrunken: dict[tuple[int, int], Array] = {}
         self._bounds = np.array([mesh.bounds for mesh in meshes])
+        self._grids: dict[tuple[int, ...], Grid] = {}
 
     def __reduce__(self) -> tuple[type[PartMotions], tuple[Any, ...]]:
         """Pickle what it is made of."""
         return PartMotions, (self.meshes, self._contacts, self.tolerance)
+
+    def grid(self, parts: tuple[int, ...]) -> Grid | None:
+        """Return the grid of whose cells some parts consist; None if there is none."""
+        found = Grid.from_meshes(self.meshes, parts, self.tolerance)
+        return None if found is None else self._grids.setdefault(found.name, found)
 
     @cached_property
     def _sweeper(self) -> Sweeper:
@@ -114,7 +121,11 @@ class PartMotions:
                 times = np.linspace(begin, end, steps + 1)
                 frames = np.stack([apply(move.displacement(share), triangles) for share in times])
                 found = np.full(len(group), steps, dtype=np.int64)
-                walls = [apply(poses.get(other, _HOME), self._triangles(other, level)) for other in group]
+                walls = [self._triangles(other, level) for other in group]
+                walls = [
+                    apply(poses[other], wall) if other in poses else wall
+                    for other, wall in zip(group, walls, strict=True)
+                ]
                 owner = np.repeat(np.arange(len(group)), [len(wall) for wall in walls])
                 hulls = swept(frames).reshape(-1, 3)
                 first_hits(hulls, steps, np.concatenate(walls).reshape(-1, 3), owner, near, found, stop)

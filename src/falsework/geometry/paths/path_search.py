@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.clearance.moves import ExitPath, PathMove, apply
+from falsework.geometry.paths.cells import CellSearch
 from falsework.geometry.paths.motions import PartMotions
 from falsework.geometry.paths.straight_moves import Parts, StraightMoves
 from falsework.geometry.paths.turning_moves import TurningMoves
@@ -65,7 +66,7 @@ class PathSearch:
         aside: Parts = (),
         *,
         carried: Callable[[Parts], bool] = lambda parts: True,
-        stands: Callable[[ExitPath, bool], bool] = lambda way, out: True,
+        stands: Callable[[ExitPath, bool], bool] | None = None,
     ) -> None:
         """Take a structure.
 
@@ -75,10 +76,11 @@ class PathSearch:
             rest: parts that are there and do not move, shape (parts,).
             aside: parts that are there and may move aside.
             carried: whether robots can carry some parts as one body.
-            stands: whether everything stands along a way, and, if the part is out, until others are back in place.
+            stands: whether everything stands along a way, and, if the part is out, until others are back in place;
+                without it everything does.
         """
-        self._carried, self._stands = carried, stands
-        self._motions, self._part, self._movable = motions, part, (part, *aside)
+        self._carried, self._judge = carried, stands
+        self._motions, self._part, self._movable, self._rest = motions, part, (part, *aside), rest
         every = np.ones(len(rest), dtype=bool)
         self._homes = motions.bounds(every), motions.bounds(np.arange(len(rest)) != part)
         self._straight = StraightMoves(motions, self._movable, rest)
@@ -94,39 +96,65 @@ class PathSearch:
             moves: that number.
             turns: whether the part may also turn, and screw; others that move aside do not.
         """
+        by_cells = None if turns else self._by_cells(moves)
+        if by_cells is not None:
+            return by_cells
         straight = self._straight
         front, tried = [_Node({}, ())], 0
         seen = {self._key(front[0])}
         for number in range(moves):
-            reached: list[_Node] = []
-            for node in front:
-                tried += 1
-                if tried > _POSES:
-                    return Found(None, straight.walls, False)
-                turned = [node.then(move) for move in self._turns(node)] if turns and node.touches else []
-                for following in turned:
-                    if self._is_out(following) and self._stands(following.way, True):
-                        return Found(following.way, straight.walls, False)
-                begun = list(self._begun(node))
-                for direction, parts in begun:
+            if tried + len(front) > _POSES:
+                front, straight.exact = front[: _POSES - tried], False
+            tried += len(front)
+            # Straight ways out first: they take the least time, and turns serve to open them.
+            begun = [list(self._begun(node)) for node in front]
+            for node, beginnings in zip(front, begun, strict=True):
+                for direction, parts in beginnings:
                     if parts == (self._part,):
                         move = straight.move(parts, direction, self._length(node, parts, direction))
                         if straight.free(move, node.poses) and self._stands((*node.way, move), True):
                             return Found((*node.way, move), straight.walls, False)
-                for direction, parts in begun if number + 1 < moves else ():
+            reached: list[_Node] = []
+            for node, beginnings in zip(front, begun, strict=True):
+                following = [node.then(move) for move in self._turns(node)] if turns and node.touches else []
+                for then in following:
+                    if self._is_out(then) and self._stands(then.way, True):
+                        return Found(then.way, straight.walls, False)
+                if number + 1 == moves:
+                    continue
+                for direction, parts in beginnings:
                     most = self._length(node, parts, direction)
                     distances = straight.distances(parts, node.poses, direction, most)
                     for distance in distances:
                         move = straight.move(parts, direction, distance)
-                        turned.append(node.then(move, touches=distance == distances[-1]))
-                for following in turned if number + 1 < moves else ():
-                    if self._key(following) not in seen and self._stands(following.way, False):
-                        seen.add(self._key(following))
-                        reached.append(following)
+                        following.append(node.then(move, touches=distance == distances[-1]))
+                for then in following:
+                    if self._key(then) not in seen and self._stands(then.way, False):
+                        seen.add(self._key(then))
+                        reached.append(then)
             front = reached
             if not front:  # more moves would not lead farther
                 return Found(None, straight.walls, straight.exact and not turns and number + 1 < moves)
         return Found(None, straight.walls, False)
+
+    def _by_cells(self, moves: int) -> Found | None:
+        """Search by whole cells; None where parts are not made of cells of one grid, which leaves the answer open."""
+        grid = self._motions.grid(self._movable)
+        if grid is None:
+            return None
+        rest = tuple(np.flatnonzero(self._rest).tolist())
+        search = CellSearch(grid, self._movable, rest, *self._homes)
+        if not search.known:
+            return None
+        way, exact = search.run(moves, self._carried, self._judge)
+        if way is None and not search.fits:
+            return None
+        walls = np.zeros_like(self._rest)
+        walls[list(search.walls)] = True
+        return Found(way, walls, exact)
+
+    def _stands(self, way: ExitPath, out: bool) -> bool:
+        return self._judge is None or self._judge(way, out)
 
     def _key(self, node: _Node) -> bytes:
         """Return a name of poses: where they take the corners of the parts."""
@@ -148,10 +176,10 @@ class PathSearch:
         return bool(((box[0] >= high) | (box[1] <= low)).any())
 
     def _begun(self, node: _Node) -> Iterator[tuple[Array, Parts]]:
-        """Yield what can begin to move and where; the same parts do not go on, or back, along one line."""
+        """Yield what can begin to move and where; parts that moved last do not go on, or back, along the same line."""
         last = node.way[-1] if node.way else None
         for direction in self._straight.directions(node.poses):
-            again = last is not None and abs(direction @ np.array(last.direction)) > 1.0 - 1e-9
+            again = last is not None and not last.turns and abs(direction @ np.array(last.direction)) > 1.0 - 1e-9
             for parts in self._straight.beginnings(node.poses, direction):
                 if (last is None or not (again and parts == last.parts)) and self._carried(parts):
                     yield direction, parts

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.clearance.moves import PathMove, Poses, apply
+from falsework.geometry.paths.cells import closed_sets
 from falsework.geometry.paths.motions import PartMotions
 from falsework.geometry.paths.stops import face_normals, levels, slides
 
@@ -54,20 +54,14 @@ class StraightMoves:
 
     def beginnings(self, poses: Poses, direction: Array) -> list[Parts]:
         """Return the sets of parts that can begin to move in a direction as one body, the smaller ones first."""
-        blocked, pushed = set(), {part: {part} for part in self._movable}
-        for part in self._movable:
-            alone = len(self._movable) == 1
+        blocked, pushed, alone = 0, list[int](), len(self._movable) == 1
+        for place, part in enumerate(self._movable):
             hit = self._motions.blockers(self.move((part,), direction, self.first), self._there, poses, stop=alone)
             self.walls |= hit & self._rest
-            blocked |= {part} if (hit & self._rest).any() else set()
-            pushed[part] |= set(np.flatnonzero(hit & ~self._rest).tolist())
-        # Who pushes another moves with it.
-        for middle, part in [(a, b) for a in self._movable for b in self._movable]:
-            if middle in pushed[part]:
-                pushed[part] |= pushed[middle]
-        free = {frozenset(some) for some in pushed.values() if not some & blocked}
-        found = {frozenset().union(*some) for count in range(1, len(free) + 1) for some in combinations(free, count)}
-        return sorted((tuple(sorted(some)) for some in found), key=lambda some: (len(some), some))
+            blocked |= bool((hit & self._rest).any()) << place
+            pushed.append(1 << place | sum(1 << k for k, other in enumerate(self._movable) if hit[other]))
+        found = closed_sets(pushed, blocked)
+        return [tuple(sorted(part for k, part in enumerate(self._movable) if some >> k & 1)) for some in found]
 
     def free(self, move: PathMove, poses: Poses) -> bool:
         """Return whether a move hits nothing."""

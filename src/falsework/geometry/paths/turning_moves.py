@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.clearance.moves import PathMove, Poses, apply
+from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.geometry.paths.axes import Axis, axes_of
 from falsework.geometry.paths.motions import PartMotions
 from falsework.geometry.paths.stops import face_normals
@@ -16,6 +17,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _HOME = np.eye(4)
+_AHEAD = 0.15
+"""Sine of the angle between a face and the circle of its middle from which on a turn moves it ahead."""
 
 
 class TurningMoves:
@@ -88,9 +91,20 @@ def _length(move: PathMove, own: Array) -> float:
     return float(np.hypot(move.distance, radius * move.angle))
 
 
+def _ahead(axis: Axis, triangles: Array) -> Array:
+    """Return the faces that look ahead or back in a turn, shape (faces, 3, 3): on those around the axis parts slide."""
+    normals, arms = triangle_normals(triangles), triangles.mean(axis=1) - axis.point
+    radius = np.linalg.norm(np.cross(arms, axis.direction), axis=1)
+    speed = np.abs(np.einsum("ij,ij->i", normals, np.cross(axis.direction, arms)))
+    return triangles[speed > _AHEAD * radius * np.linalg.norm(normals, axis=1)]
+
+
 def _parallel_angles(axis: Axis, own: Array, others: list[Array]) -> list[float]:
     """Return the angles below a whole turn at which a face of a part becomes parallel to one of others, ascending."""
-    mine, theirs = face_normals([own])[0], face_normals(others)[0]
+    turned, rest = _ahead(axis, own), _ahead(axis, np.concatenate(others))
+    if not len(turned) or not len(rest):
+        return []
+    mine, theirs = face_normals([turned])[0], face_normals([rest])[0]
     direction, found = axis.direction, []
     one = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
     one /= np.linalg.norm(one)

@@ -22,7 +22,7 @@ from falsework.assembly.state import States
 from falsework.robots.interleaving.orders import NextSteps, Partial, UnitStep, beginning, expected, extended
 from falsework.robots.interleaving.work import Unit, Work
 from falsework.robots.keyframes.keyframes import Edge, Node, state_after
-from falsework.search.plans.plan_replay import Acceptance
+from falsework.search.plans.acceptance import Acceptance
 from falsework.stability.oracle import StabilityOracle
 
 _WIDTH = 4

@@ -32,7 +32,7 @@ from falsework.search.find import PLANS, find_plans, make_task
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide
-from falsework.search.problem.part_sets_rule import Together
+from falsework.search.problem.part_sets import InterlockedSets
 from falsework.search.problem.result import Outcome
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle
@@ -243,7 +243,7 @@ def _plan_sets(
 
 
 def _plan_by(
-    rule: Together,
+    rule: InterlockedSets,
     plan: Callable[[Assembly, Task, float | None], HybridResult],
     assembly: Assembly,
     cell: Cell,

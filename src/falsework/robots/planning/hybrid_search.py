@@ -26,10 +26,11 @@ from falsework.robots.motion.shortening import shorter_path
 from falsework.robots.planning.action_ranking import ActionRanking, ExecutionHeuristic, FailedActions
 from falsework.robots.planning.boundary_motions import BoundaryMotions
 from falsework.robots.planning.hybrid_result import HybridProgress, HybridResult, HybridSettings, Progress
-from falsework.robots.planning.solvability import MAX_FALLEN_REPLAYS, SolvabilityCheck
+from falsework.robots.planning.solvability import SolvabilityCheck
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.robots.schedule.solver import schedule_plan
+from falsework.search.planner import MOST_FALLS
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide, MemoizedGuide
 from falsework.search.problem.result import Outcome, SearchResult
@@ -125,7 +126,7 @@ class HybridSearch:
                 self.attempt += 1
                 if chain is not None:
                     return self.solved(root, chain)
-                if self.counts["replays_fallen"] == MAX_FALLEN_REPLAYS:
+                if self.counts["replays_fallen"] == MOST_FALLS:
                     return self.failed(root, "not_found", self.fallen)
                 if self.deadline_passed():
                     return self.failed(root, "interrupted", _LATE)
@@ -218,7 +219,7 @@ class HybridSearch:
         self.best = []  # a plan that collapses is not returned as a partial plan either
         self.dead.clear()
         forbidden = self.solvability.forbid(route, row)
-        if forbidden is None or self.counts["replays_fallen"] == MAX_FALLEN_REPLAYS:
+        if forbidden is None or self.counts["replays_fallen"] == MOST_FALLS:
             return 0
         first = len(route.actions) - forbidden
         acts = [not (edge.hands_over or edge.transit) for edge in chain]

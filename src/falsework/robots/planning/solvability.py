@@ -22,16 +22,17 @@ from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.geometry.clearance.locked import PartSet
 from falsework.robots.keyframes.joint_holds import HoldingOracle, JointHolds
 from falsework.robots.keyframes.keyframes import set_action, state_after
-from falsework.search.beam.backjumping import BackjumpingBeam, BackjumpingSettings
-from falsework.search.planner import Planner
-from falsework.search.plans.plan_replay import Acceptance
+from falsework.search.beam.beam import BeamSearch
+from falsework.search.beam.settings import BeamSettings
+from falsework.search.beam.state_beam import StateBeam
+from falsework.search.planner import MOST_FALLS, Planner
+from falsework.search.plans.acceptance import Acceptance
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.result import Route, SearchResult, Stop, barred_row
 from falsework.search.problem.rollout import follow_scores
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
-from falsework.search.together_beam import TogetherBeam
 from falsework.stability.cache import unique_rows
 from falsework.stability.oracle import StabilityOracle
 
@@ -49,8 +50,6 @@ _VARIED_WIDTH = 16
 """Widest beam for a varied plan, and number of simultaneous rollouts with random actions."""
 _VARIED_VERDICTS = 2000
 """Verdict budget for a varied plan from each end: a beam that needs more is stuck, and slow under `contact`."""
-MAX_FALLEN_REPLAYS = 40
-"""Plans of one search, abstract or with motions, whose replay may fail before the search ends."""
 
 
 class ConnectingSearch:
@@ -236,7 +235,7 @@ class SolvabilityCheck:
         if self.joint is None or self.task.missing:
             return False
         task = replace(self.task, start=state)
-        for _ in range(MAX_FALLEN_REPLAYS):
+        for _ in range(MOST_FALLS):
             beam = self._beam(task, seed=self._seed)
             routes = self._search(beam, _VARIED_WIDTH, self._varied_verdicts)
             if not routes or not any(self.joint.learn_from(route.states) for route in routes):
@@ -268,8 +267,10 @@ class SolvabilityCheck:
     ) -> Search:
         """Return a beam over the states of a task, by default with the guide of this search."""
         if task.together is not None:
-            return TogetherBeam(replace(task, allow_regrasp=False), self.oracle, direction, guide=guide or self._guide)
-        return BackjumpingBeam(task, self.oracle, BackjumpingSettings(direction, seed=seed), guide=guide or self._guide)
+            once = replace(task, allow_regrasp=False)
+            return StateBeam(once, self.oracle, direction, guide=guide or self._guide, width=1)
+        settings = BeamSettings.from_width(1, direction, seed=seed)
+        return BeamSearch(task, self.oracle, settings, guide=guide or self._guide)
 
     def _search(self, beam: Search, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
         """Return routes of a beam search with successful replays; none if time or verdicts do not suffice."""
@@ -277,7 +278,7 @@ class SolvabilityCheck:
         def stop() -> bool:
             return beam.counters.asked >= verdicts or self._stop()
 
-        for _ in range(MAX_FALLEN_REPLAYS):
+        for _ in range(MOST_FALLS):
             if self._forbidden:
                 beam.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
             routes = beam.run(widest, stop=stop).unless_interrupted(stop).routes
@@ -297,7 +298,7 @@ class SolvabilityCheck:
         if score is None or self.task.steps == 0:
             return None
         rows = 1 if rng is None else _VARIED_WIDTH
-        for _ in range(MAX_FALLEN_REPLAYS):
+        for _ in range(MOST_FALLS):
             rollouts = follow_scores(
                 [self.task],
                 np.repeat(self.task.start[None], rows, axis=0),

@@ -12,6 +12,7 @@ from falsework.assembly.state import States
 from falsework.search.beam.failed_moves import FailedMoves
 from falsework.search.beam.frontier import Level, expand, pack
 from falsework.search.beam.level_search import LevelSearch
+from falsework.search.beam.nogoods import Jumps
 from falsework.search.beam.paths import BeamPaths
 from falsework.search.beam.scores import Scores
 from falsework.search.beam.selection import Selector
@@ -19,8 +20,8 @@ from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.oracle import CountingOracle, Oracle
+from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import REPORTED_STATES, SearchCounters
-from falsework.search.problem.search import ReplaySummary
 from falsework.search.problem.task import Direction, Task
 
 
@@ -69,10 +70,7 @@ class BeamSearch(LevelSearch):
         now = SearchCounters(0, self._candidates, self.judge.asked, self.judge.rejected)
         return self._before + now + SearchCounters(states=sum(len(level.parent) for level in self.levels))
 
-    def step(self) -> bool:
-        """See `Search.step`."""
-        if self.done:
-            return False
+    def _advance(self) -> bool:
         settings, level = self.settings, self.levels[-1]
         frontier = expand(self.task, settings.direction, level.states, self._hash)
         refuted = frontier.without(*self.conflicts.barred(level.states)) if settings.lookahead > 0 else False
@@ -110,7 +108,7 @@ class BeamSearch(LevelSearch):
         self._paths.keep(kept)
         return True
 
-    def replay_summary(self) -> ReplaySummary | None:
+    def replay_summary(self) -> PlanReplay | None:
         """See `Search.replay_summary`."""
         return self._paths.summary() if self.found else None
 
@@ -143,6 +141,7 @@ class BeamSearch(LevelSearch):
             "whole": self._whole,
             "dead": self._dead,
             "farthest": self._farthest,
+            "jumps": asdict(self._jumps),
             "conflicts": self.conflicts.count,
             "refuted": self.conflicts.refuted,
         }
@@ -193,6 +192,7 @@ class BeamSearch(LevelSearch):
         search._dead, search._whole = bool(header["dead"]), [bool(flag) for flag in header["whole"]]
         search._deepest, search._rejected = arrays["deepest"], arrays["rejected"]
         search._farthest = int(header["farthest"])
+        search._jumps = Jumps(**{name: int(number) for name, number in header["jumps"].items()})
         search.conflicts.count = int(header["conflicts"])
         search.conflicts.refuted = {state: [int(one) for one in some] for state, some in header["refuted"].items()}
         return search

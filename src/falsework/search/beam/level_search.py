@@ -1,8 +1,11 @@
-"""Level search: what the beam searches on the host and on a device have in common."""
+"""Level search: what beams of arrays and of tensors have in common, with jumps back from dead ends and restarts."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,7 +14,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, Mask, States, held_count
 from falsework.errors import InputError
 from falsework.search.beam.frontier import Level, PackedLevel
-from falsework.search.beam.nogoods import Nogoods
+from falsework.search.beam.nogoods import Jumps, Nogoods
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
@@ -21,7 +24,15 @@ from falsework.search.problem.task import Direction, Task
 
 
 class LevelSearch(Search):
-    """Search level by level from one end of a task, each level one move from the last."""
+    """Search level by level from one end of a task, each level one move from the last.
+
+    Robots mostly hold a chain of parts, one after the other, until it closes and all can be let go of; whether it
+    closes is seen only at its end. Where a beam dies, the parts that robots hold in all its states are the conflict.
+    With `BeamSettings.restarts` it jumps back to a choice that led to it, and does not make that again. Over how many
+    choices it jumps follows the Luby sequence, until the beam gets farther than ever before; where it would jump beyond
+    the origin, it restarts wider. Verdicts asked before are in the oracle's memory, so going over the same ground costs
+    little.
+    """
 
     levels: list[Level | PackedLevel]
     """Levels so far, from the origin on."""
@@ -39,7 +50,8 @@ class LevelSearch(Search):
         self.task, self.settings, self._guide = task, settings, guide
         self.direction = settings.direction
         self.conflicts = Nogoods()
-        """Dead ends, which a search that jumps back adds to."""
+        """Dead ends."""
+        self._jumps = Jumps()
         self._levels: list[Any] = []
         """The same where the search keeps them; entries have `states`."""
         self._whole: list[bool] = []
@@ -55,13 +67,51 @@ class LevelSearch(Search):
 
     @property
     def done(self) -> bool:
-        """Whether the goal is reached or nothing is left to expand."""
-        return self._dead or self.found
+        """See `Search.done`."""
+        return self.found or (self._dead and (self.exhaustive or self._over or not self.settings.restarts))
+
+    @property
+    def infeasible(self) -> bool:
+        """Whether the search is dead with no state left out: there is no plan."""
+        return self._dead and self.exhaustive
 
     @property
     def exhaustive(self) -> bool:
         """Whether no state was left out so far: if so and the search is dead, there is no plan."""
         return all(self._whole)
+
+    def step(self) -> bool:
+        """Find the next level; where there is none, jump back from the dead end or restart wider, with `restarts`."""
+        stepped = not self._dead and not self.found and self._advance()
+        if self.settings.restarts and self._dead and not self.exhaustive:
+            self._over = not self.jump_back() and not self._restart()
+        return stepped
+
+    @abstractmethod
+    def _advance(self) -> bool:
+        """Find the next level; False if there is none, and the search is dead."""
+
+    def jump_back(self) -> bool:
+        """Learn from the dead end and jump back; False where that would be beyond the origin."""
+        distance = self._jumps.distance(len(self._levels) - 1)
+        choice = next(islice(self.choices(), distance - 1, None), None)
+        if choice is None:
+            return False
+        self._jumps.since += 1
+        back, action = choice
+        self.conflicts.learn(self.before(back), action)
+        self.rewind(back, replace(self.settings, number=self.conflicts.count))
+        return True
+
+    def _restart(self) -> bool:
+        """Begin again with a wider beam, which may make all choices; False if it would be too wide."""
+        wider = self.settings.wider()
+        if wider.width > self._widest:
+            return False
+        self.conflicts.refuted.clear()
+        self._jumps = Jumps()
+        self.rewind(0, replace(wider, number=self.conflicts.count))
+        return True
 
     def states(self) -> States:
         """Return all states kept so far, level by level from the origin. Shape (count, parts)."""
@@ -78,7 +128,10 @@ class LevelSearch(Search):
         return Route.from_states(np.array(states))
 
     def _failure(self) -> tuple[Outcome, str]:
-        return beam_failure(self.settings.width, self.exhaustive, *self._open(), self.task.caveat)
+        outcome, limit = beam_failure(self.settings.width, self.exhaustive, *self._open(), self.task.caveat)
+        if self.settings.restarts and not self.exhaustive and not any(self._open()):
+            limit = f"beams up to a width of {self.settings.width} died; wider ones may come through"
+        return outcome, limit
 
     def _farthest_states(self) -> tuple[int, States, States]:
         # A beam that was taken back may be less far now than where it died before.

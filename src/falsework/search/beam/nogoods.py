@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 
-_REMEMBERED_STATES = 4096
-"""States whose refuted choices are remembered, those refuted last: of a few hundred parts each, a few megabytes."""
-
 
 class Nogoods:
     """Memory of refuted choices: moves that fix a part in a state, from which the search died."""
 
-    def __init__(self, remembered: int = _REMEMBERED_STATES) -> None:
-        """Begin without conflicts; the refuted choices of so many states are remembered."""
+    def __init__(self, remembered: int = 4096) -> None:
+        """Begin without conflicts.
+
+        Args:
+            remembered: states whose refuted choices are remembered, those refuted last: of a few hundred parts each, a
+                few megabytes.
+        """
         self._remembered = remembered
         self.count = 0
         """Conflicts so far."""
@@ -41,6 +45,22 @@ class Nogoods:
         ]
         rows, actions = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
         return rows, actions
+
+
+@dataclass
+class Jumps:
+    """Distances of jumps back from dead ends: the Luby sequence, until a search gets farther than ever before."""
+
+    farthest: int = 0
+    """Farthest level since the last restart."""
+    since: int = 0
+    """Jumps since it was reached."""
+
+    def distance(self, level: int) -> int:
+        """Return how far to jump back from a dead end at some level."""
+        if level > self.farthest:
+            self.farthest, self.since = level, 0
+        return luby(self.since + 1)
 
 
 def luby(number: int) -> int:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import Mask, States
 from falsework.search.beam.frontier import Frontier, Level, PackedLevel, Rows
 from falsework.search.problem.oracle import CountingOracle
-from falsework.search.problem.search import ReplaySummary
+from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.contact.build_verifier import StepCertificate
 
 if TYPE_CHECKING:
@@ -123,7 +123,7 @@ class BeamPaths:
         self._next = {}
         del self._known[level + 1 :], self._known_steps[level + 1 :]
 
-    def summary(self) -> ReplaySummary | None:
+    def summary(self) -> PlanReplay | None:
         """Return the replay of the path to the first state of the last level; None where it does not come to rest."""
         row, level = 0, len(self._levels) - 1
         if self._replayer is None or self._history(level, row) is None:
@@ -137,7 +137,8 @@ class BeamPaths:
             row = int(self._levels[number].parent[row])
         steps.reverse()
         known = all(len(step.displacement) for step in steps)
-        return most[0], most[1], None, tuple(step.presses for step in steps), tuple(steps) if known else ()
+        presses = tuple(step.presses for step in steps)
+        return PlanReplay(True, *most, None, presses, tuple(steps) if known else ())
 
     def _history(self, level: int, row: int) -> History | None:
         """Return the history of a state of a level; None where the path to it does not stand."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from falsework.errors import InputError
@@ -12,9 +12,12 @@ from falsework.utils.quantity import check_seed
 AHEAD = 16
 """Candidates beyond those that a beam keeps for their verdicts, for each state of its width: states ahead without a
 need for a verdict, and moves that failed before and are tried again. More are a wider choice for the next level."""
+WIDENING = 4
+"""A beam that restarts is so many times wider. Beams for missing parts restart once; those for other plans begin so
+wide, and restart once."""
 
-HISTORY_BYTES = 256 << 20
-"""Memory for contact histories."""
+MEMORY = 256 << 20
+"""Bytes for what only saves work: contact histories, and states of a device written down at once."""
 
 Diversity = Literal["k-means", "none"]
 
@@ -39,10 +42,38 @@ class BeamSettings:
     """Draws random numbers, together with the seed."""
     seed: int = 0
     """Same seed, same machine, same result."""
-    history_bytes: int = HISTORY_BYTES
+    history_bytes: int = MEMORY
     """Memory for contact histories; those that it has no room for are computed anew where they are needed again."""
     pool: int = 8_000_000
     """Bound on candidates times parts that are written down and clustered at once; beyond it a random sample is."""
+    restarts: bool = False
+    """Where the beam dies, jump back from the dead end, and at last restart wider, see `LevelSearch`."""
+
+    @classmethod
+    def from_width(
+        cls,
+        width: int = 1,
+        direction: Direction = Direction.ASSEMBLY,
+        *,
+        seed: int = 0,
+        lookahead: int = WIDENING * AHEAD,
+    ) -> BeamSettings:
+        """Return settings for one plan, of a beam that looks ahead, jumps back from dead ends and restarts.
+
+        Args:
+            width: to begin with.
+            direction: end to begin at.
+            seed: same seed, same machine, same result.
+            lookahead: states ahead of narrow beams, so that the next level has a choice; with fewer, little but what
+                the guide puts first is tried.
+        """
+        ahead = max(lookahead, AHEAD * width)
+        return cls(width, direction, "none", lookahead=ahead, commit=width == 1, seed=seed, restarts=True)
+
+    def wider(self) -> BeamSettings:
+        """Return the settings of a restart."""
+        width = WIDENING * self.width
+        return replace(self, width=width, lookahead=max(self.lookahead, AHEAD * width), commit=False)
 
     def __post_init__(self) -> None:
         if self.width < 1:

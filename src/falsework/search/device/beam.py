@@ -11,7 +11,7 @@ from falsework.assembly.state import HELD, States
 from falsework.errors import InputError
 from falsework.search.beam.frontier import Level
 from falsework.search.beam.level_search import LevelSearch
-from falsework.search.beam.settings import BeamSettings
+from falsework.search.beam.settings import MEMORY, BeamSettings
 from falsework.search.device.k_means import find_centers
 from falsework.search.device.oracle import BatchedTensorOracle, TensorOracle
 from falsework.search.device.parallel_beams import SPARE
@@ -30,9 +30,6 @@ if TYPE_CHECKING:
     import torch
 
 T = TypeVar("T")
-
-_CHUNK_BYTES = 1 << 28
-"""Memory for states expanded at once where they are only read, in bytes; it bounds memory and changes no result."""
 
 
 @dataclass(eq=False)
@@ -169,10 +166,7 @@ class DeviceBeam(LevelSearch):
             self._host.append(Level(states, parent, action, score, np.ones(len(states), dtype=np.int8)))
         return self._host
 
-    def step(self) -> bool:
-        """See `Search.step`."""
-        if self.done:
-            return False
+    def _advance(self) -> bool:
         level = self._levels[-1]
         legal, refuted = self.rules.moves(level.states), False
         score = self._scores(level, legal)
@@ -373,7 +367,7 @@ class DeviceBeam(LevelSearch):
 
     def _chunks(self, count: int) -> Iterator[slice]:
         """Yield rows whose states fit into a bounded piece of memory."""
-        return chunks(count, max(_CHUNK_BYTES // self.task.part_count, 1))
+        return chunks(count, max(MEMORY // self.task.part_count, 1))
 
 
 def _choose(

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 _LLOYD_ITERATIONS = 3
 _EXACT_FLOAT32 = 2**24
 """Whole numbers up to this are exact in float32."""
-_CENTER_RESOLUTION = 64
-"""Centres are rounded to this share of a unit, or coarser where there are very many dimensions."""
 _SEEDING_ROUNDS = 8
 """Rounds in which the seeds are drawn."""
 _CHUNK_DISTANCES = {"cpu": 1 << 21, "cuda": 1 << 29}
@@ -77,7 +75,7 @@ def find_centers(points: torch.Tensor, words: torch.Tensor, clusters: int) -> Ce
     x = points.float()
     dimensions = x.shape[1]
     # Largest power of two for which a squared norm of a scaled centre stays exact.
-    scale = min(max(2 ** int(np.log2(np.sqrt(_EXACT_FLOAT32 / (4 * max(dimensions, 1))))), 1), _CENTER_RESOLUTION)
+    scale = max(2 ** int(np.log2(np.sqrt(_EXACT_FLOAT32 / (4 * max(dimensions, 1))))), 1)
     centers = Centers(_seeds(x, words, clusters) * scale, scale)
     # One row a point: its values, and a one to count it.
     rows = torch.cat([points, torch.ones_like(points[:, :1])], dim=1).int()

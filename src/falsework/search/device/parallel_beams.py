@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
 SPARE = 4
 """Candidates looked at for each state that is kept: for verdicts, since some are unstable, and for clusters."""
-_NUMBERS = 1 << 23
-"""Parts of all states of a level of searches that run together, at most; there are fewer candidates than that, which
-take some 150 bytes each while they are sorted."""
 _OWNER_BITS = 20
 """Of a key that orders candidates by search and then at random."""
 
@@ -123,7 +120,7 @@ def parallel_beam_search(
     seed: int = 0,
     keep: int | None = None,
     device: torch.device | str = "cpu",
-    numbers: int = _NUMBERS,
+    numbers: int = 1 << 23,
 ) -> ParallelBeamResult:
     """Run beam searches that choose at random among the stable states of each level.
 
@@ -137,7 +134,8 @@ def parallel_beam_search(
         keep: states to return for each search, drawn uniformly, with all states on one path from the origin to each of
             them; None for all.
         device: where to search; the states are the same on each, as far as the verdicts are.
-        numbers: of the states of a level that are in memory at once; the searches run in groups.
+        numbers: parts of all states of a level that are in memory at once; the searches run in groups. There are fewer
+            candidates than that, which take some 150 bytes each while they are sorted.
 
     Raises:
         DependencyError: torch is not installed.

@@ -10,6 +10,7 @@ import numpy as np
 
 from falsework.assembly.state import States
 from falsework.search.margins.demands import Demands
+from falsework.stability.margins.brackets import ACCURACY
 from falsework.stability.margins.claims import MarginClaims
 from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.oracle import StabilityOracle
@@ -18,8 +19,6 @@ from falsework.utils.quantity import format_quantity
 Measured = Literal["friction", "tilt", "horizontal", "push"]
 MEASURED: tuple[Measured, ...] = get_args(Measured)
 """Margins that plans record as numbers."""
-_EXACT = 1.03
-"""Factor by which the weakest step may exceed the bound: both are exact to 1 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +118,7 @@ class PlanMargins:
         if self.maximised is not None and self.bound is not None and weakest is not None:
             row, value = weakest
             stronger, weaker = (self.bound, value) if self.maximised == "friction" else (value, self.bound)
-            if stronger > _EXACT * weaker:
+            if stronger > (1 + 3 * ACCURACY) * weaker:  # neither is more exact than that
                 said = quantity_text(self.maximised, self.bound)
                 return row, f"has a larger margin of {self.maximised} than {said}, which the plan says no plan has"
         return None

@@ -14,7 +14,6 @@ from falsework.search.problem.hashing import chunks
 from falsework.search.problem.result import Route, Stop
 from falsework.search.problem.state_graph import StateGraph
 
-_TRIES = 200
 _WEIGHT_CHANGES = 12
 """Changes of weights for each choice."""
 
@@ -188,7 +187,7 @@ class _Farthest:
     def _random_other(self, routes: Sequence[Route]) -> Route | None:
         """Return any other route; needed only in graphs so small that the farthest ones are taken."""
         known = {route.states.tobytes() for route in routes}
-        for _ in range(_TRIES):
+        for _ in range(len(self._graph)):
             route = self._graph.sample_route(self._rng)
             if route is not None and route.states.tobytes() not in known:
                 return route

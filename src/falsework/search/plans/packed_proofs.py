@@ -18,8 +18,6 @@ Array = NDArray[np.float64]
 WHOLE, CHANGES = "zlib_base64", "changes_zlib_base64"
 """Entries of the file: the arrays of all states, or what changes from state to state."""
 
-_WHOLE_BYTES = 64 * 1024 * 1024
-"""Bytes of whole arrays from which only changes are written; other programs read whole arrays more easily."""
 _ROOM, _EXPANSION = 1 << 28, 64
 """Proofs may take 256 MiB, or so many times the size of their text if that is more, so that a short text cannot ask for
 any amount of memory."""
@@ -27,8 +25,11 @@ _LEVELS = {WHOLE: 9, CHANGES: 6}
 """Levels of compression; there is little left to gain in changes."""
 
 
-def pack_proofs(arrays: Array | StateArrays, *, whole_bytes: int = _WHOLE_BYTES) -> dict[str, str]:
-    """Return arrays of shape (states, rows, width) as an entry of a plan file, whole up to so many bytes."""
+def pack_proofs(arrays: Array | StateArrays, *, whole_bytes: int = 64 << 20) -> dict[str, str]:
+    """Return arrays of shape (states, rows, width) as an entry of a plan file, whole up to so many bytes.
+
+    Other programs read whole arrays more easily.
+    """
     if isinstance(arrays, StateArrays) and 8 * np.prod(arrays.shape) > whole_bytes:
         return _packed(CHANGES, _changes(arrays))
     return _packed(WHOLE, iter([np.ascontiguousarray(arrays, dtype="<f8")]))

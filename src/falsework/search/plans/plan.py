@@ -15,8 +15,8 @@ from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
 from falsework.errors import PlanError
 from falsework.geometry.clearance.moves import ExitPath
 from falsework.search.margins.plan_margins import PlanMargins
-from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.steps import PlanStep, holders, inserts_several, steps_of, undone
+from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import StabilityCriterion

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,6 @@ from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError, PlanError
 from falsework.search.margins.demands import Demands, MarginOracle
-from falsework.search.plans.build_proofs import carried_steps, check_build
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_report import (
     PROOF_NAMES,
@@ -27,10 +26,12 @@ from falsework.search.plans.plan_report import (
 )
 from falsework.search.plans.plan_rules import broken_rule
 from falsework.search.plans.plan_source import structure_of_plan
-from falsework.search.plans.state_proofs import PROVED_AT_ONCE
+from falsework.search.plans.proofs import PROVED_AT_ONCE
 from falsework.search.problem.hashing import chunks
 from falsework.stability.certificate import StabilityCriterion, residuals_in_order, verify_certificates
-from falsework.stability.contact.build_verifier import BuildVerifier
+from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate
+from falsework.stability.contact.hold_loads import CLOSE, Loads, larger_loads, largest_load, loads_in
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_arrays import StateArrays
@@ -126,11 +127,11 @@ def validate_plan(
     count = len(plan.states) if broken is None else broken[0]
     if settings.criterion == "contact":
         if broken is None:
-            report = check_build(report, plan, assembly, settings, carried and not misfit, progress)
+            report = _check_build(report, plan, assembly, settings, carried and not misfit, progress)
         else:
             report = replace(report, checked=broken[0])
     else:
-        proven = _residuals_of_proofs(plan, assembly, settings.claim) if carried and not misfit else None
+        proven = _residuals_of_forces(plan, assembly, settings.claim) if carried and not misfit else None
         report = _solve(report, plan, assembly, settings, count, proven, progress)
     weak = _weak(plan, assembly, settings, demands) if report.good and broken is None else None
     if weak is not None:
@@ -197,6 +198,101 @@ def _solve(
     return replace(report, checked=count, residual=float(largest), certified=certified)
 
 
+def _check_build(
+    report: PlanReport,
+    plan: Plan,
+    assembly: Assembly,
+    settings: StabilitySettings,
+    carried: bool,
+    progress: Callable[[int, int], None] | None,
+) -> PlanReport:
+    """Check under `contact` the stability of states as they are reached in assembly, up to the first bad one.
+
+    Args:
+        report: report so far.
+        plan, assembly, settings: as for `validate_plan`, with the reserve and the robots of the plan.
+        carried: the plan carries a certificate for each of its states.
+        progress: as for `validate_plan`.
+    """
+    states, presses = plan.states, plan.presses_before
+    largest, cases = 0.0, [settings] if settings.reserve == 1.0 else [settings, replace(settings, reserve=1.0)]
+    loads: list[Loads] = []
+    for number, case in enumerate(cases):
+        verifier, row, wrong = BuildVerifier(assembly, case.claim), -1, ""
+        under = f" with friction divided by {case.reserve:g}" if case.reserve != 1.0 else ""
+        own, borne = carried and number == 0, []
+        # Without limits, so that the verifier names what a robot bears beyond them.
+        strong = replace(case, holds=replace(case.holds, force=np.inf, moment=np.inf))
+        steps = _carried_steps(plan) if own else Replayer(assembly, strong).certificates(states, presses)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for row, certificate in enumerate(steps):
+                proof = verifier.step(states[row], certificate)
+                if not proof.residual <= case.tolerance:
+                    why = proof.reason or f"its forces leave {format_quantity(proof.residual, 'share')} of gravity"
+                    carries = "the displacements in the plan prove nothing: " * own
+                    wrong = f"{_built(plan, row)} is not proven{under}: {carries}{why}"
+                    break
+                largest = max(largest, proof.residual)
+                borne.append(loads_in(assembly, states[row], proof.wrenches))
+                if progress is not None and number == 0:
+                    progress(row + 1, len(states))
+        if not wrong and row + 1 < len(states):
+            row, wrong = row + 1, f"the structure does not come to rest{under} at {_built(plan, row + 1)}"
+        if wrong:
+            verdict = StabilityOracle(assembly, replace(case, reserve=1.0)).verdicts(
+                states[row], require_certificate=True
+            )
+            if verdict.unstable[0]:
+                wrong = describe_unstable(plan, row, verdict)
+            return replace(report, reason=wrong, checked=row, residual=largest, verdict=verdict)
+        loads.append(tuple(borne))
+    count, found = len(states), loads[0] if len(loads) == 1 else larger_loads(*loads)
+    denied = _denied_load(plan, found)
+    if denied is not None:
+        return replace(report, reason=denied[1], checked=denied[0], residual=largest)
+    return replace(report, checked=count, residual=largest, certified=count * carried, loads=found)
+
+
+def _denied_load(plan: Plan, found: Loads) -> tuple[int, str] | None:
+    """Return the first state for which a plan says too little of what robots bear, and how.
+
+    Args:
+        plan: the plan; one that says nothing denies nothing.
+        found: what robots bear in its states.
+    """
+    largest = dict(zip(("force", "moment"), largest_load(found), strict=True))
+    for row, (said, true) in enumerate(zip(plan.loads, found, strict=True) if plan.loads else ()):
+        by_part = {load.part: load for load in said}
+        for load in true:
+            name, known = plan.part_names[load.part], by_part.pop(load.part, None)
+            if known is None:
+                return row, f"the plan does not say what the robot bears that holds {name} at {_built(plan, row)}"
+            for kind in ("force", "moment"):
+                says, is_so = getattr(known, kind), getattr(load, kind)
+                if says < is_so * (1 - CLOSE) - CLOSE**2 * largest[kind]:
+                    return row, (
+                        f"the plan says that the robot that holds {name} bears {format_quantity(says, kind, 4)} at "
+                        f"{_built(plan, row)}; it bears {format_quantity(is_so, kind, 4)}"
+                    )
+        if by_part:
+            name = plan.part_names[next(iter(by_part))]
+            return row, f"the plan says what a robot bears for {name} at {_built(plan, row)}, but none holds it"
+    return None
+
+
+def _carried_steps(plan: Plan) -> Iterator[StepCertificate]:
+    """Yield the certificates that a plan carries."""
+    assert plan.displacement is not None
+    for row, presses in enumerate(plan.presses_before):
+        torn = np.zeros(0, dtype=bool) if plan.torn is None else plan.torn[row]
+        yield StepCertificate(plan.displacement[row], torn, presses)
+
+
+def _built(plan: Plan, row: int) -> str:
+    """Name a state by the step that leads to it."""
+    return f"step {row} ({plan.words(row)})" if row else "the beginning"
+
+
 def _proofs_under(plan: Plan, claim: StabilityCriterion) -> NDArray[np.float64] | StateArrays | None:
     """Return what a plan carries that can prove its states under a criterion."""
     return plan.displacement if claim.criterion == "contact" else plan.forces
@@ -215,18 +311,12 @@ def _misfit(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> str:
     return "" if shape == wanted else f"the plan has {name} of shape {shape}; expected {wanted}; plan again"
 
 
-def _residuals_of_proofs(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> NDArray[np.float64]:
-    """Return the residuals that the certificates in a plan leave, which fit its states."""
-    proofs = _proofs_under(plan, claim)
-    assert proofs is not None
+def _residuals_of_forces(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> NDArray[np.float64]:
+    """Return the residuals that the contact forces in a plan leave, which fit its states."""
+    assert plan.forces is not None
     # Numbers from a file may overflow; what is not finite leaves an infinite residual.
     with np.errstate(over="ignore", invalid="ignore"):
-        if claim.criterion == "equilibrium":
-            return residuals_in_order(assembly, plan.states, proofs, claim)
-        verifier, found = BuildVerifier(assembly, claim), np.empty(len(plan.states))
-        for row, (state, step) in enumerate(zip(plan.states, carried_steps(plan), strict=True)):
-            found[row] = verifier.step(state, step).residual
-        return found
+        return residuals_in_order(assembly, plan.states, plan.forces, claim)
 
 
 def _unproven(plan: Plan, row: int, residual: float, claim: StabilityCriterion) -> str:
@@ -253,36 +343,3 @@ def _weak(
         return row, f"the structure does not keep {oracle.broken(plan.states[row])}"
     found = None if plan.margins is None else plan.margins.overstated(oracle, plan.states)
     return None if found is None else (found[0], f"the structure {found[1]}")
-
-
-def validate_proofs(plan: Plan, assembly: Assembly, settings: StabilitySettings = StabilitySettings()) -> PlanReport:
-    """Check the rules and, by the displacements or forces in the plan, the stability; needs no solver.
-
-    Args:
-        plan: plan to check.
-        assembly: the structure.
-        settings: stability criterion.
-
-    Raises:
-        PlanError: the plan is for another structure, carries no proofs, or not one for each part or contact point.
-    """
-    check_identity(plan, assembly)
-    begun, claim = time.perf_counter(), settings.claim
-    report = _blank(plan, assembly, claim)
-    if not report.good:
-        return report
-    if claim.criterion == "contact":
-        claim = replace(claim, reserve=plan.claim.reserve, holds=plan.claim.holds.within(claim.holds))
-        report = replace(report, claim=claim)
-    misfit = _misfit(plan, assembly, claim)
-    if misfit:
-        raise PlanError(misfit)
-    broken = broken_rule(plan, assembly, settings)
-    residual = _residuals_of_proofs(plan, assembly, claim)
-    count, reason = (len(plan.states), "") if broken is None else broken
-    bad = np.flatnonzero(~(residual[:count] <= claim.tolerance))
-    if len(bad):
-        count = int(bad[0])
-        reason = _unproven(plan, count, float(residual[count]), claim)
-    largest, seconds = float(residual[:count].max(initial=0.0)), time.perf_counter() - begun
-    return replace(report, checked=count, reason=reason, residual=largest, certified=count, seconds=seconds)

@@ -24,9 +24,9 @@ from falsework.search.plans.plan_model import (
     StartEntry,
     StepEntry,
 )
-from falsework.search.plans.plan_replay import PlanReplay
 from falsework.search.plans.plan_source import check_source
 from falsework.search.plans.steps import Action
+from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.holds import HoldLoad, HoldSettings, Press
 from falsework.stability.state_arrays import StateArrays

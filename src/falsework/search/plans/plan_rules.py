@@ -11,9 +11,9 @@ from falsework.geometry.clearance.locked import LARGEST
 from falsework.geometry.paths.waiting import hands_free, has_hands, loose_parts, stages
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import moved_parts
+from falsework.search.problem.part_sets import holds_together
 from falsework.search.problem.regrasp_moves import RegraspMoves
 from falsework.search.problem.task import Direction, Task
-from falsework.search.together.carried_group import holds_together
 from falsework.search.together.posed_states import PosedStates
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings

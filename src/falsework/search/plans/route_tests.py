@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.assembly.state import States
-from falsework.search.plans.plan_replay import Acceptance, PlanReplay
+from falsework.search.plans.acceptance import Acceptance
 from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route, Stop, barred_row
-from falsework.search.problem.search import ReplaySummary
 from falsework.search.settings import PlannerSettings
 from falsework.stability.contact.varied_replay import AnyReplayer
 
@@ -46,7 +46,7 @@ class RouteTests:
         self._acceptance = Acceptance(self.replayer, robust=settings.robust, judge=settings.judge)
         self._oracle = oracle
 
-    def passes(self, route: Route, known: ReplaySummary | None = None, stop: Stop | None = None) -> bool:
+    def passes(self, route: Route, known: PlanReplay | None = None, stop: Stop | None = None) -> bool:
         """Return whether the replay of a route comes to rest in every state; exclude the first state that fails.
 
         An oracle that requires margins first checks every state in full. The judge, which is slow, comes last.
@@ -66,7 +66,7 @@ class RouteTests:
         if self.replayer is None:
             return True
         states = route.states[::-1]
-        found = PlanReplay(True, *known) if known else PlanReplay.from_replay(self.replayer.replay(states))
+        found = known or PlanReplay.from_replay(self.replayer.replay(states))
         if found.stands:
             found = self._acceptance.tested(states, found)
         if found.stands:

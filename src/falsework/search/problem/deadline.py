@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -49,6 +49,8 @@ class Deadline:
         """Seconds before the deadline at which to stop searching, since a plan that is found must still be proved."""
         self.spent: dict[str, float] = {}
         """Seconds by kind of work."""
+        self.between: Callable[[], None] = lambda: None
+        """Called before each piece of work, so that others can go on in between."""
 
     @property
     def limited(self) -> bool:
@@ -69,6 +71,27 @@ class Deadline:
     def passed(self) -> bool:
         """Whether to stop searching."""
         return self.left <= self.reserve
+
+    def check(self) -> None:
+        """Raise if it is time to stop.
+
+        Raises:
+            DeadlineExceeded: it is.
+        """
+        self.between()
+        if self.passed:
+            raise DeadlineExceeded
+
+    @contextmanager
+    def piece(self, what: str) -> Iterator[None]:
+        """Do a piece of work, and add its seconds to the account `what`.
+
+        Raises:
+            DeadlineExceeded: it is time to stop.
+        """
+        self.check()
+        with self.timed(what):
+            yield
 
     @contextmanager
     def timed(self, what: str) -> Iterator[None]:

@@ -21,15 +21,12 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
-from falsework.search.problem.deadline import PIECE, Deadline, DeadlineExceeded
+from falsework.search.problem.deadline import PIECE, Deadline
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.certificate import residual_bound_of_velocity
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.quantity import listed
-
-_NEGLIGIBLE = (1e-5, 1e-8)
-"""Speeds that are taken as zero, as a share of the fastest part's, where what is left is a proof as well."""
 
 
 class _BudgetSpent(Exception):
@@ -177,8 +174,7 @@ class HoldBound:
         beside = np.flatnonzero(core & self._beside[part])
         choices = combinations(beside.tolist(), min(holds, len(beside)))
         while some := list(islice(choices, PIECE)):
-            if self._clock.passed:
-                raise DeadlineExceeded
+            self._clock.check()
             rows = np.repeat(state[None], len(some), axis=0)
             for row, held in zip(rows, some, strict=True):
                 row[list(held)] = HELD
@@ -212,8 +208,7 @@ class HoldBound:
         """Return whether one of the states may be in equilibrium with `holds` more parts held."""
         for begin in range(0, len(states), PIECE):
             rows = states[begin : begin + PIECE]
-            if self._clock.passed:
-                raise DeadlineExceeded
+            self._clock.check()
             if self.asked >= self._stop_at:
                 raise _BudgetSpent
             verdicts = self._oracle.verdicts(rows, require_certificate=True)
@@ -237,7 +232,8 @@ class HoldBound:
         free = state == INSTALLED
         speed = np.where(free, np.abs(velocity).max(axis=1), 0.0)
         claim, assembly = self._oracle.settings.claim, self._oracle.assembly
-        for share in _NEGLIGIBLE:
+        # Speeds below such a share of the fastest part's are taken as zero, where what is left is a proof as well.
+        for share in (claim.tolerance / 10, claim.tolerance**2):
             moving = speed > share * speed.max()
             kept = np.where(moving[:, None], velocity, 0.0)
             if residual_bound_of_velocity(assembly, state[None], kept[None], claim)[0] > claim.tolerance:

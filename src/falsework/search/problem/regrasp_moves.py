@@ -76,7 +76,3 @@ class RegraspMoves:
         presence = np.where(old == REMOVED, HELD, REMOVED)
         after[rows, part] = np.where(actions < self.parts, np.where(old == HELD, INSTALLED, HELD), presence)
         return after
-
-    def fixes(self, before: States, after: States) -> Mask:
-        """Return whether moves only fix a part or a prop: it is held afterwards, shape (batch,)."""
-        return ((after == before) | (after == HELD)).all(axis=1)

@@ -17,15 +17,10 @@ from falsework.search.problem.result import (
     Stop,
 )
 from falsework.search.problem.task import Direction, Task
-from falsework.stability.contact.build_verifier import StepCertificate
-from falsework.stability.holds import Press
 
 if TYPE_CHECKING:
     from falsework.search.problem.oracle import CountingOracle
-
-ReplaySummary = tuple[float, int, None, tuple[tuple[Press, ...], ...], tuple[StepCertificate, ...]]
-"""Replay of a route that comes to rest: the largest movement of a part in m, that part, no state at which it fails,
-the presses of the step to each state, and the certificates of these steps, as `PlanReplay` takes them."""
+    from falsework.search.problem.plan_replay import PlanReplay
 
 
 class Search(ABC):
@@ -41,6 +36,8 @@ class Search(ABC):
     """Width beyond which the present run does not restart."""
     _stop: Stop | None = None
     """Of the present run."""
+    _over = False
+    """Whether nothing is left to try within the width of the present run."""
 
     @property
     @abstractmethod
@@ -105,7 +102,7 @@ class Search(ABC):
         """Steps of a whole plan, as the search counts them."""
         return self.task.steps
 
-    def replay_summary(self) -> ReplaySummary | None:
+    def replay_summary(self) -> PlanReplay | None:
         """Return the replay of the route found; None where it is not known."""
         return None
 
@@ -122,7 +119,7 @@ class Search(ABC):
             A found route, or how far the search came; `interrupted` after an interruption.
         """
         begun, interrupted = time.perf_counter(), False
-        self._widest, self._stop = widest, stop
+        self._widest, self._stop, self._over = widest, stop, False
         try:
             while not self.done:
                 if stop is not None and stop():

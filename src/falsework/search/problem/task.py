@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from operator import index
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,8 +29,10 @@ from falsework.errors import InputError, StateError
 from falsework.geometry.clearance.protocol import Clearance
 from falsework.search.problem.legal_moves import LegalMoves
 from falsework.search.problem.oracle import Criterion
-from falsework.search.problem.part_sets_rule import Together
 from falsework.utils.quantity import counted
+
+if TYPE_CHECKING:
+    from falsework.search.problem.part_sets import InterlockedSets
 
 STAGE = np.array([2, 0, 1], dtype=np.int64)
 """Steps of disassembly that a part has behind it, indexed by its value: installed 0, held 1, removed 2."""
@@ -80,7 +82,7 @@ class Task:
     """Part above each prop; the props are the last parts of the structure, and no robot holds them."""
     prop_limit: int = 0
     """Props that may be in place at a time."""
-    together: Together | None = None
+    together: InterlockedSets | None = None
     """Rule on several parts in one step; None where every step moves one part."""
 
     @classmethod
@@ -99,7 +101,7 @@ class Task:
         allow_regrasp: bool = False,
         props: Sequence[int] = (),
         prop_limit: int = 0,
-        together: Together | None = None,
+        together: InterlockedSets | None = None,
     ) -> Task:
         """Validate a task and fill in defaults.
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from falsework.assembly.state import Mask, States
-from falsework.search.problem.deadline import AdaptiveBatchSize, Deadline, DeadlineExceeded
+from falsework.search.problem.deadline import AdaptiveBatchSize, Deadline
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.oracle import StabilityOracle
@@ -22,10 +20,9 @@ class TimedOracle(Oracle):
         self,
         oracle: Oracle,
         clock: Deadline,
-        between: Callable[[], None] | None = None,
         replayer: DeadlineReplayer | None = None,
     ) -> None:
-        """Query `oracle` until `clock` has run out; call `between` before each batch.
+        """Query `oracle` until `clock` has run out.
 
         States that `replayer` has excluded count as sliding, whatever the verdict of `oracle`.
         """
@@ -34,7 +31,6 @@ class TimedOracle(Oracle):
         self.limited = clock.limited
         """Whether there is a deadline, so that batches must be small."""
         self._oracle, self._replayer, self._clock = oracle, replayer, clock
-        self._between = between or (lambda: None)
 
     @property
     def holds_keep_stable(self) -> bool:
@@ -58,20 +54,14 @@ class TimedOracle(Oracle):
             DeadlineExceeded: the deadline has passed.
         """
         if require_certificate:
-            self._between()
-            if self._clock.passed:
-                raise DeadlineExceeded
-            with self._clock.timed("verdicts"):
+            with self._clock.piece("verdicts"):
                 return self._oracle.verdicts(states, near=near, require_certificate=True)
         verdicts = Verdicts.all_undecided(len(states))
         pace = AdaptiveBatchSize(limited=self.limited)
         begin = 0
         while begin < len(states):
-            self._between()
-            if self._clock.passed:
-                raise DeadlineExceeded
             rows = np.arange(begin, min(begin + pace.batch, len(states)))
-            with self._clock.timed("verdicts"), pace.measure():
+            with self._clock.piece("verdicts"), pace.measure():
                 found = self._oracle.verdicts(states[rows], near=None if near is None else near[rows])
             verdicts.put(rows, found)
             verdicts.verdict[rows[self.rules_out(states[rows])]] = Verdict.SLIDES
@@ -85,10 +75,7 @@ class TimedOracle(Oracle):
         Raises:
             DeadlineExceeded: the deadline has passed.
         """
-        self._between()
-        if self._clock.passed:
-            raise DeadlineExceeded
-        with self._clock.timed("verdicts"):
+        with self._clock.piece("verdicts"):
             found = self._oracle.plausible(states, parents)
         self.asked += len(states)
         return found & ~self.rules_out(states)

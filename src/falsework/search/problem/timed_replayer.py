@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -91,7 +91,6 @@ class DeadlineReplayer:
         self,
         replayer: Replayer,
         clock: Deadline,
-        between: Callable[[], None] = lambda: None,
         built: tuple[States, Presses] | None = None,
     ) -> None:
         """Replay until a clock has run out.
@@ -99,7 +98,6 @@ class DeadlineReplayer:
         Args:
             replayer: replays.
             clock: as it is.
-            between: called before each few steps.
             built: states that have been built, the last of which is the first of every sequence, and the presses of
                 the steps that led to each of them; sequences then begin with that history, not from rest.
         """
@@ -107,7 +105,6 @@ class DeadlineReplayer:
         self._built = built
         self._prefix: _Progress | None = None
         self._clock = clock
-        self._between = between
         self._known: dict[tuple[bytes, Presses | None], _Progress] = {}
         self._varied: dict[tuple[StabilitySettings, ReplaySettings], DeadlineReplayer] = {}
         self._falls = _Falls()
@@ -156,15 +153,14 @@ class DeadlineReplayer:
         """Return a replayer of the same structure under other settings, with the same clock."""
         key = settings, replay
         if key not in self._varied:
-            varied = DeadlineReplayer(self._replayer.vary(settings, replay), self._clock, self._between, self._built)
+            varied = DeadlineReplayer(self._replayer.vary(settings, replay), self._clock, self._built)
             varied._falls = self._falls
             self._varied[key] = varied
         return self._varied[key]
 
     def first_tipping(self, states: States, histories: Sequence[History], known: int = 0) -> int | None:
         """Return the first state that a small motion leaves, see `Replayer.first_tipping`."""
-        self._look()
-        with self._clock.timed("replays"):
+        with self._clock.piece("replays"):
             return self._replayer.first_tipping(states, histories, known)
 
     def loads(self, states: States, histories: Sequence[History]) -> Loads:
@@ -179,8 +175,7 @@ class DeadlineReplayer:
         """
         sequence = np.asarray(states, dtype=np.uint8)
         if history is not None or len(sequence) < 2:
-            self._look()
-            with self._clock.timed("replays"):
+            with self._clock.piece("replays"):
                 return self._replayer.replay(sequence, history, presses)
         if presses is not None and self._built is not None:
             presses = (*self._built[1], *presses[1:])
@@ -201,8 +196,7 @@ class DeadlineReplayer:
         Raises:
             DeadlineExceeded: the deadline passed.
         """
-        self._look()
-        with self._clock.timed("replays"):
+        with self._clock.piece("replays"):
             return self._replayer.step(history, before, after)
 
     def replay_in_time(self, states: States, presses: Presses | None = None) -> Replayed:
@@ -234,11 +228,6 @@ class DeadlineReplayer:
             plain = self.vary(replace(self.settings, reserve=1.0), ReplaySettings()).replay_in_time(states, done)
             found = replace(found, stands=plain.stands, steps=plain.steps)
         return found
-
-    def _look(self) -> None:
-        self._between()
-        if self._clock.passed:
-            raise DeadlineExceeded
 
     def executed_fails_at(self) -> int | None:
         """Return the first state that has been built and does not come to rest; None if all do, as far as time allows.
@@ -292,7 +281,7 @@ class DeadlineReplayer:
         """Replay further states of a sequence, as far as the clock allows."""
         count = len(states) if upto is None else upto
         while not progress.fell and progress.reached < count:
-            self._between()
+            self._clock.between()
             if self._clock.passed:
                 break
             first = max(progress.reached - 1, 0)  # the last state at rest, whose history is known

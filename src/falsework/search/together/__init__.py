@@ -1,1 +1,1 @@
-"""Several parts in one step: which sets leave together, who carries them, and the moves."""
+"""Moves of a task, several parts in one step included, and states in which parts wait."""

@@ -20,9 +20,9 @@ import math
 import numpy as np
 
 from falsework.stability.cpu.elimination import lay_out_panels
-from falsework.stability.cpu.interior_point import add_pair_matrix, add_point_matrix, strains
+from falsework.stability.cpu.interior_point import add_point_matrix, strains
 from falsework.stability.cpu.layout import FAST, add_wrench, dot
-from falsework.stability.cpu.panels import RIDGE, clear_panels, factor_panels, solve_panels
+from falsework.stability.cpu.panels import RIDGE, add_pair_matrix, clear_panels, factor_panels, solve_panels
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, check_primal
 from falsework.utils.kernels import njit
 

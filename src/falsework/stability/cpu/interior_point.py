@@ -31,7 +31,7 @@ from falsework.stability.cpu.layout import (
     point_velocity,
     set_load,
 )
-from falsework.stability.cpu.panels import clear_panels, factor_panels, solve_panels
+from falsework.stability.cpu.panels import add_pair_matrix, clear_panels, factor_panels, solve_panels
 from falsework.stability.cpu.termination import MARGIN, UNDECIDED, UNSTABLE, judge
 from falsework.utils.kernels import njit
 
@@ -217,56 +217,6 @@ def add_point_matrix(basis, j, w00, w01, w02, w11, w12, w22, out):
         h2 = basis[j, i, 0] * w02 + basis[j, i, 1] * w12 + basis[j, i, 2] * w22
         for k in range(i + 1):
             out[i, k] += h0 * basis[j, k, 0] + h1 * basis[j, k, 1] + h2 * basis[j, k, 2]
-
-
-@njit(inline="always", fastmath=FAST)
-def add_pair_matrix(structure, work, p, local, left):
-    """Add the matrix of a pair to the panels.
-
-    Args:
-        structure, work: as for `run_admm`.
-        p: the pair.
-        local: sum over its points, of which the lower triangle is given. Shape (6, 6).
-        left: scratch, shape (6, 6).
-    """
-    ta, tb, supernode = structure.transfer_a, structure.transfer_b, structure.elimination.supernode
-    panels, q, a, b = work.panels, work.pair[p], work.slot_a[p], work.slot_b[p]
-    upper, diagonal, block, width = panels.upper, panels.diagonal, panels.block, panels.width
-    for i in range(6):
-        for k in range(i):
-            local[k, i] = local[i, k]
-    if a >= 0:
-        _multiply(ta, q, local, left)
-        _add_product(left, ta, q, upper, diagonal[a], width[supernode[a]])
-        if a < b:
-            _add_product(left, tb, q, upper, block[q], width[supernode[a]])
-    if b >= 0:
-        _multiply(tb, q, local, left)
-        _add_product(left, tb, q, upper, diagonal[b], width[supernode[b]])
-        if b < a:
-            _add_product(left, ta, q, upper, block[q], width[supernode[b]])
-
-
-@njit(inline="always", fastmath=FAST)
-def _multiply(left, q, right, out):
-    """Write `out = left[q] right`."""
-    for i in range(6):
-        for j in range(6):
-            total = 0.0
-            for k in range(6):
-                total += left[q, i, k] * right[k, j]
-            out[i, j] = total
-
-
-@njit(inline="always", fastmath=FAST)
-def _add_product(left, right, q, out, place, width):
-    """Add `left right[q]^T` to a block of a panel."""
-    for i in range(6):
-        for j in range(6):
-            total = 0.0
-            for k in range(6):
-                total += left[i, k] * right[q, j, k]
-            out[place + i * width + j] += total
 
 
 @njit(fastmath=FAST, cache=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from falsework.stability.cpu.layout import FAST
 from falsework.stability.cpu.products import product
 from falsework.utils.kernels import njit
 
@@ -42,6 +43,56 @@ def add_block(block, q, out, place, width):
         for c in range(6):
             out[p + np.uint64(c)] += block[q, r, c]
         p += np.uint64(width)
+
+
+@njit(inline="always", fastmath=FAST)
+def add_pair_matrix(structure, work, p, local, left):
+    """Add the matrix of a pair to the panels.
+
+    Args:
+        structure, work: as for `run_admm`.
+        p: the pair.
+        local: sum over its points, of which the lower triangle is given. Shape (6, 6).
+        left: scratch, shape (6, 6).
+    """
+    ta, tb, supernode = structure.transfer_a, structure.transfer_b, structure.elimination.supernode
+    panels, q, a, b = work.panels, work.pair[p], work.slot_a[p], work.slot_b[p]
+    upper, diagonal, block, width = panels.upper, panels.diagonal, panels.block, panels.width
+    for i in range(6):
+        for k in range(i):
+            local[k, i] = local[i, k]
+    if a >= 0:
+        _multiply(ta, q, local, left)
+        _add_product(left, ta, q, upper, diagonal[a], width[supernode[a]])
+        if a < b:
+            _add_product(left, tb, q, upper, block[q], width[supernode[a]])
+    if b >= 0:
+        _multiply(tb, q, local, left)
+        _add_product(left, tb, q, upper, diagonal[b], width[supernode[b]])
+        if b < a:
+            _add_product(left, ta, q, upper, block[q], width[supernode[b]])
+
+
+@njit(inline="always", fastmath=FAST)
+def _multiply(left, q, right, out):
+    """Write `out = left[q] right`."""
+    for i in range(6):
+        for j in range(6):
+            total = 0.0
+            for k in range(6):
+                total += left[q, i, k] * right[k, j]
+            out[i, j] = total
+
+
+@njit(inline="always", fastmath=FAST)
+def _add_product(left, right, q, out, place, width):
+    """Add `left right[q]^T` to a block of a panel."""
+    for i in range(6):
+        for j in range(6):
+            total = 0.0
+            for k in range(6):
+                total += left[i, k] * right[q, j, k]
+            out[place + i * width + j] += total
 
 
 @njit(fastmath=True)

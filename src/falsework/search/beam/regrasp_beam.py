@@ -10,25 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from falsework.assembly.state import REMOVED, States, state_of_key
-from falsework.search.beam.backjumping import WIDENING
-from falsework.search.beam.nogoods import luby
+from falsework.search.beam.nogoods import Jumps
+from falsework.search.beam.settings import WIDENING
+from falsework.search.beam.state_search import StateSearch
 from falsework.search.problem.deadline import PIECE, DeadlineExceeded
 from falsework.search.problem.guide import Guide
-from falsework.search.problem.oracle import CountingOracle, Oracle
+from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.regrasp_moves import RegraspMoves
-from falsework.search.problem.result import (
-    REPORTED_STATES,
-    Outcome,
-    Progress,
-    Route,
-    SearchCounters,
-    SearchResult,
-    Stop,
-    unstable_end,
-)
-from falsework.search.problem.search import Search
+from falsework.search.problem.result import REPORTED_STATES, Outcome, SearchCounters
 from falsework.search.problem.task import Direction, Task
-from falsework.search.regrasp.histories import PathHistories
 
 if TYPE_CHECKING:
     from falsework.stability.contact.history import History
@@ -46,14 +36,13 @@ class _Segment:
     score: float
 
 
-class RegraspBeam(Search):
+class RegraspBeam(StateSearch):
     """Beam over the sets of present parts; each comes with holds that keep one robot free.
 
     From a level to the next a part is removed, or in assembly placed, with the present holds, or with one hold or prop
     changed. Only if none of these is stable are other holds searched for, by releasing parts and holding others, a few
-    at a time. If that does not help either, the beam jumps back over levels as `BackjumpingBeam` does over choices, and
-    does not come to the same sets of parts again until it restarts wider. In the order of assembly, states come with
-    their contact history, and those that do not come to rest are dropped.
+    at a time. If that does not help either, the beam jumps back over levels as `LevelSearch` does over choices, and
+    does not come to the same sets of parts again until it restarts wider.
     """
 
     def __init__(self, task: Task, oracle: Oracle, direction: Direction, *, guide: Guide, width: int = 1) -> None:
@@ -66,31 +55,13 @@ class RegraspBeam(Search):
             guide: scores actions.
             width: sets of parts kept a level.
         """
-        self.task = task = task.judged_by(oracle)
-        self.width, self.direction = width, direction
-        self.judge = CountingOracle(oracle, batch=16)
-        self.parent: dict[bytes, bytes] = {task.origin(direction).tobytes(): b""}
-        """States found to be stable, each with the one that it was reached from."""
-        self._oracle, self._guide, self._moves = oracle, guide, RegraspMoves(task)
-        self._histories: PathHistories | None = None
-        if oracle.replayer is not None and direction is Direction.ASSEMBLY:
-            self._histories = PathHistories(oracle.replayer, self.parent)
-        self._known: dict[bytes, bool] = {}
-        self._levels: list[list[bytes]] = [[task.origin(direction).tobytes()]]
-        self._farthest = self._reached = self._since = 0
-        """Farthest level, the same since the last restart, and dead ends since it was reached."""
-        self._refuted: set[bytes] = set()
-        """Sets of parts that led to dead ends."""
+        super().__init__(task, oracle, direction, batch=16)
+        self._guide, self._moves = guide, RegraspMoves(self.task)
+        self._farthest = 0
+        self._restart(width)
         self._last: list[bytes] = []
         self._wrong, self._rejected = list[States](), list[States]()
         self._pending: list[History] | None = None
-        self._over = False
-        """Whether nothing is left to try within the width of the present run."""
-
-    @property
-    def found(self) -> bool:
-        """See `Search.found`."""
-        return self.task.goal(self.direction).tobytes() in self.parent
 
     @property
     def done(self) -> bool:
@@ -105,25 +76,7 @@ class RegraspBeam(Search):
     @property
     def counters(self) -> SearchCounters:
         """See `Search.counters`."""
-        return SearchCounters(len(self.parent), len(self._known), self.judge.asked, self.judge.rejected)
-
-    def forbid(self, states: States) -> None:
-        """Exclude states and restart; verdicts are kept. See `Search.forbid`."""
-        for state in states:
-            self.judge.forbidden.add(state.tobytes())
-            self._known.pop(state.tobytes(), None)
-        origin = self.task.origin(self.direction).tobytes()
-        self.parent.clear()
-        self.parent[origin] = b""
-        self._restart(self.width)
-
-    def run(self, widest: int = 0, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """See `Search.run`."""
-        failed = unstable_end(self.task, self._oracle)
-        if failed is not None:
-            return failed
-        self._over = False
-        return super().run(widest, progress=progress, stop=stop)
+        return SearchCounters(len(self.parent), len(self._stable), self.judge.asked, self.judge.rejected)
 
     def step(self) -> bool:
         """Find the next level, or go to the goal from the last; where neither succeeds, jump back, or restart wider."""
@@ -134,20 +87,15 @@ class RegraspBeam(Search):
         self._over = not self.jump_back()
         return False
 
-    def route(self) -> Route:
-        """See `Search.route`."""
-        return Route.back_from(self.task.goal(self.direction), self.parent, self.direction)
-
     def _failure(self) -> tuple[Outcome, str]:
         return Outcome.NOT_FOUND, f"beams of width {self.width} with holding again died"
 
     def _farthest_states(self) -> tuple[int, States, States]:
-        parts = self.task.part_count
-        deepest = np.array([state_of_key(key) for key in self._last], dtype=np.uint8).reshape(-1, parts)
-        return 2 * self._farthest, deepest, np.array(self._rejected, dtype=np.uint8).reshape(-1, parts)
+        rejected = np.array(self._rejected, dtype=np.uint8).reshape(-1, self.task.part_count)
+        return 2 * self._farthest, self._of_keys(self._last), rejected
 
     def _place(self) -> tuple[int, int, int]:
-        return 2 * (len(self._levels) - 1), len(self._levels[-1]), self.width
+        return 2 * (len(self._levels) - 1), len(self._levels[-1]), int(self.width)
 
     def _advance(self) -> bool:
         """Find the next level, changing holds if needed; return False if there is none.
@@ -169,7 +117,7 @@ class RegraspBeam(Search):
                 for segment in self._placement_moves(key)
                 if not self._refuted or self._presence(segment.states[-1]) not in self._refuted
             )
-            for place in self._stable(segments, found):
+            for place in self._standing(segments, found):
                 found.setdefault(self._presence(segments[place].states[-1]), self._take(segments[place]))
                 if len(found) == self.width:
                     break
@@ -197,7 +145,7 @@ class RegraspBeam(Search):
         """
         segments[:] = [segment for segment in segments if segment.states[-1].tobytes() not in seen]
         fresh, tried = [], len(segments)
-        for place in self._stable(segments):
+        for place in self._standing(segments):
             key = segments[place].states[-1].tobytes()
             if key not in seen:
                 self._take(segments[place])
@@ -287,7 +235,7 @@ class RegraspBeam(Search):
     def _sorted(segments: Iterable[_Segment]) -> list[_Segment]:
         return sorted(segments, key=lambda segment: -segment.score)
 
-    def _stable(self, segments: list[_Segment], found: Collection[bytes] = ()) -> Iterator[int]:
+    def _standing(self, segments: list[_Segment], found: Collection[bytes] = ()) -> Iterator[int]:
         """Yield the indices of the paths whose states are all stable, except to parts that are `found`.
 
         They are checked in growing batches.
@@ -307,22 +255,22 @@ class RegraspBeam(Search):
         for place in (-1, -2, -3):
             asked: dict[bytes, tuple[States, States]] = {}
             for segment in segments:
-                if len(segment.states) < -place or any(self._known.get(s.tobytes()) is False for s in segment.states):
+                if len(segment.states) < -place or any(self._stable.get(s.tobytes()) is False for s in segment.states):
                     continue
                 before = segment.states[place - 1] if len(segment.states) > -place else state_of_key(segment.origin)
                 state = segment.states[place]
-                if state.tobytes() not in self._known:
+                if state.tobytes() not in self._stable:
                     asked.setdefault(state.tobytes(), (state, before))
             if not asked:
                 continue
             states, before = (np.array(list(rows)) for rows in zip(*asked.values(), strict=True))
             stable = self.judge.stable(states, before)
-            self._known.update(zip(asked, stable.tolist(), strict=True))
+            self._stable.update(zip(asked, stable.tolist(), strict=True))
             self._wrong = [*self._wrong, *states[~stable]][:REPORTED_STATES]
 
     def _stands(self, segment: _Segment) -> bool:
         """Return whether all states of a checked path are stable with their contact history too."""
-        if not all(self._known.get(state.tobytes(), False) for state in segment.states):
+        if not all(self._stable.get(state.tobytes(), False) for state in segment.states):
             return False
         if self._histories is None:
             return True
@@ -330,7 +278,7 @@ class RegraspBeam(Search):
         return self._pending is not None
 
     def _take(self, segment: _Segment) -> bytes:
-        """Record how the states of the path last yielded by `_stable` were reached; return the last state."""
+        """Record how the states of the path last yielded by `_standing` were reached; return the last state."""
         before = segment.origin
         if self._histories is not None and self._pending is not None:
             fresh = [k for k, state in enumerate(segment.states) if state.tobytes() not in self.parent]
@@ -344,23 +292,24 @@ class RegraspBeam(Search):
     def jump_back(self) -> bool:
         """Jump back from a dead end, or beyond the origin restart wider; False if that would be too wide."""
         level = len(self._levels) - 1
-        if level > self._reached:
-            self._reached, self._since = level, 0
-        distance = luby(self._since + 1)
+        distance = self._jumps.distance(level)
         if distance > level:
             if self.width * WIDENING > self._widest:
                 return False
             self._restart(self.width * WIDENING)
             return True
-        self._since += 1
+        self._jumps.since += 1
         self._refuted |= {self._presence(state_of_key(key)) for key in self._levels[level - distance + 1]}
         del self._levels[level - distance + 1 :]
         return True
 
-    def _restart(self, width: int) -> None:
-        self.width, self._reached, self._since = width, 0, 0
-        self._refuted.clear()
-        self._levels = [[self.task.origin(self.direction).tobytes()]]
+    def _restart(self, width: float) -> None:
+        origin = self.task.origin(self.direction).tobytes()
+        self.width, self._jumps = width, Jumps()
+        self._refuted = set[bytes]()
+        """Sets of parts that led to dead ends."""
+        self._levels = [[origin]]
+        self.parent.setdefault(origin, b"")
 
     def _to_goal(self) -> bool:
         """Release or hold parts as in the goal, once all parts are placed or removed; False if no path is found."""
@@ -378,5 +327,5 @@ class RegraspBeam(Search):
             if not segments or count > _MOST_AT_GOAL:
                 break
             segment = heappop(segments)[2]
-            ring = [self._take(segment) for _ in self._stable([segment])]
+            ring = [self._take(segment) for _ in self._standing([segment])]
         return goal in self.parent

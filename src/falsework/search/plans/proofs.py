@@ -1,0 +1,110 @@
+"""Proofs of the states of a route, each accepted by the certificate checker."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from falsework.assembly.model import Assembly
+from falsework.assembly.state import States
+from falsework.errors import PlanError
+from falsework.search.plans.plan import Plan
+from falsework.search.problem.hashing import chunks
+from falsework.search.problem.plan_replay import PlanReplay
+from falsework.search.problem.result import Route
+from falsework.search.problem.task import Task
+from falsework.stability.contact.build_verifier import BuildVerifier
+from falsework.stability.contact.history import Presses
+from falsework.stability.contact.hold_loads import Loads, larger_loads, loads_in
+from falsework.stability.contact.replay import Replayer
+from falsework.stability.oracle import StabilityOracle
+from falsework.stability.state_arrays import StateArrays
+from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts
+from falsework.utils.quantity import format_quantity
+
+PROVED_AT_ONCE = 64
+"""States whose contact forces are in memory together, unless all are kept."""
+
+
+def prove(states: States, oracle: StabilityOracle, *, forces: bool) -> tuple[Verdicts, StateArrays | None]:
+    """Prove the states of a route: from what the search found them stable by, else from states before and after.
+
+    Args:
+        states: shape (states, parts).
+        oracle: proves them, under a criterion without history.
+        forces: keep the proofs.
+
+    Returns:
+        Verdicts, and the forces that prove them.
+    """
+    verdicts = Verdicts.all_undecided(len(states))
+    kept = StateArrays(len(states), oracle.problem.points, 3) if forces else None
+    for beside in (-1, 1):
+        for piece in chunks(len(states), PROVED_AT_ONCE):
+            rows = np.arange(piece.start, piece.stop)
+            rows = rows[~verdicts.stable[rows]]
+            if not len(rows):
+                continue
+            near = states[np.clip(rows + beside, 0, len(states) - 1)]
+            found = oracle.verdicts(states[rows], near=near, require_certificate=True)
+            verdicts.put(rows, found)
+            if kept is not None and found.forces is not None:
+                kept[rows[found.stable]] = found.forces[found.stable]
+    return verdicts, kept
+
+
+def prove_build(
+    route: Route, assembly: Assembly, task: Task, replayer: Replayer, known: PlanReplay | None, *, forces: bool
+) -> Plan:
+    """Return the plan along a route, each state proved as it is reached; up to where its replay fails, if it does.
+
+    Args:
+        route: states and actions.
+        assembly: the structure.
+        task: task of the route.
+        replayer: of the structure.
+        known: replay of the route, where there was one.
+        forces: keep the certificates and contact forces in the plan.
+
+    Raises:
+        PlanError: a state at rest whose certificate the verifier refuses.
+    """
+    claim, states = replayer.settings.claim, route.states[::-1]
+    claim = replace(claim, holds=claim.holds.resolved(assembly, claim.gravity))
+    if known is None or (known.stands and not known.presses):
+        known = PlanReplay.from_replay(replayer.replay(states))
+    presses = (*known.presses, *[()] * (len(states) - len(known.presses)))
+    verifier = BuildVerifier(assembly, claim)
+    verdicts = Verdicts.all_undecided(len(states), points=replayer.problem.points if forces else None)
+    steps, loads = [], []
+    for row, certificate in enumerate(known.steps or replayer.certificates(states, presses)):
+        proof = verifier.step(states[row], certificate)
+        if not proof.residual <= claim.tolerance:
+            why = proof.reason or f"its forces leave {format_quantity(proof.residual, 'share')} of gravity"
+            raise PlanError(f"state {row} of the build is not proven: {why}; plan again")
+        verdicts.verdict[row], verdicts.residual[row] = Verdict.STABLE, proof.residual
+        verdicts.proof[row], verdicts.decided_by[row] = Proof.HISTORY, Solver.CPU
+        loads.append(loads_in(assembly, states[row], proof.wrenches))
+        if verdicts.forces is not None:
+            verdicts.forces[row] = proof.forces
+            steps.append(certificate)
+    make = Plan.from_route if known.stands else Plan.from_unproven_route
+    plan = replace(make(route, assembly, task, verdicts, claim), replay=replace(known, steps=()), presses=presses[1:])
+    if len(loads) == len(states) and known.stands:
+        borne = larger_loads(tuple(loads), known.loads or _true_loads(replayer, states, presses, tuple(loads)))
+        plan = replace(plan, loads=borne)
+    if forces and len(steps) == len(states):
+        displacement, torn = (np.array([getattr(step, name) for step in steps]) for name in ("displacement", "torn"))
+        plan = replace(plan, displacement=displacement, torn=torn)
+    return plan
+
+
+def _true_loads(replayer: Replayer, states: States, presses: Presses, loads: Loads) -> Loads:
+    """Return what robots bear under the true friction: `loads` where these were found under it."""
+    if replayer.settings.reserve == 1.0:
+        return loads
+    true = replayer.vary(replace(replayer.settings, reserve=1.0))
+    histories = true.replay(states, presses=presses).histories
+    found = true.loads(states[: len(histories)], histories)
+    return (*found, *loads[len(found) :])

@@ -1,0 +1,75 @@
+"""Plans of small structures in which parts leave in several moves, as many as an enumeration by cells counts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from itertools import product
+
+import numpy as np
+import pytest
+
+from falsework import make_task
+from falsework.assembly.library.voxels import grow_pieces
+from falsework.search import ExhaustiveSearch
+from tests.geometry.test_exit_paths import Cells, fewest_moves, solid, structure
+from tests.search.test_together import EveryStateStands
+
+FLOOR: Cells = frozenset(product(range(-1, 4), range(-1, 4), [-1]))
+
+
+def drawn(seed: int, count: int) -> list[Cells]:
+    """A cube of cells cut into pieces at random."""
+    rng = np.random.default_rng(seed)
+    while True:
+        pieces = grow_pieces([(x, y, z) for x, y, z in product(range(3), repeat=3)], count, rng)
+        if pieces:
+            return [frozenset(piece) for piece in pieces]
+
+
+def counted(pieces: list[Cells], robots: int, most: int) -> int:
+    """Orders of holding and removing pieces; one that is held leaves in so many moves, others held may move aside."""
+
+    @lru_cache(None)
+    def plans(state: tuple[int, ...]) -> int:
+        if not any(state):
+            return 1
+        held, total = [part for part, value in enumerate(state) if value == 2], 0
+        for part, value in enumerate(state):
+            if value == 1 and len(held) < robots:
+                total += plans((*state[:part], 2, *state[part + 1 :]))
+            if value == 2:
+                rest = FLOOR.union(*(pieces[one] for one, there in enumerate(state) if there == 1))
+                aside = tuple(pieces[one] for one in held if one != part)
+                if (fewest_moves(pieces[part], rest, most, aside) or most + 1) <= most:
+                    total += plans((*state[:part], 0, *state[part + 1 :]))
+        return total
+
+    return plans((1,) * len(pieces))
+
+
+CASES = [
+    (4, 2, 1, 2, 0), (11, 3, 1, 3, 2), (5, 3, 2, 2, 12), (13, 3, 2, 2, 24), (11, 3, 3, 2, 30), (0, 4, 1, 2, 2),
+    (8, 5, 1, 2, 4), (1, 6, 1, 2, 24),
+]  # fmt: skip
+"""Seed, pieces, robots, moves, and how many plans there are more than with one move."""
+
+
+@pytest.mark.parametrize(("seed", "count", "robots", "most", "more"), CASES)
+@pytest.mark.parametrize("turned", [False, True])
+def test_as_many_plans_with_several_moves_as_an_enumeration_by_cells(
+    seed: int, count: int, robots: int, most: int, more: int, turned: bool
+) -> None:
+    """Along the axes, and about the vertical, where no grid helps; two to six pieces."""
+    pieces = drawn(seed, count)
+    solids = [*map(solid, pieces), solid(FLOOR, fixed=True)]
+    angle = 0.3 * turned
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    assembly = structure(*(replace(one, vertices=one.vertices @ turn.T) for one in solids))
+    expected = [counted(pieces, robots, moves) for moves in range(1, most + 1)]
+    assert expected[-1] - expected[0] == more
+    if turned and count > 4:
+        expected = expected[:1]  # hundreds of states, and a search with swept tests in each
+    for moves, number in enumerate(expected, 1):
+        task = make_task(assembly, robots, moves=moves, removable_only_if_clear=True)
+        assert ExhaustiveSearch(task, EveryStateStands()).run().plans == number
