@@ -99,8 +99,7 @@ def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, *
     given: dict[str, Any] = {"robots": robots, "seed": seed, "minutes": minutes, "steps": options.steps}
     given |= {"data": options.data, "widths": tuple(options.widths), "criterion": options.criterion}
     given["removable_only_if_clear"] = options.clear
-    goals = "policy" in changes and changes["policy"].goal_conditioned
-    given["phases"] = phases_of(options.method, goal_conditioned=goals, begun=bool(options.begin))
+    given["phases"] = phases_of(options.method, begun=bool(options.begin))
     if options.policy:
         given["policy"] = PolicySettings(options.policy)
     if options.imitation_steps is not None:

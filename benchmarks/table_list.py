@@ -47,7 +47,7 @@ def of_wide_data(record: Record) -> bool:
     if (record["data"], record["criterion"]) != ("wide", "contact") or "NVIDIA" not in record["device"]:
         return False
     if record["benchmark"] == "learning draws":
-        return record["phases"][0] == "imitation" and record["label"] in ("", "bottle")
+        return record["phases"][0] == "imitation" and record["label"] in ("", "bottle", "one-recipe", "one-recipe-2")
     return record["evaluated"] == "all states"
 
 
@@ -368,7 +368,10 @@ TABLES = {
         (("success, %", "{test.success:%}"), ("of a second draw", "{second.success:%}")),
         benchmark="learning table4",
         where=lambda record: (
-            record["goal_conditioned"] and "random" in record["test"] and record.get("label") != "failures"
+            record["goal_conditioned"]
+            and "random" in record["test"]
+            and record.get("label") != "failures"
+            and ("second" in record or record["structure"] not in ("vault-62", "dome-72"))
         ),
     ),
     "paper-table-5": Table(

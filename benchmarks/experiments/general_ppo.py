@@ -89,7 +89,7 @@ class Playground:
         self.network = Network(policy, "bfloat16" if self.environment.device.type == "cuda" else "float32")
         self.states = torch.from_numpy(labelled.states).to(device)
         self.solved = SolvableStates(self.environment.rules, self.states)
-        self.starts = MixedStarts(self.states, self.solved, self.environment.rules, rollouts)
+        self.starts = MixedStarts(self.states, self.solved, rollouts)
         self.visits = 0
         self.success = 0.0
         """Share of successful rollouts at the last update."""

@@ -31,7 +31,7 @@ def labelled() -> list[LabelledStructure]:
     return [one for one in found if one is not None]
 
 
-GENERAL = GeneralSettings(PolicySettings("local", layers=2, channels=16, heads=2), tokens=256, mix=3, warm_up=1)
+GENERAL = GeneralSettings(PolicySettings("local", layers=2, channels=16, heads=2), tokens=256, mix=3, warm_up=1, seed=1)
 
 
 def made(folder: Path, labelled: list[LabelledStructure]) -> GeneralPpo:

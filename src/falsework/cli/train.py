@@ -104,7 +104,7 @@ class Train(JudgingCommand):
                 raise InputError(f"{name} {given} leaves no time to learn; give more than 0")
         assembly = self.structure.load()
         settings = TrainSettings(
-            phases=phases_of(self.method, goal_conditioned=self.goal_conditioned, begun=self.begin is not None),
+            phases=phases_of(self.method, begun=self.begin is not None),
             robots=self.robots,
             policy=recommended(assembly.part_count, goal_conditioned=self.goal_conditioned, kind=self.policy),
             reward=self.reward or "",

@@ -6,6 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[learn]'")
@@ -23,7 +24,6 @@ from falsework.learn import (  # noqa: E402  # noqa: E402
     make_policy,
     roll_out,
 )
-from falsework.learn.algorithms.blended_starts import BlendedStarts  # noqa: E402
 from falsework.learn.algorithms.curriculum import CORRECTED_AFTER  # noqa: E402
 from falsework.learn.algorithms.exploration import Exploration  # noqa: E402
 from falsework.learn.data.solvable_states import SolvableStates  # noqa: E402
@@ -38,6 +38,12 @@ def arch() -> tuple[Environment, Any]:
     search.run()
     environment = Environment(assembly, 2, oracle=oracle, device="cpu")
     return environment, torch.from_numpy(search.states())
+
+
+def stored(solved: SolvableStates, states: Any) -> Any:
+    """Return which states are in a set."""
+    known = {bytes(row) for row in solved.states.numpy()}
+    return torch.tensor([bytes(row) in known for row in np.asarray(states)])
 
 
 def make(rules: TensorRules, states: Any, **settings) -> Curriculum:
@@ -120,17 +126,6 @@ def test_it_grows_back_to_the_complete_structure_as_rollouts_succeed(arch, gener
     assert curriculum.report()["curriculum_visited"] == 1.0
 
 
-def test_what_is_added_is_drawn_first(arch, generator) -> None:
-    environment, states = arch
-    curriculum = make(environment.rules, states[:40], growing=False)
-    for _ in range(4):
-        tell(curriculum, generator, 40, success=True)
-    before = len(curriculum)
-    curriculum.add(states[40:60])
-    sampled: Any = curriculum.sample(20, generator)
-    assert {*sampled.rows.tolist()} == set(range(before, before + 20))
-
-
 def test_saved_and_loaded_it_goes_on_the_same(arch, generator) -> None:
     environment, states = arch
     one = make(environment.rules, states)
@@ -173,26 +168,28 @@ def test_without_states_there_is_nothing_to_draw(arch, generator) -> None:
         Curriculum(empty, environment.rules)
 
 
-def test_blended_starts_are_a_curriculum_and_any_solvable_states_within_its_horizon(arch, generator) -> None:
+def test_starts_are_those_of_the_curriculum_and_any_solvable_states_within_its_horizon(arch, generator) -> None:
     """With the shares that are asked for; outcomes of the others are not the curriculum's."""
     environment, states = arch
     left = environment.rules.steps_left(states)
     near = states[left == left[left > 0].min()]
-    curriculum = make(environment.rules, states, stages=4)
-    assert curriculum.widening
     solved = SolvableStates(environment.rules, states)
     exploration = Exploration(environment, solved, states)
-    starts = BlendedStarts(curriculum, solved, 0.25, exploration=exploration, explored=0.0)
-    batch: Any = starts.sample(40, generator)
+    settings = CurriculumSettings(stages=4)
+    curriculum = Curriculum(
+        states, environment.rules, settings, solved=solved, anywhere=0.25, exploration=exploration, explored=0.0
+    )
+    assert curriculum.widening
+    batch: Any = curriculum.sample(40, generator)
     assert len(batch.states) == 40
     assert len(batch.rows) == 30
     assert torch.equal(batch.states[:30], curriculum.starts[batch.rows])
     assert (environment.rules.steps_left(batch.states) <= curriculum.horizon).all()
-    assert solved.contains(batch.states).all()
+    assert stored(solved, batch.states).all()
     assert len(batch.entropy) == len(batch.weight) == 40
     assert (batch.weight > 0).all()
     transitions: Any = SimpleNamespace(success=torch.arange(40) < 30)
-    starts.record(batch, transitions, torch.ones(40), generator)
+    curriculum.record(batch, transitions, torch.ones(40), generator)
     assert curriculum.visited.sum() == len(batch.rows.unique())
     assert curriculum.far[1] == curriculum.far[0]  # of its own, all succeeded
     assert len(SolvableStates(environment.rules, near).within(0, 5, generator)) == 0

@@ -16,7 +16,7 @@ from falsework.learn.config.train import phases_of
 from falsework.learn.training.train import train
 
 SMALL = PolicySettings("transformer", layers=1, channels=16, heads=2)
-STILL = PpoPhase(rollouts=8, batch=16, learning_rate=1e-12, weight_decay=0.0, imitation=0.0)
+STILL = PpoPhase(rollouts=8, batch=16, learning_rate=1e-12, imitation=0.0)
 """Steps too small to be seen, so that a run ends with the weights that it began with."""
 SETTINGS = TrainSettings(policy=SMALL, phases=(STILL,), steps=1, widths=(4,), evaluation_states=8, robots=3)
 

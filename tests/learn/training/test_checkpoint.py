@@ -203,9 +203,9 @@ def test_a_source_that_could_not_be_read_again_is_refused_at_once(arch: Any) -> 
 
 
 def test_settings_that_earlier_versions_had_are_left_out() -> None:
-    """Of a phase in a file; elsewhere they are as unknown as any."""
-    phase = {**to_dict(PpoPhase(rollouts=7)), "hindsight": 0.0, "target_divergence": 0.0}
-    read = from_dict(TrainSettings, {**to_dict(TrainSettings()), "phases": [phase]})
+    """Others are unknown."""
+    phase = {**to_dict(PpoPhase(rollouts=7)), "hindsight": 0.0, "weight_decay": 0.01}
+    read = from_dict(TrainSettings, {**to_dict(TrainSettings()), "phases": [phase], "pairs": 20_000})
     assert read.phases == (PpoPhase(rollouts=7),)
-    with pytest.raises(InputError, match="'hindsight' is not a setting of PpoPhase"):
-        from_dict(PpoPhase, phase)
+    with pytest.raises(InputError, match="'weight' is not a setting of PpoPhase"):
+        from_dict(PpoPhase, {**phase, "weight": 1.0})

@@ -150,12 +150,11 @@ def test_a_policy_of_two_states_learns_targets(method: Any, tmp_path: Path) -> N
     settings = TrainSettings(
         phases=tuple(
             replace(one, batch=64) if isinstance(one, ImitationPhase) else one
-            for one in {"default": phases_of(goal_conditioned=True), "imitation": (ImitationPhase(),)}[method]
+            for one in {"default": phases_of(), "imitation": (ImitationPhase(),)}[method]
         ),
         steps={"imitation": 500, "default": 120}[method],
         policy=PolicySettings("resmlp", goal_conditioned=True, channels=32, layers=1),
         random_tries=2,
-        pairs=500,
         widths=(8,),
         evaluation_states=64,
     )
@@ -173,7 +172,6 @@ def test_a_resumed_run_with_targets_does_not_search_again(tmp_path: Path, monkey
         block=10,
         policy=PolicySettings("resmlp", goal_conditioned=True, channels=32, layers=1),
         random_tries=2,
-        pairs=100,
         widths=(8,),
         evaluation_states=32,
     )

@@ -5,9 +5,11 @@ from __future__ import annotations
 import torch
 
 from falsework.errors import InputError
+from falsework.learn.algorithms.exploration import Exploration
 from falsework.learn.algorithms.rollout_storage import Transitions
 from falsework.learn.algorithms.start_states import StartBatch, StartSampler
 from falsework.learn.config.ppo import CurriculumSettings
+from falsework.learn.data.solvable_states import SolvableStates
 from falsework.search.device.rules import TensorRules
 from falsework.utils.collectives import gather_rows
 from falsework.utils.distributed import ProcessGroup
@@ -25,7 +27,8 @@ class Curriculum(StartSampler):
 
     Every state is drawn once before any is drawn again; then those whose last rollout had a high surrogate loss, from
     which there is most to learn, are drawn more often. Where rollouts fail again and again, the policy is made to
-    explore more. With `growing` settings, only states near the end take part at first.
+    explore more. With `growing` settings, only states near the end take part at first. A share of the starts are other
+    states within the horizon: any solvable ones, and those that are explored for this.
     """
 
     def __init__(
@@ -34,6 +37,10 @@ class Curriculum(StartSampler):
         rules: TensorRules,
         settings: CurriculumSettings = CurriculumSettings(),
         *,
+        solved: SolvableStates | None = None,
+        anywhere: float = 0.0,
+        exploration: Exploration | None = None,
+        explored: float = 0.0,
         shards: ProcessGroup = ProcessGroup(),
     ) -> None:
         """Begin.
@@ -42,6 +49,10 @@ class Curriculum(StartSampler):
             starts: stable states with a path to the end, shape (count, parts); those that are the end are left out.
             rules: of the structure.
             settings: how to draw.
+            solved: states known to be solvable, which grow, those that rollouts passed included.
+            anywhere: share of the starts that is drawn from `solved`.
+            exploration: finds solvable states far from those of the searches.
+            explored: share of the starts that is drawn from there.
             shards: processes; each draws for itself, and outcomes are shared.
 
         Raises:
@@ -49,46 +60,24 @@ class Curriculum(StartSampler):
         """
         self.settings = settings
         self.updates = 0
-        self.horizon = 0
-        """Steps to the end that states may be away to be drawn."""
-        self._rules = rules
-        self._shards = shards
-        device = starts.device
-        self.starts = starts[:0]
-        self._left = torch.zeros(0, dtype=torch.int64, device=device)
-        self.visited = torch.zeros(0, dtype=torch.bool, device=device)
-        self.surrogate = torch.zeros(0, device=device)
-        self.entropy = torch.zeros(0, device=device)
-        self.far = torch.zeros(2, device=device)
-        """Rollouts from the far end of what is drawn, and successes among them, since the horizon moved."""
-        self.add(starts)
+        self._rules, self._shards = rules, shards
+        self._solved, self._anywhere = solved, anywhere if solved is not None else 0.0
+        self._exploration, self._explored = exploration, explored if exploration is not None else 0.0
+        left = rules.steps_left(starts)
+        self.starts, self._left = starts[left > 0], left[left > 0]
         if len(self) == 0:
             raise InputError("a curriculum needs start states that are not the end; give at least one")
+        self.visited = torch.zeros_like(self._left, dtype=torch.bool)
+        self.surrogate = torch.zeros_like(self._left, dtype=torch.float32)
+        self.entropy = torch.full_like(self.surrogate, settings.entropy)
+        self.far = self.surrogate.new_zeros(2)
+        """Rollouts from the far end of what is drawn, and successes among them, since the horizon moved."""
+        self.horizon = 0
+        """Steps to the end that states may be away to be drawn."""
         self.horizon = self._next_horizon() if settings.growing else self._longest()
 
     def __len__(self) -> int:
         return len(self.starts)
-
-    def add(self, starts: torch.Tensor) -> None:
-        """Take in more states, shape (count, parts), not drawn yet; equal ones are not looked for."""
-        left = self._rules.steps_left(starts)
-        rows = (left > 0).nonzero()[:, 0]
-        new = {
-            "starts": starts[rows],
-            "_left": left[rows],
-            "visited": torch.zeros(len(rows), dtype=torch.bool, device=starts.device),
-            "surrogate": torch.zeros(len(rows), device=starts.device),
-            "entropy": torch.full((len(rows),), self.settings.entropy, device=starts.device),
-        }
-        for name, values in new.items():
-            setattr(self, name, torch.cat([getattr(self, name), values]))
-        if not self.settings.growing and len(self):
-            self.horizon = self._longest()
-
-    @property
-    def mean_steps(self) -> float:  # type: ignore[override]
-        """Steps from a start within the horizon to the end, on average."""
-        return float(self._left[self._left <= self.horizon].double().mean())
 
     @property
     def widening(self) -> bool:  # type: ignore[override]
@@ -96,7 +85,23 @@ class Curriculum(StartSampler):
         return self.horizon < self._longest()
 
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
-        """See `StartSampler`."""
+        """See `StartSampler`; `rows` are those of the curriculum itself, which come first."""
+        anywhere, explored = round(count * self._anywhere), round(count * self._explored)
+        others = [self._solved.within(self.horizon, anywhere, generator)] if self._solved is not None else []
+        if self._exploration is not None and explored:
+            others.append(self._exploration.draw(explored, self.horizon, generator))
+        rows, weight = self._draw(count - anywhere - explored, generator)
+        more = sum(map(len, others))
+        return StartBatch(
+            torch.cat([self.starts[rows], *others]),
+            None,
+            torch.cat([self.entropy[rows], self.entropy.new_full((more,), self.settings.entropy)]),
+            torch.cat([weight, weight.new_full((more,), float(weight.mean()))]),
+            rows,
+        )
+
+    def _draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return rows of the curriculum and their importance weights, both of shape (count,)."""
         inside = self._left <= self.horizon
         fresh = (inside & ~self.visited).nonzero()[:, 0]
         order = torch.randperm(len(fresh), generator=generator, device=fresh.device)
@@ -105,15 +110,15 @@ class Curriculum(StartSampler):
         if len(rows) < count:
             more = torch.multinomial(probability, count - len(rows), replacement=True, generator=generator)
             rows = torch.cat([rows, more])
-        weight = self._correction(probability[rows])
-        return StartBatch(self.starts[rows], None, self.entropy[rows], weight, rows)
+        return rows, self._correction(probability[rows])
 
     def record(
         self, batch: StartBatch, transitions: Transitions, surrogate: torch.Tensor, generator: torch.Generator
     ) -> None:
         """See `StartSampler`."""
         assert batch.rows is not None
-        self.record_outcomes(batch.rows, transitions.success, surrogate)
+        own = len(batch.rows)
+        self.record_outcomes(batch.rows, transitions.success[:own], surrogate[:own])
 
     def record_outcomes(self, rows: torch.Tensor, success: torch.Tensor, surrogate: torch.Tensor) -> None:
         """Record rollouts of this process by the indices of their starts; all columns of shape (rollouts,)."""
@@ -137,17 +142,25 @@ class Curriculum(StartSampler):
             self._grow()
 
     def report(self) -> dict[str, float]:
-        """Report progress: the horizon as a share of the distance, and the share of states drawn so far."""
-        return {
+        """Report the horizon as a share of the distance, the share of states drawn so far, and what is explored."""
+        numbers = {
             "curriculum_horizon": self.horizon / max(self._longest(), 1),
             "curriculum_visited": float(self.visited.float().mean()),
             "curriculum_entropy": float(self.entropy.mean()),
         }
+        if self._exploration is not None:
+            numbers |= {"explored": float(len(self._exploration))}
+            numbers |= {"explored_distance": self._exploration.mean_distance}
+        return numbers
 
     def state_dict(self) -> dict[str, torch.Tensor]:
         """See `StartSampler`."""
         columns = {name: getattr(self, name) for name in ("starts", "visited", "surrogate", "entropy", "far")}
         return {**columns, "counts": torch.tensor([self.updates, self.horizon])}
+
+    def local_state_dict(self) -> dict[str, torch.Tensor]:
+        """See `StartSampler`."""
+        return {} if self._exploration is None else self._exploration.tensors()
 
     def load_state_dict(self, tensors: dict[str, torch.Tensor], local: dict[str, torch.Tensor] | None) -> None:
         """See `StartSampler`."""
@@ -157,6 +170,8 @@ class Curriculum(StartSampler):
         self.visited = self.visited.bool()
         self._left = self._rules.steps_left(self.starts)
         self.updates, self.horizon = tensors["counts"].tolist()
+        if self._exploration is not None and local is not None:
+            self._exploration.load(local)
 
     def probability(self, inside: torch.Tensor) -> torch.Tensor:
         """Return the probability of drawing each state: by its rank in surrogate loss, zero beyond the horizon."""

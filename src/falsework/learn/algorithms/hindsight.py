@@ -10,7 +10,7 @@ from falsework.learn.data.solvable_states import SolvableStates
 
 def relabel(
     transitions: Transitions, count: int, solved: SolvableStates, generator: torch.Generator
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Draw two states of one rollout: the later one as the goal of the earlier one.
 
     Whatever the goal of a rollout, and however it ended, the actions between the two were legal and left the structure
@@ -23,11 +23,11 @@ def relabel(
         generator: source of randomness.
 
     Returns:
-        States and goals, `uint8`, shape (pairs, parts), and the first action between them, shape (pairs,). Fewer pairs
-        than asked for where two draws coincide or are held out; none without transitions.
+        States and goals, `uint8`, shape (pairs, parts); fewer than asked for where two draws coincide or are held out,
+        and none without transitions.
     """
     if len(transitions) == 0:
-        return transitions.states, transitions.states, transitions.actions
+        return transitions.states, transitions.states
     order = torch.argsort(transitions.rollout, stable=True)
     rollout = transitions.rollout[order]
     length = torch.bincount(rollout, minlength=len(transitions.success))
@@ -41,4 +41,4 @@ def relabel(
     late = order[torch.maximum(first, second)[apart]]
     states, goals = transitions.states[early], transitions.states[late]
     rows = (~solved.is_held_out(states) & ~solved.is_held_out(goals)).nonzero()[:, 0]
-    return states[rows], goals[rows], transitions.actions[early[rows]]
+    return states[rows], goals[rows]

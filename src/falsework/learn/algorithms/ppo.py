@@ -1,8 +1,8 @@
 """Proximal policy optimisation (Schulman et al. 2017) on batches of whole rollouts.
 
-By default it fine-tunes a policy that imitation has prepared: rollouts from mixed start states, no discount, a value
-head that estimates the return, and an additional imitation loss on known states.
-`config.ppo.REINFORCEMENT` trains from scratch, as the paper does (section 5.2).
+By default it improves a policy that imitation has prepared: rollouts from mixed start states, no discount, a value head
+that estimates the return, and an additional imitation loss on known states. `config.ppo.REINFORCEMENT` trains from
+scratch, as the paper does (section 5.2).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _IMITATED = 0.25
 """States imitated per step, as a share of the batch."""
 _FINAL_LEARNING_RATE = 0.1
 """Learning rate at the end of a phase, as a share of the initial one."""
-_FEWEST_ROLLOUTS = 16
-"""Rollouts per collection, at least."""
+_BETAS, _EPSILON = (0.95, 0.999), 1e-5
+"""Of AdamW, which decays no weights."""
 _ENTROPY_STEP, _ENTROPY_MOST = 1.5, 20.0
 """Factor by which the weight of the entropy changes after a collection, and the most that it may be multiplied by."""
 _MOST_SOLVED = 20_000_000
@@ -52,9 +52,8 @@ class PPO(Learner):
             given.seed,
             shards,
             learning_rate=settings.learning_rate,
-            weight_decay=settings.weight_decay,
-            betas=settings.betas,
-            epsilon=settings.epsilon,
+            betas=_BETAS,
+            epsilon=_EPSILON,
         )
         self.updates = 0
         """Collections learned from."""
@@ -62,6 +61,7 @@ class PPO(Learner):
         """Of the weight of the entropy; above 1 where the entropy was below its floor."""
         self.environment, self.sampler, self.solved = given.environment, given.starts, given.solved
         self._settings, self._tasks, self._begin, self._reward = settings, given.tasks, given.begin, given.reward
+        self._compiled = given.compiled
         self.network = Network(given.policy, given.precision, compiled=given.compiled)
         self._playing = Network(given.policy, given.precision)
         self._share = max(settings.batch // shards.size, 1)
@@ -73,30 +73,25 @@ class PPO(Learner):
         return self.sampler.widening
 
     def block(self, steps: int, progress: tuple[float, float]) -> dict[str, float]:
-        """See `Learner.block`; where there are several epochs, an update that begins is finished."""
+        """See `Learner.block`; an update that begins is finished."""
         left, numbers = steps, {}
         while left > 0:
             before = self.steps
             rollouts = max(self._settings.rollouts // self.shards.size, 1)
-            if self._settings.epochs == 1:
-                # No more than the remaining steps can use, for instance in the last minute of a slow network.
-                useful = round(left * self._share / self.sampler.mean_steps)
-                rollouts = max(min(rollouts, useful), _FEWEST_ROLLOUTS)
             done = 1.0 - left / steps
             place = progress[0] + (progress[1] - progress[0]) * done
             batch = self.sampler.sample(rollouts, self.generator)
-            numbers = self.update(batch, most=left, progress=place)
+            numbers = self.update(batch, progress=place)
             left -= max(self.steps - before, 1)
             numbers |= {"updates": float(self.updates), "solved": float(len(self.solved))}
             self.listener(numbers)
         return numbers
 
-    def update(self, batch: StartBatch, *, most: int | None = None, progress: float = 0.0) -> dict[str, float]:
+    def update(self, batch: StartBatch, *, progress: float = 0.0) -> dict[str, float]:
         """Sample a rollout from each start and update the policy with all of them.
 
         Args:
             batch: starts.
-            most: steps of the optimizer, at most, if there is one epoch; None for any number.
             progress: of the whole training, for the learning rate.
 
         Returns:
@@ -137,7 +132,7 @@ class PPO(Learner):
         taken = self.steps
         self.policy.train()
         for _ in range(settings.epochs):
-            pieces = self.minibatches(count, most)
+            pieces = self.minibatches(count)
             imitated = self.demonstrations(transitions, len(pieces))
             for (rows, counts), shown in zip(pieces, imitated, strict=True):
                 piece = learnable.take(rows)
@@ -182,32 +177,25 @@ class PPO(Learner):
         self.updates, self.entropy_factor = int(tensors["updates"][0]), float(tensors["entropy_factor"][0])
         self.sampler.load_state_dict(below("starts.", tensors), None if local is None else below("starts.", local))
 
-    def minibatches(self, count: int, most: int | None = None) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    def minibatches(self, count: int) -> list[tuple[torch.Tensor, torch.Tensor]]:
         """Draw all transitions in random order, in equally many minibatches of one size in every process.
 
-        In a single pass minibatches have the full size, since a compiled network needs one size, and the remainder is
-        dropped; otherwise the padding of the last one has weight 0.
+        Padding has weight 0. For a compiled network, which needs one size, minibatches are padded to the full one.
 
         Args:
             count: transitions of this process.
-            most: pieces of a single pass, at most.
         """
-        device, size = self.generator.device, self._share
-        counts = [count]
+        device, most = self.generator.device, count
         if self.shards.size > 1:
-            counts = self.shards.gather(torch.tensor([count], device=device)).tolist()
-        if self._settings.epochs == 1:
-            number = max(sum(counts) // self._settings.batch if len(counts) > 1 else count // size, 1)
-            number = number if most is None else min(number, most)
-            size = min(size, max(-(-max(counts) // number), 1))
-        else:
-            number = -(-max(counts) // size)
-            size = -(-max(counts) // max(number, 1))
-        order = torch.randperm(count, generator=self.generator, device=device)[: number * size]
-        rows = torch.zeros(number * size, dtype=torch.int64, device=device)
-        rows[: len(order)] = order
-        used = (torch.arange(number * size, device=device) < len(order)).float()
-        return list(zip(rows.split(size), used.split(size), strict=True)) if number else []
+            most = int(self.shards.gather(torch.tensor([count], device=device)).max())
+        number = -(-most // self._share)
+        size = self._share if self._compiled else -(-most // max(number, 1))
+        rows = torch.zeros((number, size), dtype=torch.int64, device=device)
+        used = torch.zeros((number, size), device=device)
+        place = torch.arange(count, device=device)
+        spot = place % max(number, 1), place // max(number, 1)
+        rows[spot], used[spot] = torch.randperm(count, generator=self.generator, device=device), 1.0
+        return list(zip(rows, used, strict=True))
 
     def demonstrations(self, transitions: Transitions, steps: int) -> list[Demonstrations | None]:
         """Draw what is imitated in each of some steps; None where nothing is."""

@@ -11,7 +11,6 @@ from falsework.learn.algorithms.hindsight import relabel
 from falsework.learn.algorithms.rollout_storage import Transitions
 from falsework.learn.data.random_walks import GoalSampler
 from falsework.learn.data.solvable_states import SolvableStates
-from falsework.search.device.rules import TensorRules
 
 _FROM_DATA = 0.5
 """Share of rollouts that start where searches found states."""
@@ -22,8 +21,6 @@ _FROM_HINDSIGHT = 0.1
 """With goals: share between two states of an earlier rollout; the others are drawn anew."""
 _REMEMBERED = 4
 """Failures and hindsight pairs that are kept, in collections."""
-_MEASURED = 4096
-"""Start states whose distance to the target is measured, about."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +42,6 @@ class StartBatch:
 class StartSampler(ABC):
     """Sampler of start states that adapts to the outcomes of rollouts."""
 
-    mean_steps: float
-    """Steps from a start to its target, on average."""
     widening = False
     """Whether farther states will still be drawn."""
 
@@ -88,50 +83,36 @@ class MixedStarts(StartSampler):
     """States that searches found, recent failures, and hindsight pairs or any state known to be solvable."""
 
     def __init__(
-        self,
-        starts: torch.Tensor,
-        solved: SolvableStates,
-        rules: TensorRules,
-        collection: int,
-        *,
-        targets: torch.Tensor | None = None,
-        tasks: GoalSampler | None = None,
+        self, starts: torch.Tensor, solved: SolvableStates, collection: int, *, tasks: GoalSampler | None = None
     ) -> None:
         """Begin without failures.
 
         Args:
-            starts: solvable states like those that the policy is for, shape (count, parts).
+            starts: solvable states like those that the policy is for, shape (count, parts); with goals not used.
             solved: states known to be solvable, and the held-out ones.
-            rules: of the structure.
             collection: rollouts per collection of this process.
-            targets: of each start, shape (count, parts), or None.
-            tasks: draws other starts and targets for every collection, in place of those.
+            tasks: of a policy with goals, draws starts and targets for every collection.
         """
-        self._starts, self._targets, self._tasks, self._solved = starts, targets, tasks, solved
-        self._failed = StartBatch(starts[:0], None if targets is None else targets[:0])
-        self._passed = StartBatch(starts[:0], None if targets is None else targets[:0])
+        self._starts, self._tasks, self._solved = starts, tasks, solved
+        none = starts[:0]
+        self._failed = self._passed = StartBatch(none, None if tasks is None else none)
         self._most = _REMEMBERED * collection
-        some = slice(None, None, max(len(starts) // _MEASURED, 1))
-        left = rules.steps_left(starts[some], None if targets is None else targets[some])
-        self.mean_steps = max(float(left.double().mean()), 1.0) if len(left) else 1.0
 
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
         """See `StartSampler`."""
-        goals = self._targets is not None
+        goals = self._tasks is not None
         failures = round(count * (_WITH_GOALS if goals else _FROM_FAILURES)) if len(self._failed.states) else 0
-        passed = round(count * _FROM_HINDSIGHT) if goals and len(self._passed.states) else 0
+        passed = round(count * _FROM_HINDSIGHT) if len(self._passed.states) else 0
         anywhere = 0 if goals else count - round(count * (_FROM_DATA + _FROM_FAILURES))
         fresh = count - failures - passed - anywhere
         if self._tasks is not None:
-            pieces = [StartBatch(*self._tasks.draw(fresh, generator)[:2])]
+            pieces = [StartBatch(*self._tasks.draw(fresh, generator)[:2]), _some(self._passed, passed, generator)]
         else:
-            pieces = [_some(StartBatch(self._starts, self._targets), fresh, generator)]
-        pieces.append(_some(self._failed, failures, generator))
-        if goals:
-            pieces.append(_some(self._passed, passed, generator))
-        else:
-            pieces.append(_some(StartBatch(self._solved.states), anywhere, generator))
-        return _joined(pieces)
+            pieces = [
+                _some(StartBatch(self._starts), fresh, generator),
+                _some(StartBatch(self._solved.states), anywhere, generator),
+            ]
+        return _joined([*pieces, _some(self._failed, failures, generator)])
 
     def record(
         self, batch: StartBatch, transitions: Transitions, surrogate: torch.Tensor, generator: torch.Generator
@@ -141,7 +122,7 @@ class MixedStarts(StartSampler):
         self._failed = _take(_joined([_take(batch, failed), self._failed]), slice(self._most))
         if batch.targets is not None:
             pairs = relabel(transitions, len(batch.states), self._solved, generator)
-            self._passed = _take(_joined([StartBatch(*pairs[:2]), self._passed]), slice(self._most))
+            self._passed = _take(_joined([StartBatch(*pairs), self._passed]), slice(self._most))
 
     def local_state_dict(self) -> dict[str, torch.Tensor]:
         """See `StartSampler`."""

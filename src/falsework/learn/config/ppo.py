@@ -47,7 +47,8 @@ class CurriculumSettings:
 class PpoPhase:
     """Proximal policy optimisation (Schulman et al. 2017); a size of 0 depends on the device.
 
-    The defaults fine-tune a policy after imitation; `REINFORCEMENT` trains from scratch.
+    The defaults improve a policy that knows something, by imitation or from another run; `REINFORCEMENT` trains from
+    scratch.
     """
 
     algorithm: Literal["ppo"] = "ppo"
@@ -55,23 +56,14 @@ class PpoPhase:
     """Start states of rollouts. `mixed`: states that searches found, recent failures, and hindsight goals or any state
     known to be solvable; `curriculum`: the curriculum of the paper; `complete`: the complete structure alone."""
     rollouts: int = 0
-    """Rollouts per collection, over all processes; 0: 512 on a CPU; on a GPU 4,096, of `mixed` without goals 2,048, or
-    with one epoch 16,384."""
+    """Rollouts per collection, over all processes; 0: 4,096 on a GPU and 512 on a CPU."""
     batch: int = 0
-    """Transitions per step of the optimizer, over all processes; 0: 4,096 on a GPU and 1,024 on a CPU; of `mixed` with
-    one epoch 8,192 and 512."""
-    epochs: int = 1
-    """Passes over a collection. One pass takes full batches only and ends with the block; several take every transition
-    and always finish."""
-    learning_rate: float = 0.0
-    """Initial learning rate, which falls linearly to a tenth over the phase; 0: 3e-4 on a GPU, 5e-4 on a CPU."""
-    betas: tuple[float, float] = (0.9, 0.999)
-    """Decay of the moments of AdamW."""
-    epsilon: float = 1e-8
-    """Added to the root of the second moment of AdamW."""
-    weight_decay: float = 0.01
-    """Of AdamW."""
-    average: float = 0.995
+    """Transitions per step of the optimizer, over all processes; 0: 4,096 on a GPU and 1,024 on a CPU."""
+    epochs: int = 3
+    """Passes over a collection."""
+    learning_rate: float = 1e-3
+    """Initial learning rate, which falls linearly to a tenth over the phase."""
+    average: float = 0.99
     """Decay of the moving average of the weights that is evaluated and saved; 0: the weights themselves."""
     discount: float = 1.0
     """Worth of a reward one step later. By default success late is as good as success early."""
@@ -79,7 +71,7 @@ class PpoPhase:
     """Decay of generalised advantages over steps; 1 compares with the final outcome."""
     entropy: float = 0.003
     """Weight of the entropy of the policy; a curriculum has its own."""
-    entropy_floor: float = 0.0
+    entropy_floor: float = 0.5
     """Mean entropy of the actions, in nat, below which that weight rises; the floor falls linearly to 0 over the phase,
     so that the policy explores first and decides at last. 0: none."""
     anywhere: float = 0.0
@@ -97,7 +89,7 @@ class PpoPhase:
         if self.starts not in get_args(Starts):
             raise InputError(f"unknown starts {self.starts!r}; choose {', '.join(get_args(Starts))}")
         if min(self.rollouts, self.batch) < 0 or not self.learning_rate >= 0:
-            raise InputError("sizes and learning rate of PPO are not negative; 0 stands for the default")
+            raise InputError("sizes and learning rate of PPO are not negative; a size of 0 stands for the default")
         if self.epochs < 1:
             raise InputError(f"epochs is {self.epochs}; give at least 1")
         for name in ("discount", "gae_lambda", "anywhere", "explored"):
@@ -110,42 +102,16 @@ class PpoPhase:
             )
         if not 0 <= self.average < 1:
             raise InputError(f"average is {self.average:g}; give 0 or more, and less than 1")
-        for name in ("weight_decay", "entropy", "entropy_floor", "imitation"):
+        for name in ("entropy", "entropy_floor", "imitation"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} is {getattr(self, name):g}; give 0 or more")
 
-    def resolved(self, device: str, *, goal_conditioned: bool = False) -> PpoPhase:
+    def resolved(self, device: str) -> PpoPhase:
         """Replace every 0 by the default for a kind of device, `cpu` or `cuda`."""
-        gpu = device == "cuda"
-        if self.starts == "mixed" and self.epochs == 1:
-            rollouts, batch = (16_384, 8_192) if gpu else (512, 512)
-        elif self.starts == "mixed" and not goal_conditioned:
-            rollouts, batch = (2_048, 4_096) if gpu else (512, 1_024)
-        else:
-            rollouts, batch = (4_096, 4_096) if gpu else (512, 1_024)
-        return replace(
-            self,
-            rollouts=self.rollouts or rollouts,
-            batch=self.batch or batch,
-            learning_rate=self.learning_rate or (3e-4 if gpu else 5e-4),
-        )
+        rollouts, batch = (4_096, 4_096) if device == "cuda" else (512, 1_024)
+        return replace(self, rollouts=self.rollouts or rollouts, batch=self.batch or batch)
 
 
-REINFORCEMENT = PpoPhase(
-    starts="curriculum",
-    epochs=3,
-    learning_rate=1e-3,
-    betas=(0.95, 0.999),
-    epsilon=1e-5,
-    weight_decay=0.0,
-    average=0.99,
-    entropy_floor=0.5,
-    anywhere=0.25,
-    explored=0.25,
-    imitation=0.0,
-)
+REINFORCEMENT = PpoPhase(starts="curriculum", anywhere=0.25, explored=0.25, imitation=0.0)
 """Reinforcement learning from scratch: the curriculum of the paper (section 5.2), states that rollouts passed, and
 states far from the data."""
-
-FINE_TUNING = replace(REINFORCEMENT, starts="mixed", anywhere=0.0, explored=0.0, imitation=0.1)
-"""Reinforcement from weights that know something, of another run or of imitation: no curriculum."""

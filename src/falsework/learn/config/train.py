@@ -11,7 +11,7 @@ from falsework.errors import InputError
 from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.import_path import is_import_path
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.ppo import FINE_TUNING, REINFORCEMENT, PpoPhase
+from falsework.learn.config.ppo import REINFORCEMENT, PpoPhase
 from falsework.utils.quantity import check_seed
 
 Phase = ImitationPhase | PpoPhase
@@ -26,24 +26,20 @@ METHODS: dict[Method, tuple[Phase, ...]] = {"default": (_IMITATION, PpoPhase()),
 """Presets of `TrainSettings.phases` by the name that `falsework train --method` takes."""
 
 
-def phases_of(method: Method = "default", *, goal_conditioned: bool = False, begun: bool = False) -> tuple[Phase, ...]:
-    """Return the phases of a preset.
-
-    Args:
-        method: name of the preset.
-        goal_conditioned: of a policy with goals: the default is then imitation followed by `FINE_TUNING`.
-        begun: with the weights of another run: the default is then `FINE_TUNING` alone.
-    """
-    if method != "default" or not (goal_conditioned or begun):
-        return METHODS[method]
-    return (FINE_TUNING,) if begun else (_IMITATION, FINE_TUNING)
+def phases_of(method: Method = "default", *, begun: bool = False) -> tuple[Phase, ...]:
+    """Return the phases of a preset; imitation is left out of a run that begins with the weights of another one."""
+    phases = METHODS[method]
+    return phases[-1:] if begun else phases
 
 
 _EVALUATE_EVERY = 25.0
 """Seconds between two evaluations."""
 
-_FORMER = ("hindsight", "target_divergence")
-"""Settings of PPO in the files of earlier versions, which were off."""
+_FORMER = {
+    "PpoPhase": ("hindsight", "target_divergence", "betas", "epsilon", "weight_decay"),
+    "TrainSettings": ("pairs",),
+}
+"""Settings in the files of earlier versions that are none any more."""
 
 T = TypeVar("T")
 
@@ -71,8 +67,6 @@ class TrainSettings:
     """`width64`: the paper's training set alone; `wide`: that and the states of wider searches."""
     widths: tuple[int, ...] = ()
     """Widths of the wider searches; none given: by the number of parts and the device."""
-    pairs: int = 20_000
-    """Start-goal pairs by which a goal-conditioned policy knows how far goals are; what it learns is drawn anew."""
     minutes: float = 0.0
     """Total time, data included; 0: by the number of parts and the device."""
     steps: int = 0
@@ -141,10 +135,7 @@ class TrainSettings:
             policy=_policy(self.policy, gpu).resolved(),
             minutes=minutes,
             widths=self.widths or widths,
-            phases=tuple(
-                one.resolved(device) if isinstance(one, ImitationPhase) else one.resolved(device, goal_conditioned=two)
-                for one in self.phases
-            ),
+            phases=tuple(one.resolved(device) for one in self.phases),
             evaluations=self.evaluations or (10 if self.steps else max(10, round(60.0 * minutes / _EVALUATE_EVERY))),
             block=self.block or (200 if gpu else 20),
             precision=("bfloat16" if gpu else "float32") if self.precision == "auto" else self.precision,
@@ -196,19 +187,20 @@ def to_dict(settings: Any) -> dict[str, Any]:
 
 
 def from_dict(kind: type[T], values: Mapping[str, Any]) -> T:
-    """Read settings that `to_dict` gave.
+    """Read settings that `to_dict` gave, without those that earlier versions had.
 
     Raises:
         InputError: a name that is no setting, or a value of another type.
     """
     if not isinstance(values, Mapping):
         raise InputError(f"settings of {kind.__name__} are {type(values).__name__}; expected names and values")
-    hints = get_type_hints(kind)
+    hints, former = get_type_hints(kind), _FORMER.get(kind.__name__, ())
     known = {one.name for one in fields(kind)}  # type: ignore[arg-type]
-    odd = sorted(set(values) - known)
+    given = {name: value for name, value in values.items() if name not in former}
+    odd = sorted(set(given) - known)
     if odd:
         raise InputError(f"{odd[0]!r} is not a setting of {kind.__name__}")
-    return kind(**{name: _read(hints[name], value, f"{kind.__name__}.{name}") for name, value in values.items()})
+    return kind(**{name: _read(hints[name], value, f"{kind.__name__}.{name}") for name, value in given.items()})
 
 
 def _read(hint: Any, value: Any, name: str) -> Any:
@@ -225,5 +217,4 @@ def _read_phase(value: Any, name: str) -> Phase:
     algorithm = value.get("algorithm") if isinstance(value, Mapping) else None
     if algorithm not in ("imitation", "ppo"):
         raise InputError(f"{name} has a phase of the algorithm {algorithm!r}; choose imitation or ppo")
-    known = {name: one for name, one in value.items() if name not in _FORMER}
-    return from_dict(ImitationPhase if algorithm == "imitation" else PpoPhase, known)
+    return from_dict(ImitationPhase if algorithm == "imitation" else PpoPhase, value)

@@ -13,7 +13,7 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.learn.data.dataset import Report, check_states, search_several, search_states
+from falsework.learn.data.dataset import DataSettings, Report, check_states, search_several, search_states
 from falsework.learn.data.goal_pairs import Pairs, PairSource, joined_pairs, unsolved_at_random
 from falsework.learn.env.verdict_cache import VerdictTable
 from falsework.search.device.oracle import TensorOracle, tensor_oracle, without_fallback
@@ -22,7 +22,6 @@ from falsework.search.problem.state_graph import StateGraph, criterion_of, read_
 from falsework.search.problem.task import Direction, Task
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.distributed import ProcessGroup
-from falsework.utils.quantity import check_seed
 from falsework.utils.tensors import choose_device
 
 if TYPE_CHECKING:
@@ -45,32 +44,21 @@ _COMPLETED_SHARE = 0.25
 
 
 @dataclass(frozen=True)
-class GoalDataSettings:
-    """Searches of a data set of pairs (paper, section 7.2, Table 4)."""
+class GoalDataSettings(DataSettings):
+    """Searches of a data set of pairs (paper, section 7.2, Table 4); those of the protocol begin at its start."""
 
-    train_width: int = 64
-    """Width of the search, in the direction of disassembly, whose states are those to learn from."""
-    test_width: int = 128
-    """Width of the search that unseen pairs come from."""
-    widths: tuple[int, ...] = ()
-    """Widths of further searches to learn from."""
     test_pairs: int = 2_000
     """Unseen pairs at most."""
     random_tries: int = 16
     """Rollouts of random legal actions none of which may solve a pair that is tested. A pair that they solve with
     probability p stays with probability (1 - p)^16: were all p equally frequent, those of the pairs that stay would
     have a mean of 1 / 18."""
-    seed: int = 0
-    """Of the first search; each further one, the test search included, adds one."""
 
     def __post_init__(self) -> None:
-        for width in (self.train_width, self.test_width, *self.widths):
-            if width < 1:
-                raise InputError(f"a search of width {width} finds nothing; give at least 1")
+        super().__post_init__()
         for name in ("test_pairs", "random_tries"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} is a count; give at least 1")
-        check_seed(self.seed)
 
 
 @dataclass(frozen=True, eq=False)

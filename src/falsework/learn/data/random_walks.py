@@ -6,6 +6,9 @@ have new pairs: the two ends of the walk, and the first action on the path from 
 The direction of a walk matters. A beam keeps few of the states that it reaches. In the direction of disassembly a path
 leads from all of them back to the complete structure, but from most of them none leads onward; in the direction of
 assembly it is the reverse. A walk in the wrong direction ends after a few steps, and yields a trivial task.
+
+A search also has far more states near the end where it begins than at the other one. Walks begin evenly at all
+distances from the end, or most tasks would be of a few steps.
 """
 
 from __future__ import annotations
@@ -75,9 +78,12 @@ class RandomWalkGoals:
         self._begin = put(np.concatenate([before, after + len(order)]), device)
         self._next = put(np.concatenate([graph.source[order], graph.target]), device)
         self._action = put(np.concatenate([graph.action[order], graph.action]), device)
-        self._states, self._allowed, self._ends = put(graph.states, device), put(allowed, device), put(ends, device)
+        self._states, self._allowed = put(graph.states, device), put(allowed, device)
+        done = graph.task.steps_done(graph.states[ends])
+        self._ends = put(ends[np.argsort(done, kind="stable")], device)
+        self._at_distance = put(np.unique(done, return_counts=True)[1], device)
         usual = np.where(back.meets, back.mean, 0.0), np.where(on.meets, on.mean, 0.0)
-        self._onwards = put(usual[1] / np.maximum(usual[0] + usual[1], 1e-9), device)
+        self._onwards = put(usual[1] > usual[0], device)
         self._longest = put(np.stack([back.longest, on.longest]), device)
         self._deepest = int(self._longest.max())
 
@@ -89,8 +95,8 @@ class RandomWalkGoals:
     def draw(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Draw pairs of a random state and the end of a walk from it, with the first action between them.
 
-        The walk goes backwards or forwards, with probabilities proportional to the mean length of such walks from that
-        state.
+        The state is drawn evenly by the number of steps that led to it. The walk goes backwards or forwards, whichever
+        is longer on average from there.
 
         Args:
             count: how many.
@@ -123,9 +129,11 @@ class RandomWalkGoals:
     def _walk(self, count: int, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return rows of starts and targets, and first actions, -1 where no state is allowed; shape (count,)."""
         device = self._states.device
-        begin = self._ends[torch.randint(len(self._ends), (count,), generator=generator, device=device)]
         shares = torch.rand((2, count), generator=generator, device=device, dtype=torch.float64)
-        onwards = shares[0] < self._onwards[begin]
+        size = self._at_distance
+        distance = torch.randint(len(size), (count,), generator=generator, device=device)
+        begin = self._ends[(size.cumsum(0) - size)[distance] + (shares[0] * size[distance]).long()]
+        onwards = self._onwards[begin]
         length = 1 + (shares[1] * self._longest[onwards.long(), begin]).long()
         shift = onwards * (len(self._states) + 1)
         here, end, action, first = begin, begin, torch.full_like(begin, -1), torch.full_like(begin, -1)

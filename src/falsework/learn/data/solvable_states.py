@@ -39,7 +39,6 @@ class SolvableStates:
         change = np.concatenate([table[:, 1] ^ table[:, 2], table[:, 2] ^ table[:, 0]])
         self._change = put(change, self.device)
         self._states = torch.empty((0, parts), dtype=torch.uint8, device=self.device)
-        self._stored = self._no_hashes()
         self._known = self._no_hashes()
         self._held_out = self._no_hashes()
         self._visited = torch.empty(0, dtype=torch.bool, device=self.device)
@@ -97,7 +96,6 @@ class SolvableStates:
         self._known = torch.sort(torch.cat([self._known, hashes])).values
         storable = ~in_sorted(self._held_out, hashes)
         self._states = torch.cat([self._states, states[storable]])
-        self._stored = torch.sort(torch.cat([self._stored, hashes[storable]])).values
         return int(storable.sum())
 
     def hold_out(self, states: torch.Tensor) -> None:
@@ -111,7 +109,6 @@ class SolvableStates:
         self._held_out, order = torch.sort(torch.cat([self._held_out, hashes]))
         self._visited = torch.cat([self._visited, torch.zeros_like(hashes, dtype=torch.bool)])[order]
         self._states = self._states[~in_sorted(self._held_out, self.hashes(self._states))]
-        self._stored = self._stored[~in_sorted(self._held_out, self._stored)]
 
     def is_held_out(self, states: torch.Tensor) -> torch.Tensor:
         """Return which states are held out for testing, bool, shape (batch,)."""
@@ -128,10 +125,6 @@ class SolvableStates:
             slot = torch.searchsorted(self._held_out, hashes).clamp_(max=len(self._held_out) - 1)
             hit = (self._held_out[slot] == hashes).to(torch.int32)
             self._visited |= torch.zeros_like(self._visited, dtype=torch.int32).index_add_(0, slot, hit) > 0
-
-    def contains(self, states: torch.Tensor) -> torch.Tensor:
-        """Return which states are stored, bool, shape (batch,)."""
-        return in_sorted(self._stored, self.hashes(states))
 
     def valid_actions(self, states: torch.Tensor, mask: torch.Tensor | None = None) -> torch.Tensor:
         """Return the legal actions whose successors are known to be solvable.
@@ -178,7 +171,6 @@ class SolvableStates:
         moved = {name: tensor.to(self.device) for name, tensor in tensors.items()}
         self._states, self._known = moved["states"], moved["known"]
         self._held_out, self._visited = moved["held_out"], moved["met"].bool()
-        self._stored = torch.sort(self.hashes(self._states)).values
 
     def held_out_hashes(self) -> torch.Tensor:
         """Return the hashes of test states that are known to be solvable, for other processes; shape (count,)."""

@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass
 import torch
 
 from falsework.assembly.model import Assembly
-from falsework.errors import StateError
 from falsework.learn.env.verdict_cache import VerdictTable
 from falsework.search.device.oracle import HostOracle, TensorOracle, tensor_oracle, without_fallback
 from falsework.search.device.rules import TensorRules
@@ -196,23 +195,15 @@ class Environment:
         states: torch.Tensor,
         actions: torch.Tensor,
         targets: torch.Tensor | None = None,
-        *,
-        check: bool = False,
     ) -> Step:
         """Carry out one action in each state.
 
         Args:
             states: stable, not done, shape (batch, parts).
-            actions: legal in the states, shape (batch,).
+            actions: legal in the states, which is not checked, shape (batch,).
             targets: shape (batch, parts); None takes everything away that is not fixed.
-            check: raise for illegal actions, which costs a wait for the device; otherwise they are not noticed.
-
-        Raises:
-            StateError: with `check`, an action that is not legal.
         """
         rules = self.rules
-        if check:
-            self._check_legal(states, actions, targets)
         with self.timed("seconds_rules"):
             after = rules.follow(states, actions)
             needed = rules.needs_verdict(actions)
@@ -239,15 +230,6 @@ class Environment:
     def _wait(self) -> None:
         if self.measure and self.device.type == "cuda":
             torch.cuda.synchronize(self.device)
-
-    def _check_legal(self, states: torch.Tensor, actions: torch.Tensor, targets: torch.Tensor | None) -> None:
-        parts = self.part_count
-        inside = (actions >= 0) & (actions < 2 * parts)
-        mask = self.rules.moves(states, targets)
-        legal = inside & mask.gather(1, actions.long().clamp(0, 2 * parts - 1)[:, None])[:, 0]
-        if not bool(legal.all()):
-            row = int((~legal).nonzero()[0, 0])
-            raise StateError(f"action {int(actions[row])} is not legal in state {row}; choose one that the mask allows")
 
 
 def _tensor_oracle(oracle: Oracle, device: torch.device) -> TensorOracle:

@@ -15,10 +15,9 @@ from falsework.learn.config.policy import PolicySettings
 from falsework.learn.networks.custom_policy import PolicyOrClass, make_custom
 from falsework.learn.networks.graph_attention import GraphAttentionPolicy
 from falsework.learn.networks.local_attention import LocalAttentionPolicy
-from falsework.learn.networks.mlp import MlpPolicy
 from falsework.learn.networks.part_transformer import PartTransformerPolicy
 from falsework.learn.networks.policy import Policy
-from falsework.learn.networks.residual_mlp import ResidualMlpPolicy
+from falsework.learn.networks.vector import MlpPolicy, ResidualMlpPolicy
 
 NETWORKS: dict[str, type[Policy]] = {
     "mlp": MlpPolicy,

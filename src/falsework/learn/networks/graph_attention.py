@@ -21,7 +21,7 @@ from torch.nn.functional import elu, leaky_relu
 from falsework.assembly.model import Assembly
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.networks.force_torque_graph import ForceTorqueGraph
-from falsework.learn.networks.policy import Policy
+from falsework.learn.networks.policy import Policy, small_head
 
 _SLOPE = 0.2
 """Of LeakyReLU below zero, as usual for graph attention."""
@@ -54,12 +54,9 @@ class GraphAttentionPolicy(Policy):
         )
         self.norm = Norm(sizes.channels)
         self.action_hidden = nn.Linear(sizes.channels, sizes.channels)
-        self.action_head = nn.Linear(sizes.channels, 2)
+        self.action_head = small_head(sizes.channels, 2)
         self.value_hidden = nn.Linear(sizes.channels, sizes.channels)
-        self.value_head = nn.Linear(sizes.channels, 1)
-        for head in (self.action_head, self.value_head):
-            nn.init.normal_(head.weight, std=0.01)
-            nn.init.zeros_(head.bias)
+        self.value_head = small_head(sizes.channels, 1)
 
     def forward(self, states: Tensor, targets: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """See `Policy`; batches that need no gradient go in pieces that fit into memory."""

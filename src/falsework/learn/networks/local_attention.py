@@ -22,7 +22,7 @@ from torch.nn.functional import gelu
 from falsework.assembly.model import Assembly
 from falsework.learn.config.policy import EXPANSION, PolicySettings
 from falsework.learn.networks.contact_graph import PAIR_FEATURES, PART_FEATURES, WHOLE_FEATURES, ContactGraph
-from falsework.learn.networks.policy import Policy
+from falsework.learn.networks.policy import Policy, small_head
 
 CONDITIONS = 2
 """Robots and criterion."""
@@ -137,12 +137,8 @@ class LocalAttention(nn.Module):
         )
         self.layers = nn.ModuleList(_Layer(channels, settings.heads, layers) for _ in range(layers))
         self.norm = nn.LayerNorm(channels)
-        last = nn.Linear(channels, 2), nn.Linear(channels, 1)
-        self.action_head = nn.Sequential(nn.Linear(2 * channels, channels), nn.GELU(), last[0])
-        self.value_head = nn.Sequential(nn.Linear(channels, channels), nn.GELU(), last[1])
-        for head in last:
-            nn.init.normal_(head.weight, std=0.01)
-            nn.init.zeros_(head.bias)
+        self.action_head = nn.Sequential(nn.Linear(2 * channels, channels), nn.GELU(), small_head(channels, 2))
+        self.value_head = nn.Sequential(nn.Linear(channels, channels), nn.GELU(), small_head(channels, 1))
 
     def forward(self, graph: GraphTensors, numbers: Tensor) -> tuple[Tensor, Tensor]:
         """Return logits and values.

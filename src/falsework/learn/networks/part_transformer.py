@@ -29,7 +29,7 @@ from torch.nn.functional import gelu, pad, scaled_dot_product_attention
 from falsework.assembly.model import Assembly
 from falsework.learn.config.policy import EXPANSION, PolicySettings
 from falsework.learn.networks.geometric_features import PAIR_FEATURES, PART_FEATURES, PORTS, PartFeatures
-from falsework.learn.networks.policy import Policy
+from falsework.learn.networks.policy import Policy, small_head
 
 
 class PartTransformerPolicy(Policy):
@@ -56,15 +56,12 @@ class PartTransformerPolicy(Policy):
         blocks = [_Block(channels, sizes) for _ in range(sizes.layers)]
         self.blocks = nn.ModuleList(blocks)
         self.norm = nn.LayerNorm(channels)
-        self.action_head = nn.Linear(channels, 2)
+        self.action_head = small_head(channels, 2)
         self.value_hidden = nn.Linear(channels, channels)
-        self.value_head = nn.Linear(channels, 1)
+        self.value_head = small_head(channels, 1)
         for block in blocks:
             for last in (block.out, block.down):
                 nn.init.normal_(last.weight, std=0.5 / (channels * sizes.layers) ** 0.5)
-        for head in (self.action_head, self.value_head):
-            nn.init.normal_(head.weight, std=0.01)
-            nn.init.zeros_(head.bias)
 
     def forward(self, states: Tensor, targets: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """See `Policy`."""

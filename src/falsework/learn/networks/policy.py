@@ -92,6 +92,14 @@ class Policy(nn.Module):
         raise NotImplementedError
 
 
+def small_head(channels: int, outputs: int) -> nn.Linear:
+    """Make a last layer whose outputs are near zero at first, so that no action is preferred."""
+    head = nn.Linear(channels, outputs)
+    nn.init.normal_(head.weight, std=0.01)
+    nn.init.zeros_(head.bias)
+    return head
+
+
 def masked_log_probabilities(logits: Tensor, mask: Tensor) -> Tensor:
     """Log probabilities of the actions that a mask allows.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import torch
 
 from falsework.errors import InputError
-from falsework.learn.algorithms.blended_starts import BlendedStarts
 from falsework.learn.algorithms.curriculum import Curriculum
 from falsework.learn.algorithms.exploration import Exploration
 from falsework.learn.algorithms.imitation import Imitation
@@ -66,20 +65,23 @@ def learner_of(
             compiled=compiled,
             shards=run.shards,
         )
-    rules, starts, targets = environment.rules, data.starts, data.targets
+    rules, starts = environment.rules, data.starts
     if phase.starts == "mixed":
         rollouts = max(phase.rollouts // run.shards.size, 1)
-        sampler: StartSampler = MixedStarts(starts, solved, rules, rollouts, targets=targets, tasks=data.tasks)
+        sampler: StartSampler = MixedStarts(starts, solved, rollouts, tasks=data.tasks)
     else:
         if phase.starts == "complete":
             starts = rules.complete()
-        curriculum = Curriculum(starts, rules, phase.curriculum, shards=run.shards)
-        sampler = curriculum
-        if phase.anywhere or phase.explored:
-            exploration = Exploration(environment, solved, starts)
-            sampler = BlendedStarts(
-                curriculum, solved, phase.anywhere, exploration=exploration, explored=phase.explored
-            )
+        sampler = Curriculum(
+            starts,
+            rules,
+            phase.curriculum,
+            solved=solved,
+            anywhere=phase.anywhere,
+            exploration=Exploration(environment, solved, starts) if phase.explored else None,
+            explored=phase.explored,
+            shards=run.shards,
+        )
     context = LearnerContext(
         environment,
         policy,

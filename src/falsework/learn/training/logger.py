@@ -1,14 +1,18 @@
-"""Training loggers: JSON lines, TensorBoard, Weights & Biases."""
+"""Logs of a training run: JSON lines, TensorBoard, Weights & Biases."""
 
 from __future__ import annotations
 
 import json
+import time
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from falsework.errors import DependencyError, InputError
+from falsework.learn.algorithms.learner import Learner
+from falsework.learn.env.environment import Environment
+from falsework.learn.training.budget import TrainingBudget
 from falsework.utils.files.output_file import write_whole
 
 PROGRESS = "progress.jsonl"
@@ -17,100 +21,8 @@ LOGS = ("tensorboard", "wandb")
 """Logs that may be asked for, beside `progress.jsonl`."""
 
 
-class Writer(Protocol):
-    """Destination of named metrics."""
-
-    def write(self, step: int, values: Mapping[str, float]) -> None:
-        """Note numbers that belong to a step."""
-        ...
-
-    def close(self) -> None:
-        """Nothing more comes."""
-        ...
-
-
-class Progress:
-    """`progress.jsonl`: one JSON object a line, each flushed at once."""
-
-    def __init__(self, folder: Path, resumed_at: int | None = None) -> None:
-        """Begin a new file, or continue after the step of the checkpoint.
-
-        Args:
-            folder: of the run.
-            resumed_at: lines of later steps are dropped, since these steps are taken again.
-        """
-        self.path = folder / PROGRESS
-        kept = [] if resumed_at is None else [line for line in read_progress(folder) if line["step"] <= resumed_at]
-        text = "".join(json.dumps(line) + "\n" for line in kept)
-        write_whole(self.path, lambda file: file.write(text.encode()))
-
-    def write(self, step: int, values: Mapping[str, Any]) -> None:
-        """See `Writer`."""
-        try:
-            with self.path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"step": step, **values}, allow_nan=False, default=str) + "\n")
-        except OSError as error:  # a line of the curve is not worth a training run
-            warnings.warn(f"cannot write {self.path}: {error.strerror}; training continues", stacklevel=2)
-
-    def close(self) -> None:
-        """See `Writer`."""
-
-
-class TensorBoard:
-    """Scalars for TensorBoard."""
-
-    def __init__(self, folder: Path, resumed_at: int | None = None) -> None:
-        """Write below the folder of a run.
-
-        Raises:
-            DependencyError: tensorboard is not installed, or writes no file of that name.
-        """
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ImportError:
-            raise DependencyError("logs for TensorBoard need tensorboard; pip install 'falsework[learn]'") from None
-        purge = None if resumed_at is None else resumed_at + 1
-        try:
-            self._writer = SummaryWriter(str(folder / TENSORBOARD), purge_step=purge, flush_secs=10)
-        except UnicodeEncodeError:
-            raise DependencyError("tensorboard writes no logs into a folder whose name is not UTF-8") from None
-
-    def write(self, step: int, values: Mapping[str, Any]) -> None:
-        """See `Writer`."""
-        for name, value in values.items():
-            if isinstance(value, (int, float)) and not isinstance(value, bool):
-                self._writer.add_scalar(name, value, step)
-
-    def close(self) -> None:
-        """See `Writer`."""
-        self._writer.close()
-
-
-class WeightsAndBiases:
-    """The same numbers for Weights & Biases."""
-
-    def __init__(self, folder: Path, configuration: Mapping[str, Any]) -> None:
-        """Begin or continue a run named like the folder.
-
-        Raises:
-            DependencyError: wandb is not installed.
-        """
-        name = folder.resolve().name
-        self._run = _import_wandb().init(
-            project="falsework", id=name, name=name, resume="allow", config=dict(configuration)
-        )
-
-    def write(self, step: int, values: Mapping[str, Any]) -> None:
-        """See `Writer`."""
-        self._run.log(dict(values), step=step)
-
-    def close(self) -> None:
-        """See `Writer`."""
-        self._run.finish()
-
-
 class Journal:
-    """All writers of a run; TensorBoard is left out with a remark where it cannot write."""
+    """All logs of a run; TensorBoard is left out with a remark where it cannot write."""
 
     def __init__(
         self,
@@ -120,37 +32,97 @@ class Journal:
         configuration: Mapping[str, Any] | None = None,
         resumed_at: int | None = None,
     ) -> None:
-        """Open the writers.
+        """Open the logs.
 
         Args:
             folder: of the run.
             logs: `tensorboard`, `wandb` or both, beside `progress.jsonl`, which is always written.
             configuration: settings of the run, for those that show them.
-            resumed_at: step of the checkpoint that training continues from.
+            resumed_at: step of the checkpoint that training continues from; lines of later steps are dropped, since
+                these steps are taken again.
 
         Raises:
             DependencyError: wandb was asked for and is not installed.
         """
         self.notes: list[str] = []
-        self._writers: list[Writer] = [Progress(folder, resumed_at)]
-        for name in logs:
-            if name == "tensorboard":
-                try:
-                    self._writers.append(TensorBoard(folder, resumed_at))
-                except DependencyError as error:
-                    self.notes.append(f"{error}; going on without")
-            else:
-                self._writers.append(WeightsAndBiases(folder, configuration or {}))
+        self._path = folder / PROGRESS
+        kept = [] if resumed_at is None else [line for line in read_progress(folder) if line["step"] <= resumed_at]
+        text = "".join(json.dumps(line) + "\n" for line in kept)
+        write_whole(self._path, lambda file: file.write(text.encode()))
+        self._tensorboard = self._wandb = None
+        if "tensorboard" in logs:
+            try:
+                self._tensorboard = _tensorboard(folder, resumed_at)
+            except DependencyError as error:
+                self.notes.append(f"{error}; going on without")
+        if "wandb" in logs:
+            name = folder.resolve().name
+            options: dict[str, Any] = {"project": "falsework", "id": name, "name": name, "resume": "allow"}
+            self._wandb = _import_wandb().init(config=dict(configuration or {}), **options)
 
     def write(self, step: int, values: Mapping[str, Any]) -> None:
-        """Note numbers that belong to a step."""
-        for writer in self._writers:
-            writer.write(step, values)
+        """Note numbers that belong to a step; each line is flushed at once."""
+        try:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"step": step, **values}, allow_nan=False, default=str) + "\n")
+        except OSError as error:  # a line of the curve is not worth a training run
+            warnings.warn(f"cannot write {self._path}: {error.strerror}; training continues", stacklevel=2)
+        if self._tensorboard is not None:
+            for name, value in values.items():
+                if isinstance(value, (int, float)) and not isinstance(value, bool):
+                    self._tensorboard.add_scalar(name, value, step)
+        if self._wandb is not None:
+            self._wandb.log(dict(values), step=step)
 
     def close(self) -> None:
         """Nothing more comes."""
-        for writer in self._writers:
-            writer.close()
+        if self._tensorboard is not None:
+            self._tensorboard.close()
+        if self._wandb is not None:
+            self._wandb.finish()
+
+
+class ProgressLines:
+    """Writer of the numbers of a learner at work, with the speeds since the last line."""
+
+    def __init__(
+        self, journal: Journal | None, environment: Environment, budget: TrainingBudget, *, every: float
+    ) -> None:
+        """Start the clock.
+
+        Args:
+            journal: log of the run, if this process writes one.
+            environment: counts its steps.
+            budget: clock of the run.
+            every: seconds between two lines, at least.
+        """
+        self._every = every
+        self._journal, self._environment, self._budget = journal, environment, budget
+        self._time, self._steps, self._played = time.perf_counter(), 0, environment.counters.steps
+        self._learner: Learner | None = None
+
+    def write(self, learner: Learner, before: int, most: int, numbers: Mapping[str, float]) -> None:
+        """Write a line, if the last one is old enough.
+
+        Args:
+            learner: at work.
+            before: steps of the run less those of the learner, where the block begins.
+            most: steps of the run where the block ends; a learner that finishes an update takes more.
+            numbers: its figures.
+        """
+        now, played = time.perf_counter(), self._environment.counters.steps
+        seconds = now - self._time
+        if self._journal is None or seconds < self._every:
+            return
+        taken = learner.steps - (self._steps if learner is self._learner else 0)
+        line = {
+            "seconds": round(self._budget.seconds, 3),
+            "steps_per_second": taken / seconds,
+            "environment_steps_per_second": (played - self._played) / seconds,
+        }
+        step = min(before + learner.steps, most)
+        self._journal.write(step, line | {f"train/{name}": value for name, value in numbers.items()})
+        self._time, self._steps, self._played, self._learner = now, learner.steps, played, learner
 
 
 def check_logs(logs: Sequence[str]) -> None:
@@ -167,14 +139,6 @@ def check_logs(logs: Sequence[str]) -> None:
         _import_wandb()
 
 
-def _import_wandb() -> Any:
-    try:
-        import wandb
-    except ImportError:
-        raise DependencyError("--log wandb needs wandb; pip install 'falsework[wandb]', or leave it out") from None
-    return wandb
-
-
 def read_progress(folder: Path) -> list[dict[str, Any]]:
     """Return the lines of `progress.jsonl` without one that an interruption cut off; none if there is no file."""
     path = folder / PROGRESS
@@ -187,3 +151,23 @@ def read_progress(folder: Path) -> list[dict[str, Any]]:
         except ValueError:
             continue
     return lines
+
+
+def _tensorboard(folder: Path, resumed_at: int | None) -> Any:
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        raise DependencyError("logs for TensorBoard need tensorboard; pip install 'falsework[learn]'") from None
+    purge = None if resumed_at is None else resumed_at + 1
+    try:
+        return SummaryWriter(str(folder / TENSORBOARD), purge_step=purge, flush_secs=10)
+    except UnicodeEncodeError:
+        raise DependencyError("tensorboard writes no logs into a folder whose name is not UTF-8") from None
+
+
+def _import_wandb() -> Any:
+    try:
+        import wandb
+    except ImportError:
+        raise DependencyError("--log wandb needs wandb; pip install 'falsework[wandb]', or leave it out") from None
+    return wandb

@@ -32,9 +32,8 @@ from falsework.learn.training.checkpoint import CheckpointFile, describe_structu
 from falsework.learn.training.evaluate import Sets, Success, greedy_success, throughput
 from falsework.learn.training.iteration import Iteration
 from falsework.learn.training.learners import gather_local, learner_of, local_of, share_solved
-from falsework.learn.training.logger import Journal
+from falsework.learn.training.logger import Journal, ProgressLines
 from falsework.learn.training.plugins import Plugins
-from falsework.learn.training.progress_lines import ProgressLines
 from falsework.learn.training.result import TrainResult
 from falsework.learn.training.run_context import RunContext
 from falsework.learn.training.selection import BestWeights
@@ -52,7 +51,7 @@ Report = Callable[[float, str], None]
 
 _SEARCHED_BY = 0.25
 """Share of the training time after which no further search for tasks with targets begins."""
-_COMPILE_FROM = 4.0
+_COMPILE_FROM = 10.0
 """Minutes of training from which compiling the network pays."""
 
 
@@ -258,7 +257,6 @@ class Trainer:
         # Compiling takes longer than the little imitation before PPO, and has to be repeated for every size of batch.
         last = self._phase == len(settings.phases) - 1
         pays = self.device.type == "cuda" and settings.minutes >= _COMPILE_FROM and last and not settings.policy.custom
-        one_size = isinstance(phase, ImitationPhase) or phase.epochs == 1
         return learner_of(
             self._run,
             self.environment,
@@ -267,7 +265,7 @@ class Trainer:
             self.data,
             phase,
             begin=self._phase_begun,
-            compiled=pays and one_size,
+            compiled=pays,
             plugins=self.plugins if last else Plugins(),
         )
 

@@ -34,10 +34,8 @@ class TrainingData:
 
     starts: torch.Tensor
     """States to start from, none of them held out, shape (count, parts)."""
-    targets: torch.Tensor | None
-    """Target of each, shape (count, parts)."""
     tasks: GoalSampler | None
-    """Draws more of both, with valid actions, where there are targets."""
+    """With goals: draws starts and targets among these, with valid actions."""
     held_out: torch.Tensor
     """States never used for training: those of the test and the validation set with their images under the
     symmetries of the structure, shape (count, parts)."""
@@ -76,11 +74,9 @@ def collect_training_data(
         tasks: GoalSampler = RandomWalkGoals(pairs.wide, device=device, held_out=held_out)
         if len(images) > 1:
             tasks = SymmetryAugmentation(tasks, images, device=device, held_out=held_out)
-        generator = torch.Generator(device).manual_seed(0)
-        states, targets, _ = tasks.draw(settings.pairs, generator)
+        states = pairs.wide.states
         return TrainingData(
-            states,
-            targets,
+            put(states[StateIndex(held_out).find(states) < 0], device),
             tasks,
             put(held_out, device),
             {"train": _some(pairs.train, count // 4), "validation": _some(pairs.validation, count)},
@@ -120,7 +116,6 @@ def collect_training_data(
         starts = turned_states(starts, images, _MOST_STATES)
     return TrainingData(
         starts,
-        None,
         None,
         put(held_out, device),
         {"train": (sample(train, count // 4), None), "validation": (sample(data.validation, count), None)},
