@@ -13,7 +13,6 @@ import pytest
 from falsework import Direction, Outcome, StabilityOracle, StabilitySettings, Task, make_task
 from falsework.assembly import HELD, INSTALLED, REMOVED, States, library
 from falsework.search import BeamSearch, BeamSettings, SupportGuide
-from falsework.search.beam.backjumping import BackjumpingBeam
 from falsework.search.beam.failed_moves import FailedMoves
 from falsework.stability.contact.history import History
 from falsework.stability.contact.replay import Replayer
@@ -92,8 +91,7 @@ def test_what_slid_waits_until_no_robot_is_free() -> None:
     assembly = library.build("vault:parts=60,span=4,rise=1.2,thickness=0.2")
     task, oracle = make_task(assembly, 2), Recording(assembly, StabilitySettings(reserve=1.1))
     assert task.neighbours is not None
-    search = BackjumpingBeam(task, oracle, guide=SupportGuide(assembly))
-    search.run(1)
+    BeamSearch(task, oracle, BeamSettings.from_width(), guide=SupportGuide(assembly)).run(1)
     known, failed = FailedMoves(task.neighbours), 0
     for before, after, rests in oracle.recorded.steps:
         part = np.flatnonzero((before != after) & (after == INSTALLED))
