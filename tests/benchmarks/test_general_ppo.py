@@ -59,7 +59,6 @@ def test_rollouts_improve_one_policy_on_several_structures(labelled: list[Labell
     assert learner.training.steps > 26
     after = greedy()
     assert after > max(before + 0.1, 0.8), f"{before:.2f} before, {after:.2f} after"
-    assert rows[-1]["entropy"] < rows[0]["entropy"]
     assert all(row["transitions"] > 0 for row in rows)
 
 
