@@ -21,9 +21,9 @@ SMALL = PolicySettings("transformer", layers=2, channels=32, heads=4)
 def test_a_policy_moves_to_another_structure(kind: str) -> None:
     settings = PolicySettings(kind, layers=2, channels=16, heads=2)  # type: ignore[arg-type]
     source, other = load_structure("arch:blocks=5"), load_structure("arch:blocks=6,thickness=0.3")
-    rows = list(transfer_experiment(source, [other], settings, budget=Budget(steps=60)))
+    rows = list(transfer_experiment(source, [other], settings, budget=Budget(steps=100)))
     assert [(row["fine_tuned"], row["from"]) for row in rows] == [
-        (0, "weights"), (0, "weights"), (0, "nothing"), (12, "weights"), (12, "nothing")
+        (0, "weights"), (0, "weights"), (0, "nothing"), (20, "weights"), (20, "nothing")
     ]  # fmt: skip
     assert rows[0]["success"]["train"] > 0.9
     assert rows[1]["success"]["train"] >= rows[2]["success"]["train"]

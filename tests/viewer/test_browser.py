@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from falsework import make_task
 from falsework.assembly import HELD, REMOVED
@@ -319,13 +320,22 @@ def test_steps_are_found_and_gone_to(opened: Callable[..., Open], arch: Any) -> 
     tab.keyboard.press("ArrowLeft")
     tab.keyboard.press("ArrowLeft")
     now.until(lambda: now.model.position == 5, "the arrow key goes back")
-    before = np.asarray(next(iter(now.page.server.get_clients().values())).camera.position)
+
+    def camera() -> NDArray[np.float64]:
+        return np.asarray(next(iter(now.page.server.get_clients().values())).camera.position)
+
+    def rests() -> bool:
+        before = camera()
+        time.sleep(0.3)
+        return np.array_equal(before, camera())
+
+    now.until(rests, "what the arrow keys turned has come to rest")
+    before = camera()
     tab.keyboard.press("N", delay=300)
     now.until(lambda: now.model.position == 6, "N goes on")
     tab.keyboard.press("P", delay=300)
     now.until(lambda: now.model.position == 5, "P goes back")
-    after = np.asarray(next(iter(now.page.server.get_clients().values())).camera.position)
-    np.testing.assert_allclose(after, before)  # the view stays
+    np.testing.assert_allclose(camera(), before)  # the view stays
     assert complaints_of(now) == []
 
 

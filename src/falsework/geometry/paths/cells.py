@@ -66,7 +66,7 @@ def closed_sets(pushed: list[int], blocked: int) -> list[int]:
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
+class CellGrid:
     """Grid along the axes of the world, the cells of parts in it, and which shifts make two of them overlap."""
 
     meshes: Sequence[TriangleMesh]
@@ -80,7 +80,7 @@ class Grid:
     _hits: dict[tuple[int, int], frozenset[int] | None] = field(default_factory=dict)
 
     @staticmethod
-    def from_meshes(meshes: Sequence[TriangleMesh], parts: Parts, tolerance: float) -> Grid | None:
+    def from_meshes(meshes: Sequence[TriangleMesh], parts: Parts, tolerance: float) -> CellGrid | None:
         """Return the coarsest grid to which all faces of some parts belong; None if there is none."""
         origin, pitch = np.zeros(3), np.zeros(3)
         corners = np.concatenate([meshes[part].triangles for part in parts])
@@ -99,7 +99,7 @@ class Grid:
             else:
                 return None
             origin[axis], pitch[axis] = lines[0] % edge, edge
-        return Grid(meshes, origin, pitch, tolerance)
+        return CellGrid(meshes, origin, pitch, tolerance)
 
     @property
     def name(self) -> tuple[int, ...]:
@@ -141,7 +141,7 @@ class Grid:
 class CellSearch:
     """Search in breadth over shifts of some parts by cells; of sets that move, all that are pushed move along."""
 
-    def __init__(self, grid: Grid, movable: Parts, rest: Parts, around: Array, beside: Array) -> None:
+    def __init__(self, grid: CellGrid, movable: Parts, rest: Parts, around: Array, beside: Array) -> None:
         """Take the parts that may move, the first of which leaves, and the others that are there.
 
         Args:

@@ -14,7 +14,7 @@ from falsework.geometry.clearance.moves import PathMove, Poses, after, apply
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.geometry.paths.cells import Grid
+from falsework.geometry.paths.cells import CellGrid
 from falsework.geometry.paths.hulls import first_hits, near_order, swept
 
 Array = NDArray[np.float64]
@@ -50,15 +50,15 @@ class PartMotions:
         self.meshes, self.tolerance, self._contacts = meshes, tolerance, contacts
         self._shrunken: dict[tuple[int, int], Array] = {}
         self._bounds = np.array([mesh.bounds for mesh in meshes])
-        self._grids: dict[tuple[int, ...], Grid] = {}
+        self._grids: dict[tuple[int, ...], CellGrid] = {}
 
     def __reduce__(self) -> tuple[type[PartMotions], tuple[Any, ...]]:
         """Pickle what it is made of."""
         return PartMotions, (self.meshes, self._contacts, self.tolerance)
 
-    def grid(self, parts: tuple[int, ...]) -> Grid | None:
+    def grid(self, parts: tuple[int, ...]) -> CellGrid | None:
         """Return the grid of whose cells some parts consist; None if there is none."""
-        found = Grid.from_meshes(self.meshes, parts, self.tolerance)
+        found = CellGrid.from_meshes(self.meshes, parts, self.tolerance)
         return None if found is None else self._grids.setdefault(found.name, found)
 
     @cached_property

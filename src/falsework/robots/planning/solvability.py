@@ -266,11 +266,10 @@ class SolvabilityCheck:
         self, task: Task, direction: Direction = Direction.DISASSEMBLY, seed: int = 0, guide: Guide | None = None
     ) -> Search:
         """Return a beam over the states of a task, by default with the guide of this search."""
+        guide = guide or self._guide
         if task.together is not None:
-            once = replace(task, allow_regrasp=False)
-            return StateBeam(once, self.oracle, direction, guide=guide or self._guide, width=1)
-        settings = BeamSettings.from_width(1, direction, seed=seed)
-        return BeamSearch(task, self.oracle, settings, guide=guide or self._guide)
+            return StateBeam(replace(task, allow_regrasp=False), self.oracle, direction, guide=guide, width=1)
+        return BeamSearch(task, self.oracle, BeamSettings.from_width(1, direction, seed=seed), guide=guide)
 
     def _search(self, beam: Search, widest: int, verdicts: float = np.inf) -> Sequence[Route]:
         """Return routes of a beam search with successful replays; none if time or verdicts do not suffice."""

@@ -54,7 +54,7 @@ class Selector:
     judge: CountingOracle
     """Asked for verdicts."""
     failures: FailedMoves | None = None
-    """Moves that failed before, which are tried last, or where replays decide only if no robot is free."""
+    """Moves that failed before, which are tried last."""
 
     def order(self, rows: Rows, score: Callable[[Rows], NDArray[np.float64]], count: int) -> Rows:
         """Return rows in the order in which they are to be taken, where about `count` are wanted.
@@ -100,7 +100,7 @@ class Selector:
         """
         frontier, promise = self.frontier, Priorities(self.scores, self.rng)
         loose = self.order(promise.loose, promise.of, width)
-        proven, rejected = self._verify_untried_first(loose, width, paths)
+        proven, rejected = self._verify_untried_first(loose, width, paths, waits=commit and self.judge.replayed)
         most_held = np.inf
         if commit and len(proven) >= width:
             most_held = float(frontier.held(proven).max())
@@ -127,11 +127,12 @@ class Selector:
         rest = rest[np.argsort(falls, kind="stable")]
         return np.concatenate([fixed[: count // 2], rest[: count - count // 2]])
 
-    def _verify_untried_first(self, waiting: Rows, wanted: int, paths: BeamPaths) -> tuple[Rows, Rows]:
+    def _verify_untried_first(self, waiting: Rows, wanted: int, paths: BeamPaths, *, waits: bool) -> tuple[Rows, Rows]:
         """As `_verify_in_order`; moves that failed before are tried last.
 
-        Where replays decide they are tried again only from states in which no robot is free: with the same parts around
-        it a part that slid once slides again, and until then something around it may still change.
+        If it `waits`, they are tried again only from states in which no robot is free: with the same parts around it a
+        part that slid once slides again, and until then something around it may still change. Wider beams do not wait,
+        so that they examine all.
         """
         if self.failures is None or not len(waiting):
             return self._verify_in_order(waiting, wanted, paths)
@@ -139,7 +140,7 @@ class Selector:
         keys = self.failures.keys(frontier.states(waiting), frontier.part(waiting))
         failed = self.failures.failed(keys)
         again = np.flatnonzero(failed)
-        if self.judge.replayed:
+        if waits:
             again = again[~frontier.fixing[frontier.parent(waiting[again])].any(axis=1)]
         again = again[: AHEAD * wanted]
         order = np.concatenate([np.flatnonzero(~failed), again])
