@@ -45,7 +45,7 @@ def in_few_steps(words: list[str]) -> list[str]:
     if words[1] != "train" or "--minutes" not in words:
         return words
     place = words.index("--minutes")
-    return [*words[:place], "--steps", "10", *words[place + 2 :]]
+    return [*words[:place], "--steps", "20", *words[place + 2 :]]
 
 
 @pytest.fixture

@@ -23,8 +23,7 @@ NAMES = (
     "sliding lid", "nested boxes", "tenon", "table", "tongued boards", "dovetail", "keyed shaft", "sleeve and cap",
 )  # fmt: skip
 CAD = ("asap-beam/original", "fabrica-beam", "fabrica-car", "fabrica-plumbers_block")
-SLOW_CAD = ("fabrica-duct",)
-"""Its 69,000 faces are compared eleven times."""
+"""But for fabrica-duct, which takes longer than a test should; `benchmarks/contacts.py --loose` has it too."""
 
 
 @pytest.fixture
@@ -61,7 +60,7 @@ def test_assemblies_with_clearance_load_with_no_setting_and_are_planned(name: st
         assert 0 < assembly.settlement.motion.max() < min(part.thickness for part in parts)
 
 
-@pytest.mark.parametrize("name", [*CAD, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW_CAD)])
+@pytest.mark.parametrize("name", CAD)
 def test_published_assemblies_load_with_no_setting_and_are_planned(
     name: str, public_structure_path: Callable[[str], Path]
 ) -> None:

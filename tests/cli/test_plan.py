@@ -278,14 +278,14 @@ def test_a_structure_that_locks_itself(falsework: Run, tmp_path: Path) -> None:
     """Both commands say that no plan exists where parts need a way out; the graph keeps what can be reached."""
     out = tmp_path / "out.npz"
     for command, more in (("plan", ()), ("graph", ("--search-from", "end"))):
-        done = falsework(command, "shelf", "--removable-only-if-clear", *more, "--out", out)
+        done = falsework(command, "shelf:shelves=0", "--removable-only-if-clear", *more, "--out", out)
         assert done.code == 1
         assert "no plan exists" in done.error
     graph = load_state_graph(out)
     assert graph.removable_only_if_clear
     assert graph.reachable.all()
     assert not graph.solvable.any()
-    assert falsework("plan", "shelf", "--out", out).code == 0
+    assert falsework("plan", "shelf:shelves=0", "--out", out).code == 0
 
 
 def test_a_structure_that_locks_itself_opens_with_two_parts_at_once(falsework: Run, tmp_path: Path) -> None:
