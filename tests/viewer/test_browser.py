@@ -49,6 +49,7 @@ HARMLESS = (
     "SwiftShader",
     "GL Driver Message",
     "favicon",
+    "Tried to update non-existent component",  # a change on its way while a new plan replaces the controls
 )
 
 
