@@ -182,6 +182,7 @@ class RunningResidual:
         self._assembly, self._claim = assembly, claim
         self._strength = strength_of(assembly, claim.gravity, claim.reserve)
         self._geometry = geometry_of(assembly.contacts, assembly.mass)
+        self._weight, self._most = _weight(assembly, claim), _most(assembly, claim)
         points = len(assembly.contacts.points)
         self._inside, self._refused = np.zeros((points, 3)), np.zeros(points, dtype=bool)
         self._share = np.zeros(assembly.part_count)
@@ -190,7 +191,7 @@ class RunningResidual:
     def step(self, state: States, forces: Array) -> float:
         """Return the residual of the next state, of shape (parts,), as `residual_of_forces`; shape (points, 3)."""
         assembly, claim, geometry = self._assembly, self._claim, self._geometry
-        owners, weight = (geometry.part_a, geometry.part_b), _weight(assembly, claim)
+        owners = geometry.part_a, geometry.part_b
         force = np.array(forces, dtype=np.float64, order="C")
         changed = np.ones(len(state), dtype=bool)
         if self._before is not None:
@@ -204,12 +205,12 @@ class RunningResidual:
         for owner in owners:
             changed[owner[at]] = True
         acts = geometry.acts(state[None], at)
-        good, bad = _admit(force[None, at], acts, self._strength.take(at), claim.cone, weight)
+        good, bad = _admit(force[None, at], acts, self._strength.take(at), claim.cone, self._weight)
         self._inside[at], self._refused[at] = good[0], bad[0]
         parts = np.flatnonzero(changed)
         self._share[parts] = _share_of_gravity(assembly, geometry.wrenches_on(parts, self._inside), parts, claim)
         self._before = state, force
-        if self._refused.any() or self._inside[:, 0].sum() > _most(assembly, claim):
+        if self._refused.any() or self._inside[:, 0].sum() > self._most:
             return np.inf
         return float(np.where(state == 1, self._share, 0.0).max(initial=0.0))
 

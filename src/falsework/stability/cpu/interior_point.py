@@ -244,13 +244,19 @@ def _newton(structure, work, pairs, octagon, mu, r, target, refines):
         The largest feasible step length.
     """
     free, ahead, rhs, symmetric = work.free, work.residual, work.rhs, pairs >= 0
-    solve_panels(work.panels, rhs, symmetric)
     for j in range(len(free)):
-        if free[j]:
-            for i in range(6):
-                ahead[j, i] = r[j, i] + rhs[j, i]
-    reach, before = _steps(structure, work, pairs, octagon, mu, target), np.inf
-    while refines:
+        for i in range(6):
+            ahead[j, i] = r[j, i]
+    before = np.inf
+    while True:
+        solve_panels(work.panels, rhs, symmetric)
+        for j in range(len(free)):
+            if free[j]:
+                for i in range(6):
+                    ahead[j, i] += rhs[j, i]
+        reach = _steps(structure, work, pairs, octagon, mu, target)
+        if not refines:
+            break
         _write_forces(work, work.start[pairs], octagon, mu, 1.0)
         set_load(work, rhs)
         add_wrenches(structure, work, pairs, work.z, rhs)
@@ -261,12 +267,7 @@ def _newton(structure, work, pairs, octagon, mu, r, target, refines):
         error = math.sqrt(dot(work, rhs, rhs))
         if not MARGIN * math.sqrt(dot(work, ahead, ahead)) < error < 0.5 * before:
             break
-        solve_panels(work.panels, rhs, symmetric)
-        for j in range(len(free)):
-            if free[j]:
-                for i in range(6):
-                    ahead[j, i] += rhs[j, i]
-        reach, before = _steps(structure, work, pairs, octagon, mu, target), error
+        before = error
     return reach
 
 
