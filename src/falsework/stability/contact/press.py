@@ -27,6 +27,8 @@ _GAINS = (1.0, 1.5)
 """Multiples of the chosen wrench that are tried: contacts that slide take more than those that stick."""
 _WEAK = 1e-3
 """Weight of the robots' wrenches beside the energy of the forces outside the cones: the least that help are chosen."""
+_STEPS = 50
+"""Newton steps of the choice, at most."""
 _HELPS = 0.5
 """A press must leave less than this share of the energy of forces outside the cones to be tried."""
 
@@ -183,7 +185,7 @@ def _least_outside(
     x = still
     value, energy, outside = measure(x)
     without = energy
-    while True:  # until the value falls by less than rounding matters
+    for _ in range(_STEPS):
         gradient = response @ (weight * outside) + weak * (x - still)
         active = np.repeat((outside.reshape(-1, 3) != 0).any(axis=1), 3)
         some = response[:, active]
