@@ -59,6 +59,8 @@ def test_rollouts_improve_one_policy_on_several_structures(labelled: list[Labell
     assert learner.training.steps > 26
     after = greedy()
     assert after > max(before + 0.1, 0.8), f"{before:.2f} before, {after:.2f} after"
+    entropy = [row["entropy"] for row in rows]
+    assert np.mean(entropy[-5:]) < np.mean(entropy[:5])  # of one collection it depends on the states drawn
     assert all(row["transitions"] > 0 for row in rows)
 
 

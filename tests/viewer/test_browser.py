@@ -49,7 +49,6 @@ HARMLESS = (
     "SwiftShader",
     "GL Driver Message",
     "favicon",
-    "Tried to update non-existent component",  # a change on its way while a new plan replaces the controls
 )
 
 
@@ -386,7 +385,9 @@ def test_files_come_and_go(opened: Callable[..., Open], arch: Any, tmp_path: Pat
     tab.get_by_role("tab", name="Steps").wait_for(timeout=1000 * PATIENCE)  # it has a plan now
     tab.get_by_role("tab", name="Disrupt").click()
     tab.get_by_text("decided by").wait_for()
-    assert complaints_of(now) == []
+    # The browser applies changes of controls after removals that came later in one message: those of "planning ...".
+    late = "Tried to update non-existent component"
+    assert [text for text in complaints_of(now) if late not in text] == []
 
 
 @pytest.mark.slow
