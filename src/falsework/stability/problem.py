@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, INSTALLED, States
 from falsework.errors import AssemblyError
+from falsework.geometry.mesh.edges import components
 from falsework.stability.contact_geometry import ContactGeometry, geometry_of
 from falsework.stability.criterion import Cone
 from falsework.stability.strength import Strength, strength_of
@@ -106,17 +107,13 @@ class Problem:
         Returns:
             Shape (batch, parts).
         """
-        from scipy.sparse import coo_array  # few states need it
-        from scipy.sparse.csgraph import connected_components
-
         apart = states.copy()
         for state, origin in zip(apart, origins, strict=True):
             free, changed = state == INSTALLED, state != origin
             if not changed.any():
                 continue
             a, b = self.pair_parts[(free | changed)[self.pair_parts].all(axis=1)].T
-            graph = coo_array((np.ones(len(a), bool), (a, b)), (self.parts, self.parts))
-            _, piece = connected_components(graph, directed=False)
+            piece = components(a, b, self.parts)
             state[free & ~np.isin(piece, piece[changed])] = HELD
         return apart
 

@@ -12,6 +12,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import Mask, States, complete_state
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry.clearance.locked import LARGEST, PartSet
+from falsework.geometry.mesh.edges import components
 from falsework.geometry.mesh.mesh import MassProperties
 from falsework.search.problem.oracle import Oracle
 from falsework.stability.holds import limits_of
@@ -131,11 +132,12 @@ def carried_group(assembly: Assembly, parts: Sequence[int], carrier: int) -> Ass
     inside = np.asarray(np.isin(contacts.parts, rows).all(axis=1))
     own = contacts.take(np.flatnonzero(inside))
     own = replace(own, parts=np.searchsorted(rows, own.parts).astype(np.int32))
-    alone = next((part for part in rows.tolist() if part not in _reached(own.parts, rows, carrier)), None)
-    if alone is not None:
+    joined = components(own.parts[:, 0], own.parts[:, 1], len(rows))
+    alone = rows[joined != joined[np.searchsorted(rows, carrier)]]
+    if len(alone):
         raise AssemblyError(
             f"parts {', '.join(assembly.names[part] for part in rows)} are no group that one robot can carry: no "
-            f"contact connects {assembly.names[alone]} to {assembly.names[carrier]}"
+            f"contact connects {assembly.names[alone[0]]} to {assembly.names[carrier]}"
         )
     loads, joints = assembly.loads, assembly.joints
     return replace(
@@ -151,13 +153,3 @@ def carried_group(assembly: Assembly, parts: Sequence[int], carrier: int) -> Ass
         joints=None if joints is None else joints.of_points(inside[contacts.contact_of_point]),
         props=(),
     )
-
-
-def _reached(pairs: np.ndarray, rows: np.ndarray, carrier: int) -> set[int]:
-    """Return the parts that contacts connect to the carrier, itself included."""
-    found = np.zeros(len(rows), dtype=bool)
-    found[np.searchsorted(rows, carrier)] = True
-    for _ in rows:
-        touched = found[pairs].any(axis=1)
-        found[pairs[touched]] = True
-    return set(rows[found].tolist())
