@@ -72,9 +72,6 @@ def instructions_pdf(
 
     Args:
         progress: called with the number of pictures drawn and of all.
-
-    Raises:
-        DependencyError: reportlab or matplotlib, whose fonts are used, is not installed.
     """
     for name in ("reportlab", "matplotlib"):
         if find_spec(name) is None:

@@ -46,11 +46,7 @@ _TIMES = 1e-3
 
 
 def save_robot_plan(plan: RobotPlan, path: Path | str) -> None:
-    """Write a robot plan as JSON, format `falsework.robot-plan/3`, atomically.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write a robot plan as JSON, format `falsework.robot-plan/3`, atomically."""
     write_json(path, robot_plan_to_dict(plan), spread=("keyframes", "steps"))
 
 
@@ -95,9 +91,6 @@ def load_robot_plan(path: Path | str) -> RobotPlan:
     """Read a robot plan and validate it: format, lengths, and continuity of motions and keyframes.
 
     Collisions and limits are not checked; see `check_robot_plan`.
-
-    Raises:
-        PlanError: no such file, damaged, of another version, or with discontinuous motions.
     """
     return robot_plan_from_dict(read_json(path, "robot plan file", "plan again"), str(Path(path)))
 

@@ -100,9 +100,6 @@ class TemporalPlanGraph:
 
         Args:
             stretch: factor on the nominal duration of each motion, shape (nodes,); 1 by default.
-
-        Raises:
-            InputError: factors below 1 or not finite: no motion is faster than nominal.
         """
         factor = np.ones(len(self.nodes)) if stretch is None else np.asarray(stretch, dtype=np.float64)
         if factor.shape != (len(self.nodes),) or not (factor >= 1).all() or not np.isfinite(factor).all():
