@@ -23,7 +23,7 @@ from falsework.robots.plans.robot_plan_model import (
     ScheduleEntry,
     TrajectoryEntry,
 )
-from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
+from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
@@ -83,7 +83,7 @@ def _schedule_to_dict(graph: TemporalPlanGraph) -> dict[str, Any]:
     return {
         **{key: getattr(graph, key) for key in ("makespan", "sequential", "lower_bound")},
         "motions": [{**to_builtins(node), "start": start} for node, start in zip(graph.nodes, starts, strict=True)],
-        "precedences": to_builtins(graph.edges),
+        "precedences": graph.edges,
     }
 
 
@@ -162,9 +162,8 @@ class _Reader:
             if max(edge.before, edge.after) >= len(expected):
                 remedy = f"motions are numbered from 0 to {len(expected) - 1}"
                 self._fail(f"schedule.precedences[{k}] is between motions {edge.before} and {edge.after}", remedy)
-        edges = convert(data.precedences, tuple[Precedence, ...], from_attributes=True)
         try:
-            graph = TemporalPlanGraph(expected, edges, len(plan.robots), data.lower_bound)
+            graph = TemporalPlanGraph(expected, data.precedences, len(plan.robots), data.lower_bound)
         except PlanError as error:
             self._fail(f"its schedule is invalid: {str(error).removesuffix('; plan again')}", "schedule it again")
         starts = [entry.start for entry in data.motions]
