@@ -111,6 +111,7 @@ def table_rows(sheet: AssemblyInstructions) -> list[tuple[AssemblyInstruction, .
 
 def _numbered(sheet: AssemblyInstructions) -> type[Canvas]:
     """Return the canvas that writes at the foot of each page what it is of, once the number of pages is known."""
+    from reportlab.lib.pagesizes import A4
     from reportlab.pdfgen.canvas import Canvas
 
     class NumberedCanvas(Canvas):
@@ -120,7 +121,7 @@ def _numbered(sheet: AssemblyInstructions) -> type[Canvas]:
 
         def showPage(self) -> None:
             self.kept.append(dict(self.__dict__))
-            self._startPage()
+            self._startPage()  # type: ignore[missing-attribute]
 
         def save(self) -> None:
             about = f"{sheet.assembly.name}, structure {sheet.assembly.identity[:12]}"
@@ -129,7 +130,7 @@ def _numbered(sheet: AssemblyInstructions) -> type[Canvas]:
                 self.setFont(_REGULAR, 7.5)
                 self.setFillColor(_GREY)
                 self.drawString(_MARGIN, _MARGIN - 16, about)
-                self.drawRightString(self._pagesize[0] - _MARGIN, _MARGIN - 16, f"page {number} of {len(self.kept)}")
+                self.drawRightString(A4[0] - _MARGIN, _MARGIN - 16, f"page {number} of {len(self.kept)}")
                 super().showPage()
             super().save()
 
@@ -141,7 +142,8 @@ def _text(markup: str, size: float = 8.3, color: str = INK) -> Flowable:
     from reportlab.lib.styles import ParagraphStyle
     from reportlab.platypus import Paragraph
 
-    return Paragraph(markup, ParagraphStyle("", fontName=_REGULAR, fontSize=size, leading=1.2 * size, textColor=color))
+    style = ParagraphStyle("", fontName=_REGULAR, fontSize=size, leading=1.2 * size, textColor=_color(color))
+    return Paragraph(markup, style)
 
 
 def _square(color: str) -> str:
@@ -271,7 +273,7 @@ def _row(
 
     step, last = steps[0], steps[-1]
     tick = Drawing(14, 18)
-    tick.add(Rect(0.5, 0.5, 13, 13, fillColor=None, strokeColor=_color(INK)))
+    tick.add(Rect(0.5, 0.5, 13, 13, fillColor=_color("#ffffff"), strokeColor=_color(INK)))
     number = ", ".join(str(one.number) for one in steps)
     marks = {} if step.place else {step.parts[0]: _pale(step)}
     look = appearance_at(sheet.timeline, step.number, marks=marks, travelling=False)

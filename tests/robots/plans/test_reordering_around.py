@@ -63,7 +63,7 @@ def planned(request: pytest.FixtureRequest, cell_of: Callable[..., Cell]) -> Pla
         patch.setattr(hybrid_search, "reorder", ordered)
         better = plan_robots(assembly, cell, task=task, settings=settings, concurrent=True).value
     assert better is not None
-    return Planned(assembly, cell, *as_found, better, *given)
+    return Planned(assembly, cell, as_found[0], better, *given)
 
 
 def fixed(plan: RobotPlan) -> list[tuple[int, str]]:
