@@ -286,7 +286,8 @@ def _row(
     cells = [[_text(f"<b>{number}</b>", 14 if len(steps) == 1 else 9), tick, _axes(camera, 11)], picture]
     style = [("VALIGN", (0, 0), (-1, -1), "TOP"), ("LINEABOVE", (0, 0), (-1, 0), 0.5, "#d5d3cd")]
     style += [("LEFTPADDING", (0, 0), (-1, -1), 2), ("RIGHTPADDING", (0, 0), (-1, -1), 2)]
-    return Table([[*cells, _action(sheet, step, last), hold]], colWidths=_COLUMNS, style=style)
+    # A list of held parts that is longer than a page goes on on the next one.
+    return Table([[*cells, _action(sheet, step, last), hold]], colWidths=_COLUMNS, style=style, splitInRow=1)
 
 
 def _pale(step: AssemblyInstruction) -> str:
