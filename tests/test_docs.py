@@ -41,11 +41,19 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 def in_few_steps(words: list[str]) -> list[str]:
-    """Return a command that trains for minutes with a few steps of the optimizer instead."""
+    """Return a command that trains for minutes, or evaluates many states, with a few steps or states instead."""
+    if words[1] == "evaluate":
+        place = words.index("--states") if "--states" in words else len(words)
+        return [*words[:place], "--states", "10", *words[place + 2 :]]
     if words[1] != "train" or "--minutes" not in words:
         return words
     place = words.index("--minutes")
     return [*words[:place], "--steps", "20", *words[place + 2 :]]
+
+
+def of_few_parts(words: list[str]) -> list[str]:
+    """Return a command about a small structure of the same family."""
+    return [{"arch": "arch:blocks=7", "vault": "vault:parts=30"}.get(word, word) for word in words]
 
 
 @pytest.fixture
@@ -116,7 +124,7 @@ def test_examples_in_help_texts_run(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         "picture",
     ):
         for example in entry.command_class(name).examples:
-            words = in_few_steps(shlex.split(example))
+            words = of_few_parts(in_few_steps(shlex.split(example)))
             assert words[:2] == ["falsework", name]
             if not {"shell.glb", "model.3dm", "--cell"} & set(words):
                 assert main(words[1:]) == 0, example

@@ -271,12 +271,12 @@ def test_the_doctor_prints_reach_and_proposes_bases(
     near, far, picture = tmp_path / "near.toml", tmp_path / "far.toml", tmp_path / "reach.png"
     near.write_text(CELL)
     far.write_text(CELL.replace("position = [1.0, 0.0, 0.0]", "position = [2.6, 0.0, 0.0]"))
-    assert main(["doctor", "arch", "--cell", str(near), "--json", "--picture", str(picture)]) == 0
+    assert main(["doctor", "arch:blocks=7", "--cell", str(near), "--json", "--picture", str(picture)]) == 0
     answer = read_answer(capsys.readouterr().out)
     assert {row["reach"]["arm"] for row in answer["reach"]} == {"reached"}
     assert answer["files"] == [str(picture)]
     assert picture.stat().st_size > 10_000
-    assert main(["doctor", "arch", "--cell", str(far)]) == 1
+    assert main(["doctor", "arch:blocks=7", "--cell", str(far)]) == 1
     said = capsys.readouterr()
     assert "out of reach" in said.out
     assert "better bases" in said.out

@@ -148,6 +148,7 @@ def test_clients_that_come_together_are_served_together(live: Any) -> None:
 def test_the_structure_says_which_number_is_which_part(live: Any) -> None:
     record = live.client.get("/structure").json()
     assert record["identity"] == live.assembly.identity
+    assert record["policy"] is False
     assert [part["name"] for part in record["parts"]] == list(live.assembly.names)
     assert sum(part["mass"] for part in record["parts"]) == pytest.approx(live.assembly.mass.mass.sum(), rel=1e-5)
 

@@ -55,26 +55,18 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_run_is_served_with_its_policy_and_structure(trained: Path) -> None:
-    with served(trained) as ready:
+def test_a_run_is_served_with_its_policy_and_the_token_of_the_environment(trained: Path) -> None:
+    with served(trained, "--host", "0.0.0.0", FALSEWORK_TOKEN=TOKEN) as ready:
         assert ready["structure"] == "arch:blocks=3"
-        with httpx.Client(base_url=ready["url"], timeout=60) as client:
+        with httpx.Client(base_url=ready["url"].replace("0.0.0.0", "127.0.0.1"), timeout=60) as client:
+            assert client.get("/structure").status_code == 401
+            client.headers["Authorization"] = f"Bearer {TOKEN}"
             assert client.get("/structure").json()["policy"] is True
             answers = [client.post("/replan", json={"seed": seed}).json() for seed in range(4)]
     assembly = load_structure("arch:blocks=3")
     for answer in answers:
         assert validate_plan(plan_from_dict(answer["plans"][0]), assembly).good
     assert {answer["decided_by"] for answer in answers} <= {"policy greedy", "policy sampled", "guided search"}
-
-
-def test_the_token_comes_from_the_environment() -> None:
-    with (
-        served("arch:blocks=3", "--host", "0.0.0.0", FALSEWORK_TOKEN=TOKEN) as ready,
-        httpx.Client(base_url=ready["url"].replace("0.0.0.0", "127.0.0.1")) as client,
-    ):
-        assert client.get("/structure").status_code == 401
-        headers = {"Authorization": f"Bearer {TOKEN}"}
-        assert client.get("/structure", headers=headers).json()["policy"] is False
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -298,15 +298,17 @@ def test_a_graph_of_another_structure_is_refused(graph: StateGraph, run: Run, tm
     ],
 )
 def test_a_missing_package_names_its_extra(
-    module: str, command: tuple[str, ...], extra: str, plan_file: Path, tmp_path: Path
+    module: str,
+    command: tuple[str, ...],
+    extra: str,
+    plan_file: Path,
+    run: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    import sys
-
-    words = [str(plan_file) if word == "PLAN" else word for word in command]
-    program = (
-        f"import sys; sys.modules[{module!r}] = None\nfrom falsework.cli.main import main; sys.exit(main({words!r}))"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=tmp_path, check=False)
-    assert done.returncode == 2, done.stderr
-    assert done.stderr.count("\n") == 1, done.stderr
-    assert extra in done.stderr
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, module, None)
+    code, error = run(*(plan_file if word == "PLAN" else word for word in command))
+    assert code == 2, error
+    assert error.count("\n") == 1, error
+    assert extra in error

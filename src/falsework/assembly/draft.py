@@ -54,9 +54,6 @@ class Block:
 
         Args:
             scale: length of the file's unit in metres.
-
-        Raises:
-            MeshError: it cannot be read, has no faces, or a face without its vertices.
         """
         if self.error:
             raise MeshError(self.error)
@@ -90,14 +87,10 @@ class Draft:
         """Name the parts and find those of each interface.
 
         Args:
-            path: the file.
             scale: length of its unit in metres.
             blocks: parts; names that several have are told apart by numbers behind them, see `distinct_names`.
             interfaces: each with `keys` of its two blocks, `points`, shape (corners, 3), in the unit of the file, and
                 `normal`, shape (3,).
-
-        Raises:
-            AssemblyError: an interface whose corners are not points in space.
         """
         names = distinct_names(path, [block.name for block in blocks])
         blocks = [replace(block, name=name) for block, name in zip(blocks, names, strict=True)]
@@ -120,11 +113,7 @@ class Draft:
         """Read the parts of a folder or file of meshes, unchecked.
 
         Args:
-            path: the folder or file.
             unit: unit of the coordinates; that which comments of the files name, or metres if not given.
-
-        Raises:
-            InputError: as for `read_surfaces`, an unknown unit, or files of different units.
         """
         if unit is not None:
             unit_length(unit)
@@ -162,11 +151,7 @@ class Draft:
         return replace(self, blocks=tuple(blocks))
 
     def supports(self, boundary: ArrayLike | None) -> list[int]:
-        """Return the fixed parts, as far as these exist.
-
-        Args:
-            boundary: as of `assemble`.
-        """
+        """Return the fixed parts, as far as these exist."""
         if boundary is None:
             return [number for number, block in enumerate(self.blocks) if block.support]
         return sorted(set(boundary_ids(boundary, self.names)))
@@ -191,16 +176,9 @@ class Draft:
             boundary: ids or names of the fixed parts; the supports if not given.
             ground: add a fixed slab under the lowest point, as the last part. It is added with a warning where neither
                 a boundary is given nor a part is a support.
-            contact_settings: tolerances.
             interfaces: source of the contacts; `compare` finds them and warns where the stored ones differ.
-            name: name of the structure; that of the file if not given.
             settle: as for `Assembly.from_meshes`. If not given, parts of a file in which nothing is fixed, or whose
                 format has fits, settle with a warning if they do not rest where they are.
-
-        Raises:
-            InputError: stored interfaces are requested and there are none.
-            MeshError: a part that does not bound a solid.
-            AssemblyError: the parts make no assembly, or stored interfaces do not fit them.
         """
         if interfaces not in get_args(InterfaceSource):
             raise InputError(f"no source of interfaces {interfaces!r}; choose {', '.join(get_args(InterfaceSource))}")

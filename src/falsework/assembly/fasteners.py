@@ -94,13 +94,9 @@ def furnish(
     """Return the assembly with the loads, joints and fasteners that `assembly.json` or a caller gives.
 
     Args:
-        assembly: as it was read.
         loads, earthquake: as for `Loads.from_entries`.
         materials, joints: as for `Joints.from_entries`.
         fasteners: as for `fasten`.
-
-    Raises:
-        AssemblyError: any of them cannot be used.
     """
     acting, own = Loads.from_entries(loads, earthquake, assembly.names, assembly.mass.center), assembly.loads
     if acting is not None and own is not None:  # what is given replaces what the file has of the same kind

@@ -56,11 +56,7 @@ class Groups:
         return np.where(rides & (found != REMOVED), INSTALLED, found).astype(np.uint8)
 
     def join(self, state: States) -> States:
-        """Return the state of the joined parts, shape (joined parts,).
-
-        Raises:
-            StateError: only some parts of a group are there, or one is held that another carries.
-        """
+        """Return the state of the joined parts, shape (joined parts,)."""
         found = np.asarray(state, dtype=np.uint8)[self.carrier]
         wrong = np.flatnonzero(self.loosen(found) != state)
         if len(wrong):
@@ -93,7 +89,6 @@ def join_parts(assembly: Assembly, groups: Sequence[Sequence[int | str]]) -> Ass
     parts: what is proven of joined parts is not proven of those, which may come apart.
 
     Args:
-        assembly: the structure.
         groups: numbers or names of the parts of each group, the one that robots hold first.
 
     Raises:

@@ -73,11 +73,7 @@ class InterfaceComparison:
         return asdict(self)
 
     def warn(self, names: Sequence[str]) -> None:
-        """Warn in one line if the two differ.
-
-        Args:
-            names: of the parts.
-        """
+        """Warn in one line if the two differ."""
         if self.agrees:
             return
         lists = (("not found", self.missing), ("not stored", self.extra), ("of other area", self.differing))
@@ -93,10 +89,6 @@ def interface_contacts(meshes: Sequence[TriangleMesh], interfaces: Sequence[Stor
     """Make contacts of stored interfaces.
 
     Corners are reduced to those of the convex hull, as for contacts that are found: see `find_contacts`.
-
-    Args:
-        meshes: parts of the assembly.
-        interfaces: at least one.
 
     Raises:
         AssemblyError: an interface that does not fit its parts: one that is farther from the surface of one than the

@@ -22,11 +22,7 @@ LOAD_OPTIONS = ("loads", "earthquake", "materials", "joints", "fasteners")
 
 
 def read_draft(path: Path, unit: str | None = None) -> Draft | None:
-    """Read the parts of a file of a registered format, unchecked; None if no reader of parts knows the file.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
+    """Read the parts of a file of a registered format, unchecked; None if no reader of parts knows the file."""
     reader = _reader_of(path)
     if reader is None or reader.parts is None:
         return None
@@ -137,11 +133,7 @@ def as_assembly(structure: AnyStructure, **options: Any) -> Assembly:
     """Return a structure that is given as it is, or load it by its name or path.
 
     Args:
-        structure: structure, or what `load_structure` takes.
         options: as for `load_structure`; without effect on a structure that is given as it is.
-
-    Raises:
-        InputError: something else, or a structure that cannot be used.
     """
     from falsework.assembly.model import Assembly
 
@@ -153,12 +145,7 @@ def as_assembly(structure: AnyStructure, **options: Any) -> Assembly:
 
 
 def described_options(path: Path) -> dict[str, Any]:
-    """Return the entries of `assembly.json` beside a file or in a folder of a registered format, as reader options.
-
-    Raises:
-        InputError: it has names of parts, which the file has itself.
-        AssemblyError: it is damaged or of another version.
-    """
+    """Return the entries of `assembly.json` beside a file or in a folder of a registered format, as reader options."""
     from falsework.assembly.store import described_by, read_description
     from falsework.geometry.contact.interfaces import ContactSettings
 
@@ -176,11 +163,7 @@ def described_options(path: Path) -> dict[str, Any]:
 
 
 def check_meshes_path(path: Path) -> None:
-    """Raise for a file that neither a registered reader nor the reader of meshes knows.
-
-    Raises:
-        InputError: such a file; the message says what it is instead, if that is known.
-    """
+    """Raise for a file that neither a registered reader nor the reader of meshes knows."""
     from falsework.geometry.mesh.read import SUFFIXES
     from falsework.utils.json_file import read_format
 

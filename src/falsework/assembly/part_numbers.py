@@ -18,11 +18,7 @@ LARGEST_LIST = 100_000
 
 
 def part_id(given: Any, names: Sequence[str], what: str) -> int:
-    """Return the id of a part that is given by id or by name; `what` begins the message if there is none.
-
-    Raises:
-        AssemblyError: there is no such part, or the text is the name of one part and the number of another.
-    """
+    """Return the id of a part that is given by id or by name; `what` begins the message if there is none."""
     if isinstance(given, str):
         number = int(given) if _NUMBER.fullmatch(given) else None
         if given in names:
@@ -62,11 +58,7 @@ def part_ids(parts: Sequence[int | str], names: Sequence[str], what: str) -> tup
 
     Args:
         parts: ids, ranges such as `0-16`, or names.
-        names: of all parts, in order.
         what: of the parts, begins the messages.
-
-    Raises:
-        InputError: no list, an entry that is neither, or a name that no part has.
     """
     if not isinstance(parts, str):
         with suppress(TypeError):
@@ -86,7 +78,6 @@ def boundary_ids(boundary: Any, names: Sequence[str]) -> list[int]:
 
     Args:
         boundary: ids, ranges or names, or a mask.
-        names: of all parts, in order.
     """
     try:
         given = list(boundary)

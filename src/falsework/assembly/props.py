@@ -62,11 +62,7 @@ def prop_places(assembly: Assembly) -> tuple[Prop, ...]:
 
 
 def prop_place(assembly: Assembly, part: int) -> Prop:
-    """Return the place for a prop under one part, as `prop_places` finds it.
-
-    Raises:
-        AssemblyError: the part is fixed, or there is no place under it.
-    """
+    """Return the place for a prop under one part, as `prop_places` finds it."""
     name = assembly.names[part]
     if assembly.immovable[part]:
         raise AssemblyError(f"part {name} is fixed and needs no prop; name another part")
@@ -231,11 +227,7 @@ class _Columns:
         return None, why
 
     def placed(self, prop: Prop) -> _Head:
-        """Return the head of a requested prop.
-
-        Raises:
-            AssemblyError: as `with_props`.
-        """
+        """Return the head of a requested prop."""
         assembly = self._assembly
         if not 0 <= prop.part < assembly.part_count:
             last = assembly.part_count - 1
@@ -254,7 +246,6 @@ class _Columns:
         """Return the head of a prop under a part at a place seen from above, or None and why there is none.
 
         Args:
-            part: part to be carried.
             place: x and y, m.
         """
         assembly = self._assembly

@@ -38,13 +38,9 @@ def as_states(states: ArrayLike, boundary: Mask) -> States:
 
     Args:
         states: one state `(parts,)` or a batch `(batch, parts)` of 0 removed, 1 installed, 2 held.
-        boundary: which parts are boundary, shape (parts,).
 
     Returns:
         Contiguous copy-free where possible, `uint8`, shape (batch, parts).
-
-    Raises:
-        StateError: wrong length, values other than 0, 1, 2, or a boundary part that is not 2.
     """
     parts = len(boundary)
     try:
@@ -101,8 +97,6 @@ def action_mask(states: States, boundary: Mask, robots: int) -> Mask:
     A part is held at most once, at most `robots` parts are held, and only a held part can be removed.
 
     Args:
-        states: shape (batch, parts).
-        boundary: fixed parts, shape (parts,).
         robots: parts that can be held at a time.
 
     Returns:
@@ -115,11 +109,7 @@ def action_mask(states: States, boundary: Mask, robots: int) -> Mask:
 
 
 def apply_actions(states: States, actions: NDArray[np.integer]) -> States:
-    """Return states after one action each: hold sets 2, remove sets 0. Shapes (batch, parts), (batch,).
-
-    Raises:
-        StateError: another shape, or an action that does not exist.
-    """
+    """Return states after one action each: hold sets 2, remove sets 0. Shapes (batch, parts), (batch,)."""
     batch, parts = _checked(states, actions)
     after = states.copy()
     after[np.arange(batch), actions % parts] = np.where(actions < parts, HELD, REMOVED)
@@ -132,8 +122,6 @@ def undo_mask(states: States, boundary: Mask, robots: int) -> Mask:
     Undoing a hold releases a held part; undoing a removal installs a part that a robot then holds.
 
     Args:
-        states: shape (batch, parts).
-        boundary: fixed parts, shape (parts,).
         robots: parts that can be held at a time.
 
     Returns:
@@ -146,11 +134,7 @@ def undo_mask(states: States, boundary: Mask, robots: int) -> Mask:
 
 
 def undo_actions(states: States, actions: NDArray[np.integer]) -> States:
-    """Return states before one action each: the reverse of `apply_actions`. Shapes (batch, parts), (batch,).
-
-    Raises:
-        StateError: another shape, or an action that does not exist.
-    """
+    """Return states before one action each: the reverse of `apply_actions`. Shapes (batch, parts), (batch,)."""
     batch, parts = _checked(states, actions)
     before = states.copy()
     before[np.arange(batch), actions % parts] = np.where(actions < parts, INSTALLED, HELD)

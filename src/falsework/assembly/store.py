@@ -75,11 +75,6 @@ def load_assembly(
         materials: of each part, or one for all.
         joints: objects with `friction`, `cohesion` (Pa) or `tension` (Pa), and `between` (materials) or `parts`.
         fasteners: objects with `parts`, `at` (m), `tension` (N) and perhaps `shear` (N), `axis` and `ductile`.
-
-    Raises:
-        InputError: no such path or nothing in it.
-        MeshError: a mesh that does not bound a solid.
-        AssemblyError: `assembly.json` is damaged or of another version, or the parts make no assembly.
     """
     source = Path(path)
     described = read_description(source)
@@ -105,13 +100,8 @@ def described_draft(source: Path, described: Mapping[str, Any], unit: str | None
     """Read the parts of a folder or file of meshes, unchecked, with the unit and names of its description.
 
     Args:
-        source: folder or file.
         described: what `read_description` returns.
         unit: in place of the unit of the description.
-
-    Raises:
-        InputError: as for `Draft.from_meshes`.
-        AssemblyError: the description is of another number of parts.
     """
     draft = Draft.from_meshes(source, described.get("unit") if unit is None else unit)
     count = described.get("parts", len(draft.blocks))
@@ -132,10 +122,6 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
 
     The folder is written under a temporary name and renamed, so that it is complete or absent. An
     assembly that is already there is replaced.
-
-    Raises:
-        InputError: the path is not an assembly, it cannot be written to, or contacts or joints were given; or a name
-            or path in place of an assembly.
     """
     if not isinstance(assembly, Assembly):
         raise InputError(f"save_assembly writes an Assembly, not {type(assembly).__name__}; load_structure makes one")
@@ -184,11 +170,7 @@ def described_by(source: Path) -> Path:
 
 
 def read_description(source: Path) -> dict[str, Any]:
-    """Read `assembly.json` in a folder or beside a file, with types checked; `contact` becomes `ContactSettings`.
-
-    Raises:
-        AssemblyError: it is damaged or of another version.
-    """
+    """Read `assembly.json` in a folder or beside a file, with types checked; `contact` becomes `ContactSettings`."""
     file = described_by(source)
     described: dict[str, Any] = {}
     if file.is_file():

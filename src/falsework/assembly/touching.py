@@ -79,7 +79,6 @@ def inclinations(contacts: Contacts, of: np.ufunc = np.maximum) -> NDArray[np.fl
     """Return the angle between the faces of each pair of parts that touch, in order of the parts, degrees.
 
     Args:
-        contacts: of the structure.
         of: maximum or minimum over the contact points of a pair.
     """
     pairs, pair = np.unique(contacts.parts, axis=0, return_inverse=True)
@@ -98,10 +97,6 @@ def check_touching(
     """Raise for a part without contacts; boundary parts may stand alone, as obstacles do.
 
     Args:
-        meshes: the parts.
-        boundary: shape (parts,).
-        contacts: of the parts.
-        settings: tolerances of the contacts.
         settled: length within which parts have settled, metres; None if they have not.
     """
     alone = ~boundary

@@ -21,11 +21,7 @@ if TYPE_CHECKING:
 
 
 def split_parts(text: str, option: str) -> list[str]:
-    """Return the items of a list of parts, separated by commas.
-
-    Raises:
-        InputError: an item is empty.
-    """
+    """Return the items of a list of parts, separated by commas."""
     items = [piece.strip() for piece in text.split(",")]
     if not all(items):
         raise InputError(f"{option} {text}: an item is empty; give numbers such as 3,4 or 0-16, or names")
@@ -33,14 +29,7 @@ def split_parts(text: str, option: str) -> list[str]:
 
 
 def parse_parts(text: str, option: str, names: Sequence[str]) -> tuple[int, ...]:
-    """Read a list of parts such as `3,4`, `0-16` or `keystone,7`.
-
-    Args:
-        names: names of the parts, in order.
-
-    Raises:
-        InputError: an item is neither a number, a range nor a name, or both a name and the number of another part.
-    """
+    """Read a list of parts such as `3,4`, `0-16` or `keystone,7`."""
     parts: list[int] = []
     for item in split_parts(text, option):
         span = part_range(item, names)
@@ -59,11 +48,7 @@ def parse_parts(text: str, option: str, names: Sequence[str]) -> tuple[int, ...]
 
 
 def parse_numbers(text: str, option: str, count: Sequence[int] = (1, 2)) -> list[float]:
-    """Read numbers separated by commas.
-
-    Raises:
-        InputError: no numbers, or not as many as `count` allows.
-    """
+    """Read numbers separated by commas."""
     try:
         numbers = [float(item) for item in text.split(",")]
     except ValueError:
@@ -75,11 +60,7 @@ def parse_numbers(text: str, option: str, count: Sequence[int] = (1, 2)) -> list
 
 
 def parse_load(text: str) -> dict[str, Any]:
-    """Read a load such as `keystone=0,0,-1000` or `7=0,0,-1000@0.2,0,1` as an entry of `loads` in `assembly.json`.
-
-    Raises:
-        InputError: it is written otherwise.
-    """
+    """Read a load such as `keystone=0,0,-1000` or `7=0,0,-1000@0.2,0,1` as an entry of `loads` in `assembly.json`."""
     part, equals, rest = text.rpartition("=")
     force, at, place = rest.partition("@")
     if not (part and equals):
@@ -122,11 +103,7 @@ _HELD = "held:"
 
 
 def read_states(path: Path) -> Any:
-    """Read states from a JSON list or a `.npy` file, without checking their length or values.
-
-    Raises:
-        StateError: no such file, or neither JSON nor NumPy.
-    """
+    """Read states from a JSON list or a `.npy` file, without checking their length or values."""
     from falsework.utils.archive import read_array
 
     if not path.is_file():
@@ -147,9 +124,6 @@ def parse_state(text: str, option: str, assembly: Assembly) -> States:
 
     Returns:
         Shape (parts,).
-
-    Raises:
-        InputError: not a state of this structure.
     """
     states = parse_states(text, option, assembly)
     if len(states) != 1:
@@ -167,9 +141,6 @@ def parse_states(text: str, option: str, assembly: Assembly) -> States:
 
     Returns:
         Shape (states, parts).
-
-    Raises:
-        InputError: no states of this structure.
     """
     from falsework.assembly.state import as_states
     from falsework.replanning.named_state import named_state

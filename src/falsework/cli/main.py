@@ -75,9 +75,6 @@ Exit codes: 0 done, 1 the answer is no, 2 wrong input,
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
-    Args:
-        arguments: what follows the name of the program; that of this process if not given.
-
     Returns:
         Exit code, see `Exit`; nothing is raised, whatever happens.
     """

@@ -31,10 +31,6 @@ def print_margins(
 
     The states with the weakest margin of a kind come first; of the others a state comes the earlier, the nearer one of
     its margins is to the weakest.
-
-    Args:
-        records: of the states, as `StateMargins.to_dict` returns them.
-        output: where to print, and to record which states are the weakest.
     """
     weakest = {key: _weakest([record[key] for record in records], key) for key, *_ in _COLUMNS}
     if len(records) > 1:

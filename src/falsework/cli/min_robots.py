@@ -22,7 +22,6 @@ def report(answer: MinRobots, reserve: float, path: Path | None, output: Output)
 
     Args:
         path: of the plan, where it was saved.
-        output: where to print.
     """
     fields = answer.to_dict()
     output.record({"fewest": {name: value for name, value in fields.items() if name not in _SHARED}})

@@ -75,11 +75,7 @@ class NewCell(Command):
 
 
 def parse_arms(text: str) -> list[Arm]:
-    """Read arms such as `left=ur10e,right=arm.urdf`; those without a name are called left and right, or by number.
-
-    Raises:
-        InputError: an entry without an arm, or two of the same name.
-    """
+    """Read arms such as `left=ur10e,right=arm.urdf`; those without a name are called left and right, or by number."""
     from falsework.robots.cells.new_cell import Arm
 
     entries = [piece.strip() for piece in text.split(",")]

@@ -130,7 +130,6 @@ class Output:
         """Print a table as text, unless its rows are printed as JSON records already.
 
         Args:
-            rows: cells, one a column.
             dim: rows that begin with this text are details, which a terminal shows fainter.
         """
         if self.machine:
@@ -206,10 +205,7 @@ def exit_of_good(plan: Path, overrides: Mapping[str, Any], output: Output, *, ac
     """Return the exit code of a check that found nothing wrong, and say what it depends on.
 
     Args:
-        plan: file of the plan.
         overrides: options that the plan sets and the command line does not give, see `structure_to_check`.
-        output: streams of the command.
-        accepted: whether the command line accepts them all.
     """
     if not overrides or accepted:
         return Exit.DONE

@@ -47,11 +47,7 @@ class PartRuleOptions:
     """Remove a part only if it has a collision-free straight exit in some direction."""
 
     def parts(self, assembly: Assembly) -> dict[str, tuple[int, ...]]:
-        """Return the missing and the fixed parts by the names of the options.
-
-        Raises:
-            InputError: parts that the structure does not have.
-        """
+        """Return the missing and the fixed parts by the names of the options."""
         given = {"missing": self.missing, "fixed": self.fixed}
         return {
             name: () if text is None else parse_parts(text, f"--{name}", assembly.names) for name, text in given.items()
@@ -129,11 +125,7 @@ class RegraspOptions(ExitOptions, RuleOptions):
     """Number of props, passive posts from the floor to the lower side of a part, that may be in place at a time."""
 
     def rules(self, assembly: Assembly) -> TaskRules:
-        """Return the rules, as `find_plans` takes them.
-
-        Raises:
-            InputError: parts or states that the structure does not have.
-        """
+        """Return the rules, as `find_plans` takes them."""
         from falsework.assembly.props import keep_props
 
         # States are given without places for props, which are absent at both ends.
@@ -146,11 +138,7 @@ class RegraspOptions(ExitOptions, RuleOptions):
         return self.allow_regrasp or self.props > 0
 
     def with_places(self, assembly: Assembly) -> Assembly:
-        """Return the structure with places for props, if any are allowed.
-
-        Raises:
-            InputError: a negative number, or no part has a place for a prop.
-        """
+        """Return the structure with places for props, if any are allowed."""
         from falsework.assembly.props import prop_places, with_props
 
         if self.props < 0:
@@ -182,11 +170,7 @@ class HoldOptions:
     """Number by which friction is divided: every state must come to rest with that friction, and with the true one."""
 
     def settings(self, criterion: Criterion, cone: Cone | None = None, solver: SolverName = "cpu") -> StabilitySettings:
-        """Return the settings of stability.
-
-        Raises:
-            InputError: options that a criterion does not have, or numbers that are not possible.
-        """
+        """Return the settings of stability."""
         from falsework.search.find import PLANS
         from falsework.stability.holds import HoldMode, HoldSettings
         from falsework.stability.settings import StabilitySettings
@@ -342,10 +326,6 @@ def writable(path: Path, suffix: str = "") -> None:
 
     Args:
         suffix: ending by which commands know the file again, if they do.
-
-    Raises:
-        InputError: the folder is not there or not writable, the path is a folder or a device, or the name ends
-            otherwise.
     """
     if suffix and path.suffix.lower() != suffix:
         raise InputError(f"{path} is written as {suffix}; name such a file")
@@ -358,7 +338,6 @@ def refuse_unstable(
     """Report a start or target state that is not stable, since then there is no plan.
 
     Args:
-        output: where to report.
         building: whether the user's start is the target of the task.
     """
     import numpy as np

@@ -43,7 +43,6 @@ def parse_grips(
 
     Args:
         text: as for `parse_joints`, or the file of a robot plan in which the robots hold these parts.
-        state: what is in place, shape (parts,).
 
     Returns:
         For every robot joint values, not yet checked against its limits, or None where nothing is given.
@@ -108,11 +107,7 @@ def _json_file(text: str, option: str) -> Any:
 
 
 def parse_holding(text: str | None, cell: Cell, assembly: Assembly) -> list[int | None]:
-    """Read which part each robot holds, such as `left=3,right=keystone`.
-
-    Raises:
-        InputError: no such robot or part, or a robot or a part named twice.
-    """
+    """Read which part each robot holds, such as `left=3,right=keystone`."""
     held: list[int | None] = [None] * cell.robot_count
     for piece in () if text is None else text.split(","):
         name, part = _pair(piece, "--holding", "left=3,right=keystone")

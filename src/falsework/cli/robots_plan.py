@@ -63,10 +63,6 @@ class InterruptedPlan:
 
         Args:
             at: time of the interruption, such as `7.2s`.
-            options: as for `load_structure`.
-
-        Raises:
-            InputError: no such plan, a time that it does not have, another order, structure or cell.
         """
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.plans.robot_plan_file import load_robot_plan

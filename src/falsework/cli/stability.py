@@ -95,12 +95,7 @@ class CheckStability(JudgingCommand):
 
 
 def _reason(verdict: Verdict, residual: float) -> str:
-    """Return what the certificate of a verdict shows, in the words of statics.
-
-    Args:
-        verdict: the verdict.
-        residual: as of `Verdicts`.
-    """
+    """Return what the certificate of a verdict shows, in the words of statics."""
     from falsework.stability.verdict import Verdict
 
     left = f"{format_quantity(residual, 'share')} of gravity"

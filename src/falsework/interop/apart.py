@@ -16,11 +16,7 @@ _SECONDS, _SECONDS_PER_BYTE = 20.0, 20e-6
 
 
 def read_apart(read: Callable[..., Draft], path: Path, *arguments: object, library: str) -> Draft:
-    """Read a file in a process of its own.
-
-    Raises:
-        InputError: no such file, or the process ended, took too long or too much memory; or as `read`.
-    """
+    """Read a file in a process of its own."""
     if not path.is_file():
         raise InputError(f"there is no file {path}; name another")
     size = path.stat().st_size

@@ -228,10 +228,6 @@ def load_bricks(path: Path | str, **options: Any) -> Assembly:
 
     Args:
         options: density and boundary, as for `assemble_bricks`; boundary also by name.
-
-    Raises:
-        InputError: a line that cannot be read, a part that is no brick or plate, or an option that bricks do not take.
-        AssemblyError: the bricks make no assembly.
     """
     path = Path(path)
     given = {key: value for key, value in options.items() if value is not None and value is not False}
@@ -245,12 +241,7 @@ def load_bricks(path: Path | str, **options: Any) -> Assembly:
 
 
 def read_bricks(path: Path | str, *, unit: str | None = None) -> Draft:
-    """Read bricks and their baseplate as parts of their own, without the studs.
-
-    Raises:
-        InputError: as `load_bricks`, or a unit.
-        AssemblyError: as `load_bricks`.
-    """
+    """Read bricks and their baseplate as parts of their own, without the studs."""
     if unit is not None:
         raise InputError(f"{path} has bricks, which have their own unit; leave it out")
     assembly = assemble_bricks(_read(Path(path)))

@@ -97,11 +97,7 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
 
 
 def assembly_of(problem: Any) -> Assembly:
-    """Return the assembly of a compas_dem `Problem` with its model.
-
-    Raises:
-        InputError: as `solve`.
-    """
+    """Return the assembly of a compas_dem `Problem` with its model."""
     return _assembly_and_nodes(problem)[0]
 
 

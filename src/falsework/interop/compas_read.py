@@ -66,7 +66,6 @@ def read_compas(path: Path | str, *, unit: str | None = None) -> Draft:
     COMPAS data have no unit.
 
     Args:
-        path: file that `compas.json_dump` wrote.
         unit: unit of the coordinates; metres if not given.
     """
     path, scale = Path(path), unit_length(unit or "m")

@@ -20,11 +20,7 @@ from falsework.utils.files.formats import EXPORTERS, exporter_by_suffix, formats
 
 
 def format_of(path: Path | str) -> str:
-    """Return the format that the name of a file stands for; a name without an ending is a folder.
-
-    Raises:
-        InputError: an ending that stands for no format.
-    """
+    """Return the format that the name of a file stands for; a name without an ending is a folder."""
     found, suffix = exporter_by_suffix(path), Path(path).suffix.lower()
     if found is None and suffix[1:2].isalpha() and not Path(path).is_dir():
         known = ", ".join(ending for exporter in formats(EXPORTERS).values() for ending in exporter.suffixes)
@@ -36,11 +32,6 @@ def read_exportable(
     path: str | Path, structure: Assembly | str | Path | None = None, **options: Any
 ) -> tuple[Assembly | Plan | RobotPlan, Assembly | None]:
     """Read a plan, robot plan or structure, whichever the file is.
-
-    Args:
-        path: as for `export`.
-        structure: as for `export`.
-        options: as for `load_structure`.
 
     Returns:
         The object read, and the structure, which is not loaded for a robot plan.

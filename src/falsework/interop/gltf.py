@@ -49,10 +49,6 @@ def to_gltf(assembly: Assembly, plan: Plan | None = None, *, kind: Kind = "glb",
 
     Args:
         kind: `glb`, one binary file, or `gltf`, the same as text with its data inside.
-
-    Raises:
-        PlanError: the plan is for another structure.
-        InputError: an unknown kind, or a step of no length.
     """
     if kind not in ("glb", "gltf"):
         raise InputError(f"{kind!r} is not a kind of glTF; choose glb or gltf")

@@ -6,18 +6,15 @@ import io
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
-from falsework.interop.instruction_table import (
-    AssemblyInstruction,
-    AssemblyInstructions,
-    sheet,
-)
-from falsework.interop.pdf_text import BOLD, REGULAR, broken_lines, register_fonts, write_line, write_paragraph
+from falsework.interop.instruction_table import AssemblyInstruction, AssemblyInstructions, sheet
 from falsework.utils.files.formats import Exporter, writer_of
 from falsework.utils.quantity import counted, listed
 from falsework.viewer.appearance import appearance_at, bounds_of, diagonal
@@ -27,42 +24,34 @@ from falsework.viewer.pictures.contact_sheet import draw
 from falsework.viewer.pictures.render import Camera
 
 if TYPE_CHECKING:
+    from reportlab.graphics.shapes import Drawing
     from reportlab.pdfgen.canvas import Canvas
+    from reportlab.platypus import Flowable
 
     from falsework.assembly.model import Assembly
     from falsework.search.plans.plan import Plan
 
 Progress = Callable[[int, int], None]
 
-_POINT = 72.0 / 25.4
-"""Points a millimetre."""
-_PAGE = (210.0 * _POINT, 297.0 * _POINT)
-"""Width and height of a page, A4, in points like all lengths below."""
-_MARGIN = 14.0 * _POINT
-"""Space at the left and the right of a page."""
-_ROW = 41.0 * _POINT
-"""Height of the row of a step."""
-_TOP = 16.0 * _POINT
-"""Space above the rows of a page."""
-_COVER = (120.0 * _POINT, 76.0 * _POINT)
-"""Width and height of the picture on the cover."""
-_STOCK_LINE = 11.0
-"""Height of a line of the stock list."""
-_STOCK_COLUMNS = 2
-"""Columns of the stock list."""
+_MM = 72.0 / 25.4
+"""Points a millimetre; lengths below are in points."""
+_MARGIN, _TOP = 14.0 * _MM, 16.0 * _MM
+"""Space around a page, A4, and above its rows."""
+_COVER, _PICTURE = (120.0 * _MM, 76.0 * _MM), (60.0 * _MM, 38.0 * _MM)
+"""Width and height of the picture on the cover, and of that of a step."""
+_COLUMNS = (13.0 * _MM, 62.0 * _MM, 48.0 * _MM, 54.0 * _MM)
+"""Widths of the columns of a step: number, picture, action, parts to hold."""
+_STOCK = (36.0 * _MM, 14.0 * _MM, 30.0 * _MM, 8.0 * _MM)
+"""Widths of the columns of the stock list: part, mass, centre, step."""
 _ARROW = 0.16
 """Length of the arrow of an insertion, in diagonals of the structure."""
-_PICTURE = (60.0 * _POINT, 38.0 * _POINT)
-"""Width and height of the picture of a step."""
-_COLUMNS = (0.0, 13.0 * _POINT, 76.0 * _POINT, 126.0 * _POINT)
-"""Left edges of the columns: number, picture, action, parts to hold."""
 _LISTED_PARTS = 12
 """Names of parts in one line; the rest is a number."""
-_LISTED_PRESSES = 2
-"""Presses of one step for which there is room."""
 CAMERA = Camera(width=480, height=304, zoom=0.96)
 """Default camera of the pictures."""
 _GREY = "#77797d"
+_REGULAR, _BOLD = "FalseworkSans", "FalseworkSans-Bold"
+"""Names of the fonts, once they are registered."""
 
 
 def instructions_pdf(
@@ -72,45 +61,38 @@ def instructions_pdf(
 
     Args:
         progress: called with the number of pictures drawn and of all.
-
-    Raises:
-        DependencyError: reportlab or matplotlib, whose fonts are used, is not installed.
     """
     for name in ("reportlab", "matplotlib"):
         if find_spec(name) is None:
             raise DependencyError(f"a sheet as PDF needs {name}; pip install 'falsework[sheet]', or write .csv")
     from reportlab import rl_config
-    from reportlab.pdfgen.canvas import Canvas
+    from reportlab.lib.pagesizes import A4
+    from reportlab.platypus import PageBreak, SimpleDocTemplate
 
     rl_config.useA85 = 0  # pictures as bytes: their ASCII form is a quarter longer, and slow to write
-    register_fonts()
+    _register_fonts()
     buffer = io.BytesIO()
-    canvas = Canvas(buffer, pagesize=_PAGE, pageCompression=1, invariant=1)
-    canvas.setTitle(f"{sheet.assembly.name}: how to build it")
-    canvas.setSubject("assembly instructions")
-    canvas.setAuthor("")  # else anonymous
-    canvas.setCreator("falsework")
-    rows = table_rows(sheet)
-    room = int((_PAGE[1] - _MARGIN - _TOP) // _ROW)
-    pages = [rows[begin : begin + room] for begin in range(0, len(rows), room)]
-    stock = _cover(canvas, sheet, camera)
-    count = 1 + len(stock) + len(pages)
-    _foot(canvas, sheet, 1, count)
-    canvas.showPage()
-    for number, lines in enumerate(stock, 2):
-        _stock(canvas, sheet, lines, _PAGE[1] - _TOP - 12)
-        _foot(canvas, sheet, number, count)
-        canvas.showPage()
-    box, done = _box(sheet), 0
-    for number, page in enumerate(pages, 2 + len(stock)):
-        for place, steps in enumerate(page):
-            _row(canvas, sheet, steps, _PAGE[1] - _TOP - (place + 1) * _ROW, camera, box)
-            done += 1
-            if progress is not None:
-                progress(done, len(rows))
-        _foot(canvas, sheet, number, count)
-        canvas.showPage()
-    canvas.save()
+    document = SimpleDocTemplate(
+        buffer,
+        pagesize=A4,
+        leftMargin=_MARGIN,
+        rightMargin=_MARGIN,
+        topMargin=_TOP,
+        bottomMargin=_MARGIN,
+        title=f"{sheet.assembly.name}: how to build it",
+        subject="assembly instructions",
+        author="",  # else anonymous
+        creator="falsework",
+        pageCompression=1,
+        invariant=1,
+    )
+    rows, box = table_rows(sheet), _box(sheet)
+    story = [*_cover(sheet, camera), PageBreak()]
+    for done, steps in enumerate(rows, 1):
+        story.append(_row(sheet, steps, camera, box))
+        if progress is not None:
+            progress(done, len(rows))
+    document.build(story, canvasmaker=_numbered(sheet))
     return buffer.getvalue()
 
 
@@ -127,36 +109,106 @@ def table_rows(sheet: AssemblyInstructions) -> list[tuple[AssemblyInstruction, .
     return rows
 
 
-def _cover(canvas: Canvas, sheet: AssemblyInstructions, camera: Camera) -> list[list[tuple[int, int]]]:
-    """Draw the cover, and return the lines of the stock list, part and step, for which it has no room, by page."""
-    y = _head(canvas, sheet) - _COVER[1] - 8
+def _numbered(sheet: AssemblyInstructions) -> type[Canvas]:
+    """Return the canvas that writes at the foot of each page what it is of, once the number of pages is known."""
+    from reportlab.lib.pagesizes import A4
+    from reportlab.pdfgen.canvas import Canvas
+
+    class NumberedCanvas(Canvas):
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **options)
+            self.kept: list[dict[str, Any]] = []
+
+        def showPage(self) -> None:
+            self.kept.append(dict(self.__dict__))
+            self._startPage()  # type: ignore[missing-attribute]
+
+        def save(self) -> None:
+            about = f"{sheet.assembly.name}, structure {sheet.assembly.identity[:12]}"
+            for number, page in enumerate(self.kept, 1):
+                self.__dict__.update(page)
+                self.setFont(_REGULAR, 7.5)
+                self.setFillColor(_GREY)
+                self.drawString(_MARGIN, _MARGIN - 16, about)
+                self.drawRightString(A4[0] - _MARGIN, _MARGIN - 16, f"page {number} of {len(self.kept)}")
+                super().showPage()
+            super().save()
+
+    return NumberedCanvas
+
+
+def _text(markup: str, size: float = 8.3, color: str = INK) -> Flowable:
+    """Return a paragraph; `markup` is XML, `<b>` for bold."""
+    from reportlab.lib.styles import ParagraphStyle
+    from reportlab.platypus import Paragraph
+
+    style = ParagraphStyle("", fontName=_REGULAR, fontSize=size, leading=1.2 * size, textColor=_color(color))
+    return Paragraph(markup, style)
+
+
+def _square(color: str) -> str:
+    return f'<font color="{color}">\u25a0</font> '
+
+
+def _cover(sheet: AssemblyInstructions, camera: Camera) -> list[Flowable]:
+    """Return the cover: title, rules on which the proofs rest, glossary, picture and stock list."""
+    from reportlab.platypus import Table
+
+    assembly = sheet.assembly
+    placed = [(part, step.number) for step in sheet.steps if step.place for part in step.parts]
+    mass = float(assembly.mass.mass[[part for part, _ in placed]].sum())
+    work = f"{counted(sheet.supports, 'support')}, {counted(len(sheet.steps), 'step')}"
+    rules = [
+        "A support is a robot (support 1 is R1), a prop or a pair of hands that keeps a part exactly where it is.",
+        "Keep to the order. Release no part before the sheet says so: the states of the steps were proved to stand.",
+        f"The proofs hold for friction of at least {assembly.friction:g} and parts of the masses given, at rest, "
+        "where the model has them.",
+        "Arrows show how a part comes in. Dark parts are fixed. Pictures show the state in which the part is held.",
+    ]
+    if any(step.presses for step in sheet.steps):
+        rules.append(
+            "PRESS: a support pushes its part with the force given while the other part is released, then stays there."
+        )
+    if sheet.start:
+        rules.append(f"There before step 1: {listed([sheet.name(part) for part in sheet.start], _LISTED_PARTS)}.")
+    if sheet.holding(0):
+        held = ", ".join(f"{sheet.name(part)} by support {support + 1}" for part, support in sheet.holding(0))
+        rules.append(f"Held before step 1: {held}.")
+    needed = [step for step in sheet.steps if step.needed]
+    if needed:
+        when = ", ".join(f"{sheet.named(step)} for step {step.number}" for step in needed)
+        rules.append(f"Not delivered yet, and needed: {when}.")
+    colors = [f"{_square(robot_color(support))}support {support + 1}" for support in range(sheet.supports)]
     view = replace(camera, width=900, height=round(900 * _COVER[1] / _COVER[0]))
     look = appearance_at(sheet.timeline, len(sheet.timeline), marks={}, travelling=False)
-    canvas.drawImage(_jpeg(draw(sheet.assembly, look, view, samples=2)), _MARGIN, y, *_COVER)
-    _axes(canvas, camera, _MARGIN + _COVER[0] + 40, y + 30, 26)
-    placed = [(part, step.number) for step in sheet.steps if step.place for part in step.parts]
-    y -= 20
-    write_line(canvas, _MARGIN, y, "Stock list", BOLD, 11)
-    first = _STOCK_COLUMNS * int((y - 14 - _MARGIN) // _STOCK_LINE - 1)
-    rest = _STOCK_COLUMNS * int((_PAGE[1] - _TOP - 12 - _MARGIN) // _STOCK_LINE - 1)
-    _stock(canvas, sheet, placed[:first], y - 16)
-    return [placed[begin : begin + rest] for begin in range(first, len(placed), rest)]
+    picture = _jpeg(draw(assembly, look, view, samples=2), _COVER)
+    return [
+        _text(f"<b>{escape(assembly.name)}</b>", 18),
+        _text(f"{counted(len(placed), 'part')} to place, {mass:,.0f} kg; {work}", 10.5),
+        *(_text(escape(rule)) for rule in rules),
+        _text(" &nbsp; ".join([*colors, "pale: just released"]), 9),
+        Table([[picture, _axes(camera, 26)]], hAlign="LEFT"),
+        _text("<b>Stock list</b>", 11),
+        _stock(sheet, placed),
+    ]
 
 
-def _stock(canvas: Canvas, sheet: AssemblyInstructions, lines: list[tuple[int, int]], top: float) -> None:
-    """Draw lines of the stock list: part, mass, centre and the step that places it."""
-    broad = (_PAGE[0] - 2 * _MARGIN) / _STOCK_COLUMNS
-    high = -(-len(lines) // _STOCK_COLUMNS)
-    ends = (0.0, 0.45 * broad, 0.85 * broad, 0.95 * broad)
-    for column in range(_STOCK_COLUMNS if lines else 0):
-        x = _MARGIN + column * broad
-        for end, word in zip(ends, ("part", "kg", "centre x, y, z, m", "step"), strict=True):
-            write_line(canvas, x, top, word, REGULAR, 7.5, color=_GREY, end=None if end == 0 else x + end)
-        for number, (part, step) in enumerate(lines[column * high : (column + 1) * high], 1):
-            y = top - _STOCK_LINE * number
-            write_line(canvas, x, y, sheet.name(part), REGULAR, 7.5, width=0.3 * broad)
-            for end, word in zip(ends[1:], (_mass(sheet, part), _center(sheet, part), str(step)), strict=True):
-                write_line(canvas, x, y, word, REGULAR, 7.5, end=x + end)
+def _stock(sheet: AssemblyInstructions, placed: list[tuple[int, int]]) -> Flowable:
+    """Return the stock list, in two columns: part, mass, centre and the step that places it."""
+    from reportlab.platypus import LongTable
+
+    lines = [
+        (_text(escape(sheet.name(part)), 7.5), _mass(sheet, part), _center(sheet, part), step) for part, step in placed
+    ]
+    half = -(-len(lines) // 2)
+    lines += [("",) * 4] * (2 * half - len(lines))
+    rows = [[*left, *right] for left, right in zip(lines[:half], lines[half:], strict=True)]
+    style = [("FONT", (0, 0), (-1, -1), _REGULAR, 7.5), ("TEXTCOLOR", (0, 0), (-1, 0), _GREY)]
+    style += [("VALIGN", (0, 0), (-1, -1), "TOP"), ("TOPPADDING", (0, 0), (-1, -1), 0)]
+    style += [("BOTTOMPADDING", (0, 0), (-1, -1), 1)]
+    style += [("ALIGN", (first, 0), (first + 2, -1), "RIGHT") for first in (1, 5)]
+    heading = ("part", "kg", "centre x, y, z, m", "step")
+    return LongTable([heading * 2, *rows], colWidths=_STOCK * 2, style=style, repeatRows=1, hAlign="LEFT")
 
 
 def _mass(sheet: AssemblyInstructions, *parts: int) -> str:
@@ -170,13 +222,23 @@ def _center(sheet: AssemblyInstructions, part: int) -> str:
     return ", ".join(f"{value:.3f}" for value in sheet.assembly.mass.center[part].round(3) + 0.0)
 
 
-def _axes(canvas: Canvas, camera: Camera, x: float, y: float, length: float) -> None:
-    """Draw the directions of x, y and z as the camera sees them."""
-    canvas.setStrokeColor(INK)
-    canvas.setLineWidth(0.8)
+def _axes(camera: Camera, length: float) -> Drawing:
+    """Return the directions of x, y and z as the camera sees them."""
+    from reportlab.graphics.shapes import Drawing, Line, String
+
+    size = 1.4 * length
+    drawing = Drawing(2 * size, 2 * size)
     for name, across, up in zip("xyz", *camera.axes[:2], strict=True):
-        canvas.line(x, y, x + length * across, y + length * up)
-        write_line(canvas, x + 1.25 * length * across - 2, y + 1.25 * length * up - 2, name, REGULAR, 7)
+        x, y = size + length * across, size + length * up
+        drawing.add(Line(size, size, x, y, strokeColor=_color(INK), strokeWidth=0.8))
+        drawing.add(String(x + 3 * across - 2, y + 3 * up - 2, name, fontName=_REGULAR, fontSize=7))
+    return drawing
+
+
+def _color(text: str) -> Any:
+    from reportlab.lib.colors import HexColor
+
+    return HexColor(text)
 
 
 def step_arrows(sheet: AssemblyInstructions, step: AssemblyInstruction) -> Arrows:
@@ -199,116 +261,64 @@ def _box(sheet: AssemblyInstructions) -> NDArray[np.float64]:
     return box
 
 
-def _head(canvas: Canvas, sheet: AssemblyInstructions) -> float:
-    """Draw the title, the glossary, and the rules on which the proofs rest; return where they end."""
-    assembly, left, y = sheet.assembly, _MARGIN, _PAGE[1] - _MARGIN - 8
-    write_line(canvas, left, y, assembly.name, BOLD, 18, width=_PAGE[0] - 2 * _MARGIN)
-    placed = [part for step in sheet.steps if step.place for part in step.parts]
-    mass = float(assembly.mass.mass[placed].sum())
-    work = f"{counted(sheet.supports, 'support')}, {counted(len(sheet.steps), 'step')}"
-    facts = f"{counted(len(placed), 'part')} to place, {mass:,.0f} kg; {work}"
-    write_line(canvas, left, y - 16, facts, REGULAR, 10.5)
-    lines = [
-        "A support is a robot (support 1 is R1), a prop or a pair of hands that keeps a part exactly where it is.",
-        "Keep to the order. Release no part before the sheet says so: the states of the steps were proved to stand.",
-        f"The proofs hold for friction of at least {assembly.friction:g} and parts of the masses given, at rest, "
-        "where the model has them.",
-        "Arrows show how a part comes in. Dark parts are fixed. Pictures show the state in which the part is held.",
-    ]
-    if any(step.presses for step in sheet.steps):
-        lines.append(
-            "PRESS: a support pushes its part with the force given while the other part is released, then stays there."
-        )
-    if sheet.start:
-        lines.append(f"There before step 1: {listed([sheet.name(part) for part in sheet.start], _LISTED_PARTS)}.")
-    if sheet.holding(0):
-        held = ", ".join(f"{sheet.name(part)} by support {support + 1}" for part, support in sheet.holding(0))
-        lines.append(f"Held before step 1: {held}.")
-    needed = [step for step in sheet.steps if step.needed]
-    if needed:
-        when = ", ".join(f"{sheet.named(step)} for step {step.number}" for step in needed)
-        lines.append(f"Not delivered yet, and needed: {when}.")
-    y -= 32
-    for line in lines:
-        y = write_paragraph(canvas, left, y, line, 8.3, width=_PAGE[0] - 2 * _MARGIN, leading=11.5)
-    x, y = left, y - 4
-    for support in range(sheet.supports):
-        canvas.setFillColor(robot_color(support))
-        canvas.rect(x, y - 2, 10, 10, stroke=0, fill=1)
-        x = write_line(canvas, x + 14, y, f"support {support + 1}", REGULAR, 9) + 16
-    write_line(canvas, x, y, "pale: just released", REGULAR, 9)
-    return y
-
-
 def _row(
-    canvas: Canvas,
     sheet: AssemblyInstructions,
     steps: tuple[AssemblyInstruction, ...],
-    y: float,
     camera: Camera,
     box: NDArray[np.float64],
-) -> None:
-    """Draw one step, or a placing with its release, between `y` and `y` plus the height of a row."""
+) -> Flowable:
+    """Return one step, or a placing with its release: number with a box to tick, picture, action, parts to hold."""
+    from reportlab.graphics.shapes import Drawing, Rect
+    from reportlab.platypus import Table
+
     step, last = steps[0], steps[-1]
-    left, top = _MARGIN, y + _ROW
-    canvas.setStrokeColor("#d5d3cd")
-    canvas.setLineWidth(0.5)
-    canvas.line(left, top, _PAGE[0] - _MARGIN, top)
-    write_line(canvas, left, top - 17, ", ".join(str(one.number) for one in steps), BOLD, 14 if len(steps) == 1 else 10)
-    canvas.setStrokeColor(INK)
-    canvas.rect(left, top - 42, 13, 13, stroke=1, fill=0)
-    picture = _picture(sheet, step, camera, box)
-    canvas.drawImage(picture, left + _COLUMNS[1], y + 1.5 * _POINT, *_PICTURE, preserveAspectRatio=True)
-    _axes(canvas, camera, left + _COLUMNS[1] + 10, y + 12, 11)
-    x, width = left + _COLUMNS[2], _COLUMNS[3] - _COLUMNS[2] - 8
-    color = robot_color(step.supports[0])
-    canvas.setFillColor(color if step.place else mix(color, "#ffffff", 0.55))
-    canvas.rect(x, top - 17, 9, 9, stroke=0, fill=1)
-    write_line(canvas, x + 13, top - 16, ", ".join(one.verb.upper() for one in steps), BOLD, 10.5)
-    write_line(canvas, x, top - 33, sheet.named(step), BOLD, 13, width=width)
-    line = top - 46
+    tick = Drawing(14, 18)
+    tick.add(Rect(0.5, 0.5, 13, 13, fillColor=_color("#ffffff"), strokeColor=_color(INK)))
+    number = ", ".join(str(one.number) for one in steps)
+    marks = {} if step.place else {step.parts[0]: _pale(step)}
+    look = appearance_at(sheet.timeline, step.number, marks=marks, travelling=False)
+    arrows = list(arrows_of_step(sheet.timeline, step.number).values())
+    if step.place:
+        arrows.append(step_arrows(sheet, step))
+    picture = _jpeg(draw(sheet.assembly, look, camera, bounds=box, arrows=arrows, samples=2), _PICTURE)
+    held = [_text(f"{_square(robot_color(by))}{escape(sheet.name(part))}", 9.5) for part, by in last.hold]
+    hold = [_text("HOLD until released" if held else "nothing is held", color=_GREY), *held]
+    cells = [[_text(f"<b>{number}</b>", 14 if len(steps) == 1 else 9), tick, _axes(camera, 11)], picture]
+    style = [("VALIGN", (0, 0), (-1, -1), "TOP"), ("LINEABOVE", (0, 0), (-1, 0), 0.5, "#d5d3cd")]
+    style += [("LEFTPADDING", (0, 0), (-1, -1), 2), ("RIGHTPADDING", (0, 0), (-1, -1), 2)]
+    # A list of held parts that is longer than a page goes on on the next one.
+    return Table([[*cells, _action(sheet, step, last), hold]], colWidths=_COLUMNS, style=style, splitInRow=1)
+
+
+def _pale(step: AssemblyInstruction) -> str:
+    return mix(robot_color(step.supports[0]), "#ffffff", 0.55)
+
+
+def _action(sheet: AssemblyInstructions, step: AssemblyInstruction, last: AssemblyInstruction) -> list[Flowable]:
+    """Return what to do with the parts of a row."""
+    verbs = dict.fromkeys((step.verb.upper(), last.verb.upper()))
+    color = robot_color(step.supports[0]) if step.place else _pale(step)
+    told = [_text(f"{_square(color)}<b>{', '.join(verbs)}</b>", 10.5)]
+    told.append(_text(f"<b>{escape(sheet.named(step))}</b>", 13))
     several, carried = len(step.parts) > 1, len(step.supports) < len(step.parts)
     if step.directions is not None:
-        about = (
-            f"{_mass(sheet, *step.parts)} kg, {'come in together' if several else 'comes in'} {sheet.comes_in(step)}"
-        )
-        line = write_paragraph(canvas, x, line, about, 8.3, width=width)
+        comes = f"{'come in together' if several else 'comes in'} {sheet.comes_in(step)}"
+        told.append(_text(escape(f"{_mass(sheet, *step.parts)} kg, {comes}")))
         if not several:
-            line = write_paragraph(canvas, x, line, f"centre {_center(sheet, step.parts[0])}\u00a0m", 8.3, width=width)
+            told.append(_text(f"centre {_center(sheet, step.parts[0])}\u00a0m"))
         held = f"and {'are' if several else 'is'} held by {_supports(step)}"
         if carried:
             held = f"carried by {_supports(step)}, which holds {sheet.name(step.parts[0])}"
-        line = write_paragraph(canvas, x, line, held, 8.3, width=width)
+        told.append(_text(escape(held)))
     if not last.place:
         lets_go = "and then lets go" if carried else "which then lets go"
-        then = lets_go if step.place else f"{_supports(step)} lets go and is free"
-        line = write_paragraph(canvas, x, line, then, 8.3, width=width)
-        presses = sheet.pressing(last)
-        for number, (what, how) in enumerate(presses[:_LISTED_PRESSES]):
-            more = len(presses) - _LISTED_PRESSES if number + 1 == _LISTED_PRESSES else 0
-            how += f", and {more} more" if more > 0 else ""
-            write_line(canvas, x, line, f"PRESS {what}", BOLD, 8.3, color=PRESS, width=width)
-            line = write_paragraph(canvas, x, line - 10, how, 8.3, color=PRESS, width=width)
+        told.append(_text(lets_go if step.place else f"{_supports(step)} lets go and is free"))
+        for what, how in sheet.pressing(last):
+            told.append(_text(f"<b>PRESS {escape(what)}</b> {escape(how)}", color=PRESS))
     if step.needed:
-        write_line(canvas, x, line, "was late: is it there?", BOLD, 8.3, width=width)
+        told.append(_text("<b>was late: is it there?</b>"))
     placed = f"{counted(last.placed, 'part')} placed{'; ' if last.margins else ''}{last.margins}"
-    lines = broken_lines(placed, 7.8, _PAGE[0] - 2 * _MARGIN - _COLUMNS[2])
-    for number, words in enumerate(lines):
-        write_line(canvas, x, y + 5 + 9.5 * (len(lines) - 1 - number), words, REGULAR, 7.8, color=_GREY)
-    x, width = left + _COLUMNS[3], _PAGE[0] - 2 * _MARGIN - _COLUMNS[3]
-    write_line(
-        canvas, x, top - 16, "HOLD until released" if last.hold else "nothing is held", REGULAR, 8.3, color=_GREY
-    )
-    room = max(int((_ROW - 40) // 13), 1)
-    shown = last.hold if len(last.hold) <= room else last.hold[: room - 1]
-    for number, (part, support) in enumerate(shown):
-        line = top - 32 - 13 * number
-        canvas.setFillColor(robot_color(support))
-        canvas.rect(x, line - 1, 8, 8, stroke=0, fill=1)
-        write_line(canvas, x + 12, line, sheet.name(part), REGULAR, 9.5, width=width - 12)
-    if len(shown) < len(last.hold):
-        more = f"and {len(last.hold) - len(shown)} more that are coloured"
-        write_line(canvas, x, top - 32 - 13 * len(shown), more, REGULAR, 8.3)
+    return [*told, _text(escape(placed), 7.8, _GREY)]
 
 
 def _supports(step: AssemblyInstruction) -> str:
@@ -317,34 +327,28 @@ def _supports(step: AssemblyInstruction) -> str:
     return f"support {numbers[0]}" if len(numbers) == 1 else f"supports {', '.join(numbers[:-1])} and {numbers[-1]}"
 
 
-def _foot(canvas: Canvas, sheet: AssemblyInstructions, number: int, pages: int) -> None:
-    y = _MARGIN - 16
-    about = f"{sheet.assembly.name}, structure {sheet.assembly.identity[:12]}"
-    write_line(canvas, _MARGIN, y, about, REGULAR, 7.5, color=_GREY, width=_PAGE[0] / 2)
-    canvas.setFont(REGULAR, 7.5)
-    canvas.setFillColor(_GREY)
-    canvas.drawRightString(_PAGE[0] - _MARGIN, y, f"page {number} of {pages}")
-
-
-def _picture(sheet: AssemblyInstructions, step: AssemblyInstruction, camera: Camera, box: NDArray[np.float64]) -> Any:
-    """Return the state after a step, as an image for the page."""
-    marks = {} if step.place else {step.parts[0]: mix(robot_color(step.supports[0]), "#ffffff", 0.55)}
-    look = appearance_at(sheet.timeline, step.number, marks=marks, travelling=False)
-    arrows = list(arrows_of_step(sheet.timeline, step.number).values())
-    if step.place:
-        arrows.append(step_arrows(sheet, step))
-    return _jpeg(draw(sheet.assembly, look, camera, bounds=box, arrows=arrows, samples=2))
-
-
-def _jpeg(image: NDArray[np.floating]) -> Any:
-    """Return a picture for the page, as JPEG: a fifth of the size of what the page would make of the pixels."""
-    from PIL import Image
-    from reportlab.lib.utils import ImageReader
+def _jpeg(image: NDArray[np.floating], size: tuple[float, float]) -> Flowable:
+    """Return a picture, as JPEG: a fifth of the size of what the page would make of the pixels."""
+    import PIL.Image
+    from reportlab.platypus import Image
 
     file = io.BytesIO()
-    Image.fromarray(np.rint(255 * image).astype(np.uint8)).save(file, "JPEG", quality=88, subsampling=0)
+    PIL.Image.fromarray(np.rint(255 * image).astype(np.uint8)).save(file, "JPEG", quality=88, subsampling=0)
     file.seek(0)
-    return ImageReader(file)
+    return Image(file, *size, kind="proportional")
+
+
+def _register_fonts() -> None:
+    """Register fonts with more glyphs than the standard PDF fonts; they come with matplotlib."""
+    import matplotlib
+    from reportlab.pdfbase.pdfmetrics import getRegisteredFontNames, registerFont, registerFontFamily
+    from reportlab.pdfbase.ttfonts import TTFont
+
+    folder = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
+    for name, file in ((_REGULAR, "DejaVuSans.ttf"), (_BOLD, "DejaVuSans-Bold.ttf")):
+        if name not in getRegisteredFontNames():
+            registerFont(TTFont(name, folder / file))
+    registerFontFamily(_REGULAR, _REGULAR, _BOLD, _REGULAR, _BOLD)
 
 
 def _pdf_of(

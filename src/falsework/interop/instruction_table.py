@@ -193,7 +193,6 @@ def describe_path(path: ExitPath, names: Sequence[str]) -> str:
 
     Args:
         path: moves in which it leaves.
-        names: of all parts.
     """
     words, part = [], path[-1].parts[0]
     aside = sorted({one for move in path for one in move.parts} - {part})

@@ -77,11 +77,7 @@ def _is_part(entry: Any) -> bool:
 
 
 def _pose(file: Path, name: str, state: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the rotation and the translation of a state.
-
-    Raises:
-        InputError: it has neither three nor six finite numbers.
-    """
+    """Return the rotation and the translation of a state."""
     numbers = isinstance(state, list) and all(
         isinstance(value, (int, float)) and not isinstance(value, bool) for value in state
     )

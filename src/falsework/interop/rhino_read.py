@@ -56,10 +56,6 @@ def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
 
     Args:
         unit: unit of the coordinates; that of the file if not given.
-
-    Raises:
-        DependencyError: rhino3dm is not installed.
-        InputError: no Rhino file, no part in it, an object without a mesh, or a unit without a length.
     """
     try:
         import rhino3dm  # noqa: F401 - imported by the other process
@@ -142,12 +138,7 @@ class _Layers:
 
 
 def _check_instances(path: Path, model: Any) -> None:
-    """Count what the instances of blocks grow to before any is read, since blocks in blocks double and double again.
-
-    Raises:
-        MeshError: more than a file of its size may grow to.
-        InputError: a block that contains itself.
-    """
+    """Count what the instances of blocks grow to before any is read, since blocks in blocks double and double again."""
     sizes: dict[str, int] = {}
 
     def size(entry: Any, within: tuple[str, ...]) -> int:

@@ -31,10 +31,6 @@ def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
 
     A part has the name of its solid, or where several solids have that name, or none, the name of its occurrence in an
     assembly or of its product.
-
-    Raises:
-        DependencyError: cadquery-ocp is not installed.
-        InputError: no STEP file, no solid in it, or a unit.
     """
     path = Path(path)
     if unit is not None:

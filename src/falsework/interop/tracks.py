@@ -76,10 +76,6 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
 
     A part that is removed leaves along the collision-free way of the plan, or a straight one if there is one, and then
     disappears; one that is inserted does the opposite.
-
-    Raises:
-        PlanError: the plan is for another structure, or a part turns on its way in.
-        InputError: a step of no length.
     """
     check_identity(plan, assembly)
     if not (np.isfinite(step_seconds) and step_seconds > 0):
@@ -119,11 +115,7 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
 
 
 def _ways_in(way: ExitPath, begin: float, end: float) -> dict[int, list[tuple[float, tuple[float, float, float]]]]:
-    """Return the keys of the parts that move as one comes in by the moves of its way out, undone, at one speed.
-
-    Raises:
-        PlanError: one of them turns.
-    """
+    """Return the keys of the parts that move as one comes in by the moves of its way out, undone, at one speed."""
     if any(move.turns for move in way):
         raise PlanError("a part turns on its way in, which these files cannot show; make a picture or a recording")
     moves = (*way, *way_back(way, way[-1].parts[0]))

@@ -27,15 +27,10 @@ def named_state(given: StateLike, assembly: Assembly, what: str = "the state") -
         given: one value a part, shape (parts,); `complete`; `empty`; or an object with lists of numbers, ranges or
             names of parts, `standing` for those that stand by themselves and `held` for those that robots hold. All
             others are removed, boundary parts apart.
-        assembly: the structure.
         what: begins the message.
 
     Returns:
         Shape (parts,).
-
-    Raises:
-        StateError: not a state of this structure.
-        InputError: a part that does not exist.
     """
     if isinstance(given, str):
         if given not in ("complete", "empty"):

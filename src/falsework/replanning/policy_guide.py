@@ -39,9 +39,6 @@ class PolicyGuide:
         Args:
             policy: called with states, and with targets if it is goal-conditioned.
             task: gives a goal-conditioned policy its target, and the search from the target its rules.
-
-        Raises:
-            DependencyError: torch is not installed.
         """
         check_torch()
         import torch
@@ -60,12 +57,7 @@ class PolicyGuide:
         return PolicyGuide(self.policy, task=task)
 
     def warm_up(self, state: States, rows: int) -> None:
-        """Evaluate the network on one state, then on `rows` different ones, to load it and to measure its speed.
-
-        Args:
-            state: of the structure, shape (parts,).
-            rows: number of states.
-        """
+        """Evaluate the network on one state, then on `rows` different ones, to load it and to measure its speed."""
         for count in {1, max(rows, 1)}:
             states = np.repeat(state[None], count, axis=0)
             held = np.arange(count) % len(state)
@@ -80,11 +72,7 @@ class PolicyGuide:
         return self._seconds[nearest] * max(rows / 2 ** (nearest - 1), 1.0) ** 0.5
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float64]:
-        """See `falsework.search.problem.guide.Guide`.
-
-        Raises:
-            InputError: from the target, without a task.
-        """
+        """See `falsework.search.problem.guide.Guide`."""
         if direction is Direction.DISASSEMBLY:
             return np.maximum(self.log_probabilities(states, actions), _FLOOR)
         if self.task is None:
@@ -102,8 +90,6 @@ class PolicyGuide:
         """Return logarithms of the probabilities of all actions, minus infinity where they are not legal.
 
         Args:
-            states: shape (batch, parts).
-            legal: shape (batch, 2 parts).
             targets: shape (batch, parts); the target of the task if not given, the empty structure without one.
 
         Returns:

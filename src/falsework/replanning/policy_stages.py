@@ -107,7 +107,6 @@ def with_time(wanted: Sequence[tuple[ReplanSession, int]], guide: PolicyGuide) -
 
     Args:
         wanted: sessions and the number of their rollouts.
-        guide: the policy.
     """
     sessions = list(wanted)
     while sessions:

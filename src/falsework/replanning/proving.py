@@ -58,16 +58,12 @@ class Prover:
         """Return a plan for disassembly along a route.
 
         Args:
-            route: states and actions.
             task: task of the route.
             replayer: has replayed the route as far as time allowed; None without contact history.
             built: steps of the route, in assembly order, that `replayer` takes as built.
             forces: keep the certificates in the plan.
             seconds: time that is left. Where it is too short to replay all states or to verify them, the plan rests on
                 the replay as far as it came, and after that on verdicts from rest.
-
-        Raises:
-            PlanError: a state that cannot be proved stable.
         """
         replayed = None if replayer is None else replayer.replay_in_time(route.states[::-1][built:])
         whole = replayed is None or replayed.stands is True

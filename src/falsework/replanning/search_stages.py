@@ -109,10 +109,6 @@ def search_on(session: ReplanSession, guide: Guide) -> Iterator[None]:
 
     A policy that has just failed is not a reliable guide, so the search that it guides and the plain one take turns.
 
-    Args:
-        session: request and results so far.
-        guide: of the search without a policy.
-
     Yields:
         Whenever it may be another request's turn.
     """

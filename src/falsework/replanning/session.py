@@ -81,11 +81,7 @@ class ReplanSession:
     """Session of one request."""
 
     def __init__(self, request: Request, context: ReplanContext, clock: Deadline) -> None:
-        """Check the request; its deadline runs already.
-
-        Raises:
-            InputError: it makes no sense for the structure.
-        """
+        """Check the request; its deadline runs already."""
         self.clock = clock
         self.request = request
         self.context = context
@@ -162,7 +158,6 @@ class ReplanSession:
         """Choose the requested number of diverse routes through some states whose replays succeed.
 
         Args:
-            task: task of the routes.
             states: stable, shape (count, parts).
             given: routes to begin with.
         """

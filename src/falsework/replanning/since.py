@@ -120,11 +120,7 @@ def _first_prop(assembly: Assembly) -> int:
 
 
 def places_under(assembly: Assembly, parts: Sequence[int]) -> Assembly:
-    """Return a structure with a place for a prop under each of some parts; the new ones are its last parts.
-
-    Raises:
-        AssemblyError: a part under which there is none.
-    """
+    """Return a structure with a place for a prop under each of some parts; the new ones are its last parts."""
     known = {prop.part for prop in assembly.props}
     plain = keep_props(assembly, ()) if assembly.props else assembly
     new = [prop_place(plain, part) for part in dict.fromkeys(parts) if part not in known]
@@ -132,11 +128,7 @@ def places_under(assembly: Assembly, parts: Sequence[int]) -> Assembly:
 
 
 def _propped(state: States, part: int, assembly: Assembly) -> States:
-    """Return a state with the prop under a part in place.
-
-    Raises:
-        StateError: the prop stands already.
-    """
+    """Return a state with the prop under a part in place."""
     name, place = assembly.names[part], _first_prop(assembly) + [prop.part for prop in assembly.props].index(part)
     if state[place] != REMOVED:
         raise StateError(f"a prop stands under part {name} already; name another part")
@@ -146,11 +138,7 @@ def _propped(state: States, part: int, assembly: Assembly) -> States:
 
 
 def _turned(state: States, part: int, old: int, new: int, assembly: Assembly, free: bool = True) -> States:
-    """Return a state in which a robot has taken hold of a part, or let go of it.
-
-    Raises:
-        StateError: it is not the part's turn, or no robot is free.
-    """
+    """Return a state in which a robot has taken hold of a part, or let go of it."""
     name = assembly.names[part]
     if state[part] != old or assembly.immovable[part]:
         is_ = "fixed" if assembly.immovable[part] else ("not placed yet", "not held", "held already")[state[part]]

@@ -132,12 +132,7 @@ class Pool:
         return {kind: sum(worker.ready for worker in self.workers if worker.kind == kind) for kind in STANDING}
 
     async def start(self) -> None:
-        """Start all workers and wait until each has loaded the structure.
-
-        Raises:
-            InputError: a worker cannot start; the message gives the reason.
-            FalseworkError: a worker died without a message, or took too long.
-        """
+        """Start all workers and wait until each has loaded the structure."""
         for name, value in _QUIET.items():
             os.environ.setdefault(name, value)
         self._started = asyncio.get_running_loop().create_future()

@@ -255,11 +255,7 @@ def _whole(value: Any) -> Any:
 
 
 def state_of(value: Any, assembly: Assembly, place: str) -> States:
-    """Return a state in a request as an array, shape (parts,).
-
-    Raises:
-        InputError: another number of values, a boundary part that is not 2, or a name that no part has.
-    """
+    """Return a state in a request as an array, shape (parts,)."""
     if isinstance(value, list) and len(value) != assembly.part_count:
         raise StateError(
             f"{place}: give {assembly.part_count} values 0 (removed), 1 (installed) or 2 (held), one a part, complete "
@@ -272,22 +268,14 @@ def state_of(value: Any, assembly: Assembly, place: str) -> States:
 
 
 def read_states(values: list[Any], assembly: Assembly, settings: ServiceSettings) -> States:
-    """Return states in a request as an array, shape (states, parts).
-
-    Raises:
-        StateError: too many, or one that is none.
-    """
+    """Return states in a request as an array, shape (states, parts)."""
     if len(values) > settings.states:
         raise StateError(f"states: there are {len(values)}; give at most {settings.states}")
     return np.stack([state_of(value, assembly, f"states[{number}]") for number, value in enumerate(values)])
 
 
 def read_holds(given: Holds, assembly: Assembly, criterion: Criterion) -> HoldSettings:
-    """Return what robots of a request for a plan can do.
-
-    Raises:
-        InputError: robots that cannot carry a part, or limits under a criterion that has none.
-    """
+    """Return what robots of a request for a plan can do."""
     if given != Holds() and criterion != "contact":
         raise InputError(f"holds: under {criterion} robots hold with any force; leave the entry out")
     limits = {name: getattr(given, name) for name in ("stiffness", "force", "moment")}

@@ -52,11 +52,7 @@ def run_service(
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Return a socket that listens.
-
-    Raises:
-        InputError: no such address, or it is taken.
-    """
+    """Return a socket that listens."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         # With the protocol named, asyncio sends at once; else every answer would wait 40 ms for an acknowledgement.

@@ -297,12 +297,7 @@ class _Painter:
 
 
 def read_plan(values: Mapping[str, Any], assembly: Assembly) -> tuple[Plan, Assembly]:
-    """Return the plan of a request, and the structure with its props.
-
-    Raises:
-        PlanError: it is malformed or of another number of parts, on which the memory that it takes depends.
-        AssemblyError: a prop for which there is no place.
-    """
+    """Return the plan of a request, and the structure with its props."""
     structure = values.get("structure")
     entries = structure if isinstance(structure, dict) else {}
     names, props = (entry if isinstance(entry, list) else [] for entry in map(entries.get, ("parts", "props")))

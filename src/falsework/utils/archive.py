@@ -28,10 +28,7 @@ def write_archive(path: Path | str, form: str, header: Mapping[str, Any], arrays
     """Save arrays with a header.
 
     Args:
-        path: file to write, replaced if there.
         form: kind and version of the file, such as `falsework.graph/1`.
-        header: JSON values.
-        arrays: named arrays of numbers.
     """
     entries: dict[str, Any] = {_HEADER: np.array(json.dumps({"format": form, **header})), **arrays}
     write_whole(path, lambda file: np.savez_compressed(file, **entries))
@@ -45,7 +42,6 @@ def read_archive(
     Format, names and sizes are checked before an array is read.
 
     Args:
-        path: file to read.
         form: the one format and version that is accepted.
         names: the arrays that must be there and no others; unchecked if not given.
         room: bytes of arrays that are read in any case.
@@ -82,12 +78,7 @@ def read_archive(
 
 
 def read_array(path: Path | str) -> NDArray[Any]:
-    """Read a `.npy` file, never pickled, whose size must be the one that it claims.
-
-    Raises:
-        OSError: it cannot be read.
-        ValueError: it is no such file, or has another size.
-    """
+    """Read a `.npy` file, never pickled, whose size must be the one that it claims."""
     with open(path, "rb") as file:
         return _read_numbers(file, Path(path).stat().st_size)
 
@@ -96,14 +87,10 @@ def check_header(path: Path | str, header: Mapping[str, Any], kinds: Mapping[str
     """Check the entries of the header of an archive.
 
     Args:
-        path: file, for the message.
         header: as `read_archive` returns it, with its format.
         kinds: type of each entry that must be there, and no others, beside the format; `list` stands for a list of
             whole numbers.
         remedy: remedy for a damaged file.
-
-    Raises:
-        InputError: an entry is absent or unexpected, or of another type.
     """
     if odd := set(header) ^ {"format", *kinds}:
         raise InputError(f"{path} is damaged: unexpected or absent header entries {', '.join(sorted(odd))}; {remedy}")
@@ -127,11 +114,7 @@ def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any
 
 
 def _read_numbers(file: IO[bytes], size: int) -> NDArray[Any]:
-    """Read an array in NumPy's format from a stream of so many bytes.
-
-    Raises:
-        ValueError: it is none, has Python objects, or another size than its header claims.
-    """
+    """Read an array in NumPy's format from a stream of so many bytes."""
     version = np.lib.format.read_magic(file)
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     shape, columns_first, kind = readers[version](file)

@@ -40,9 +40,7 @@ def run_in_child(
 
     Args:
         function: function of a module; arguments and result can be pickled.
-        arguments: of the function.
         memory: address space of the process, bytes, where the system can limit it.
-        seconds: time after which the process is ended.
 
     Raises:
         ChildDiedError: the process ended without an answer, or was ended.

@@ -68,7 +68,6 @@ def gather_rows(rows: torch.Tensor, shards: ProcessGroup) -> torch.Tensor:
 
     Args:
         rows: shape (count, ...); count differs from process to process.
-        shards: the processes.
 
     Returns:
         Shape (sum of counts, ...).

@@ -91,10 +91,6 @@ def init_distributed(device: str = "auto") -> Iterator[tuple[ProcessGroup, torch
 
     Yields:
         The shards and the device of this process.
-
-    Raises:
-        DependencyError: torch is not installed.
-        InputError: no such device, or more processes on this machine than GPUs.
     """
     torch = import_torch()
     import torch.distributed as dist

@@ -13,11 +13,7 @@ from falsework.utils.json_text import parse_json
 
 
 def write_json(path: Path | str, data: Mapping[str, Any], spread: Container[str]) -> None:
-    """Write JSON, whole or not at all: an entry a line, and a line for each element of the lists to spread.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write JSON, whole or not at all: an entry a line, and a line for each element of the lists to spread."""
     # Short lines keep the file readable and a difference between two files small.
     lines = []
     for key, value in data.items():
@@ -38,12 +34,8 @@ def read_json(path: Path | str, kind: str = "JSON file", remedy: str = "write it
     """Return the values in a JSON file.
 
     Args:
-        path: the file.
         kind: what it should be, in messages.
         remedy: what to do about a damaged file.
-
-    Raises:
-        PlanError: no such file, or no JSON.
     """
     try:
         return parse_json(Path(path).read_text(encoding="utf-8"))
@@ -63,13 +55,8 @@ def check_format(data: Any, form: str, about: str, command: str) -> None:
     """Raise for values that are of another format: no other fault of theirs is worth a message.
 
     Args:
-        data: the values.
-        form: name and version of the format.
         about: beginning of the message.
         command: what writes such files.
-
-    Raises:
-        PlanError: another format, or none.
     """
     found = format_in(data)
     if not found:
@@ -89,9 +76,5 @@ def format_in(data: Any) -> str:
 
 
 def read_format(path: Path | str) -> str:
-    """Read the entry `format` of a JSON file; empty if it has none.
-
-    Raises:
-        PlanError: it is no JSON.
-    """
+    """Read the entry `format` of a JSON file; empty if it has none."""
     return format_in(read_json(path))

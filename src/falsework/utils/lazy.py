@@ -22,9 +22,6 @@ _WITH_EXTRA = ("learn", "robots", "viewer", "service")
 def lazy_exports(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Make `__getattr__`, `__dir__` and `__all__` of a package from the imports in its stub.
 
-    Args:
-        package: name of the package, `__name__` there.
-
     Returns:
         The three, in this order. A name whose module needs a package that is not installed raises `DependencyError`.
     """

@@ -72,9 +72,7 @@ def model_schema(kind: type[FileModel], identifier: str, title: str, description
     """Return the JSON Schema (2020-12) of a model.
 
     Args:
-        kind: the model of the file.
         identifier: name of the schema at the address of all of them.
-        title, description: of the file.
     """
     schemas = model_schemas((kind,), "#/$defs/{name}")
     about = {
@@ -90,7 +88,6 @@ def model_schemas(kinds: Iterable[type[FileModel]], references: str) -> dict[str
     """Return the JSON Schemas of models and of the models in them, by name.
 
     Args:
-        kinds: the models.
         references: how one refers to another, with `{name}` in it.
     """
     _, schemas = json.schema_components(kinds, ref_template=references)

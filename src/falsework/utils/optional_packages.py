@@ -8,11 +8,7 @@ from falsework.errors import DependencyError
 
 
 def check_torch() -> None:
-    """Look for the packages that learning cannot do without.
-
-    Raises:
-        DependencyError: one of them is not installed.
-    """
+    """Look for the packages that learning cannot do without."""
     for name in ("torch", "safetensors"):
         if find_spec(name) is None:
             raise DependencyError(f"learning needs {name}; pip install 'falsework[learn]'")

@@ -27,12 +27,7 @@ def parse_quantity(text: str, kind: str, option: str) -> float:
     """Read a number with its unit, such as `2deg` or `20 N`, and return it in SI units.
 
     Args:
-        text: number and unit; a factor has no unit.
         kind: one of `UNITS`.
-        option: what the text belongs to, for the message.
-
-    Raises:
-        InputError: no number, another unit, none where there must be one, or a number that is not above zero.
     """
     units = UNITS[kind]
     match = _QUANTITY.fullmatch(text)
@@ -87,7 +82,6 @@ def format_quantity(value: float, kind: str, digits: int = _DIGITS) -> str:
     Args:
         value: in SI units.
         kind: length, mass, force, moment, area, volume, stiffness, angle, duration, share of gravity, share or factor.
-        digits: how many are significant.
     """
     value = float(value)
     size = abs(value)
@@ -114,10 +108,6 @@ def _rounded(value: float, digits: int) -> float:
 
 
 def check_seed(seed: int) -> None:
-    """Raise unless a number can be a random seed.
-
-    Raises:
-        InputError: it is negative.
-    """
+    """Raise unless a number can be a random seed."""
     if seed < 0:
         raise InputError(f"a seed is not negative; {seed} was given")

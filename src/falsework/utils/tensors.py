@@ -14,11 +14,7 @@ if TYPE_CHECKING:
 
 
 def import_torch() -> Any:
-    """Return the module torch.
-
-    Raises:
-        DependencyError: it is not installed.
-    """
+    """Return the module torch."""
     try:
         import torch
     except ImportError as error:
@@ -27,12 +23,7 @@ def import_torch() -> Any:
 
 
 def choose_device(name: str = "auto") -> torch.device:
-    """Return the device of a name such as `auto`, `cpu`, `cuda` or `cuda:1`; `auto` is a GPU if there is one.
-
-    Raises:
-        DependencyError: torch is not installed.
-        InputError: no such device.
-    """
+    """Return the device of a name such as `auto`, `cpu`, `cuda` or `cuda:1`; `auto` is a GPU if there is one."""
     torch = import_torch()
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if name == "auto":

@@ -74,7 +74,6 @@ def appearance_at(
         state: state shown instead of the one at this step, such as one with parts missing; shape (parts,).
         action_probabilities: probability of the action that concerns each part, NaN where none does; coloured on a
             scale, shape (parts,).
-        travelling: whether to show parts in transit.
     """
     assembly = timeline.assembly
     row = timeline.row(position)

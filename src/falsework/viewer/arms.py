@@ -74,12 +74,7 @@ class Arms:
     """All robots of a robot plan, moving with its steps."""
 
     def __init__(self, robot_plan: RobotPlan, cell: Cell, direction: Direction) -> None:
-        """Prepare the links.
-
-        Args:
-            cell: where the robots stand.
-            direction: order in which the steps are shown.
-        """
+        """Prepare the links."""
         self.cell = cell
         self.direction = direction
         self._plan = robot_plan if robot_plan.direction is direction else robot_plan.reverse()
@@ -172,11 +167,7 @@ def appearance_with_arms(look: Appearance, arm_poses: ArmPoses) -> Appearance:
 
 
 def solids_of_arms(arms: Arms, arm_poses: ArmPoses, assembly: Assembly) -> list[ColoredSolid]:
-    """Return arms, and the parts that they carry, as meshes.
-
-    Args:
-        arm_poses: where they are.
-    """
+    """Return arms, and the parts that they carry, as meshes."""
     solids = [
         ColoredSolid(link.vertices @ pose[:3, :3].T + pose[:3, 3], link.faces, link.color)
         for link, pose in zip(arms.links, arm_poses.poses, strict=True)

@@ -91,7 +91,6 @@ def arrows_of_forces(
     the points by the size of their normal forces.
 
     Args:
-        state: shape (parts,).
         forces: `(n, t1, t2)` in N, shape (points, 3).
         presses: of the step that leads to the state; drawn as `arrows_of_step` does.
     """
@@ -136,7 +135,6 @@ def arrows_of_motion(assembly: Assembly, state: States, velocity: Array, kind: s
     """Return arrows of the motion of the free parts in an unstable state, up to scale.
 
     Args:
-        state: shape (parts,).
         velocity: `(linear, angular)` about the centres of mass, shape (parts, 6).
         kind: `motion` of an unstable state, `sliding` of one that slides.
     """
@@ -165,7 +163,6 @@ def moved_parts(assembly: Assembly, state: States, velocity: Array) -> dict[int,
     """Return vertices of the free parts that move, a little further along their motion.
 
     Args:
-        state: shape (parts,).
         velocity: `(linear, angular)` about the centres of mass, shape (parts, 6).
 
     Returns:

@@ -73,20 +73,12 @@ class StateProof:
 
 
 def proof_of_state(oracle: StabilityOracle, state: States) -> StateProof:
-    """Request the verdict on a state, under `contact` from rest, and convert its proof into arrows.
-
-    Args:
-        state: shape (parts,).
-    """
+    """Request the verdict on a state, under `contact` from rest, and convert its proof into arrows."""
     return proofs_of_states(oracle, state[None])[0]
 
 
 def proofs_of_states(oracle: StabilityOracle, states: States) -> list[StateProof]:
-    """Prove several states as `proof_of_state`.
-
-    Args:
-        states: shape (states, parts).
-    """
+    """Prove several states as `proof_of_state`."""
     how = _REST if oracle.settings.criterion == "contact" else ""
     proofs = []
     for first in range(0, len(states), _AT_ONCE):

@@ -44,8 +44,6 @@ def cut(vertices: Array, faces: Faces, plane: Plane) -> tuple[Array, Faces]:
     """Return the rest of a mesh.
 
     Args:
-        vertices: shape (vertices, 3).
-        faces: shape (faces, 3).
         plane: where it is cut; points on it stay.
 
     Returns:

@@ -101,12 +101,7 @@ def view(
 
 
 def check_view(robots: int, host: str, port: int, deadline: float | None) -> None:
-    """Refuse arguments of `view` before anything is loaded.
-
-    Raises:
-        InputError: a number out of range, or no host.
-        DependencyError: viser is not installed.
-    """
+    """Refuse arguments of `view` before anything is loaded."""
     from falsework.viewer.web.origin_guard import import_viser
     from falsework.viewer.web.served_page import check_host
 
@@ -246,11 +241,7 @@ def _nearness(shown: Viewable, place: int, criterion: Criterion) -> NDArray[np.f
 
 
 def check_sizes(width: int, frames: int, columns: int) -> None:
-    """Refuse sizes of a picture before anything is loaded.
-
-    Raises:
-        InputError: a number out of range.
-    """
+    """Refuse sizes of a picture before anything is loaded."""
     if not (width == 0 or 80 <= width <= 8000):
         raise InputError(f"a picture {width} pixels across cannot be drawn; give 80 to 8000")
     if frames < 1 or columns < 1:
@@ -320,11 +311,7 @@ def animate(
 
 
 def check_film(width: int, seconds: float, rate: float, speed: float) -> None:
-    """Refuse sizes of a video before anything is loaded.
-
-    Raises:
-        InputError: a number out of range.
-    """
+    """Refuse sizes of a video before anything is loaded."""
     if not 80 <= width <= 4000:
         raise InputError(f"a video {width} pixels across cannot be drawn; give 80 to 4000")
     frame_places(0, seconds, rate)

@@ -107,9 +107,6 @@ def viewable_of(
         subject: what `open_file` takes, a plan, robot plan, state graph or assembly, or a state of shape (parts,) of
             the given structure.
         structure: as for `open_file`, like the rest.
-
-    Raises:
-        InputError: nothing that can be shown, or a state without a structure.
     """
     if isinstance(subject, Viewable):
         return subject

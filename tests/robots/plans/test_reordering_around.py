@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.interleaving.orders import grippers_allow
 from falsework.robots.interleaving.reordering import follow, lies_free, reorder, views
 from falsework.robots.keyframes.keyframes import Edge, Node
+from falsework.robots.keyframes.trajectory_assembly import make_robot_plan
 from falsework.robots.motion.collision_world import CollisionQuery
 from falsework.robots.planning import hybrid_search
 from falsework.robots.plans.timeline import event_times
@@ -47,21 +49,21 @@ def planned(request: pytest.FixtureRequest, cell_of: Callable[..., Cell]) -> Pla
     else:
         assembly, cell = slab(tiles=2), tabled(cell_of(2))
     task = Task.from_rules(assembly.boundary, 2, identity=assembly.identity, allow_regrasp=True)
-    plans, given = [], []
+    given: list[Any] = []
+    as_found: list[RobotPlan] = []
+
+    def ordered(graph, oracle, root, chain, timed, **more):
+        given[:] = [graph, root, list(chain)]
+        plan = make_robot_plan(assembly, cell, task, oracle, root, chain, timed=dict(timed))
+        as_found[:] = [schedule_plan(plan, assembly, cell)]
+        return reorder(graph, oracle, root, chain, timed, **more)
+
     settings = HybridSettings(Direction.DISASSEMBLY, attempts=4)
-    for change in (True, False):
-
-        def ordered(graph, oracle, root, chain, timed, *, change=change, **more):
-            given[:] = [graph, root, list(chain)]
-            return reorder(graph, oracle, root, chain, timed, **more) if change else list(chain)
-
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(hybrid_search, "reorder", ordered)
-            plans.append(plan_robots(assembly, cell, task=task, settings=settings, concurrent=True).value)
-    better, as_found = plans
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hybrid_search, "reorder", ordered)
+        better = plan_robots(assembly, cell, task=task, settings=settings, concurrent=True).value
     assert better is not None
-    assert as_found is not None
-    return Planned(assembly, cell, as_found, better, *given)
+    return Planned(assembly, cell, as_found[0], better, *given)
 
 
 def fixed(plan: RobotPlan) -> list[tuple[int, str]]:

@@ -228,7 +228,7 @@ def test_where_every_plan_falls_none_is_delivered_and_the_step_is_named(column: 
     for inside in (False, True):
         oracle = StabilityOracle(column)
         oracle.__dict__["replayer"] = Falling(oracle.replayer, lambda state: bool(state[2] == HELD), inside)
-        found = plan_robots(column, cell, oracle=oracle, settings=HybridSettings(Direction.DISASSEMBLY, attempts=3))
+        found = plan_robots(column, cell, oracle=oracle, settings=HybridSettings(Direction.DISASSEMBLY, attempts=2))
         assert not found.found
         assert found.partial is None or not (found.partial.plan.states[:, 2] == HELD).any()
         assert found.explanation is not None

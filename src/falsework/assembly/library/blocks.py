@@ -62,10 +62,8 @@ def prism(kind: str, base: ArrayLike, along: ArrayLike, *, fixed: bool = False) 
     """Sweep a flat convex polygon along a vector.
 
     Args:
-        kind: name of the solid.
         base: corners in order, either way round, shape (corners, 3), metres.
         along: sweep, shape (3,), metres.
-        fixed: whether the solid is boundary.
     """
     base, along = np.asarray(base, float), np.asarray(along, float)
     normal = np.cross(base[1] - base[0], base[2] - base[1])
@@ -81,10 +79,8 @@ def loft(kind: str, bottom: Array, top: Array, *, fixed: bool = False) -> Solid:
     """Join two polygons of equal corner counts by one quadrilateral an edge.
 
     Args:
-        kind: name of the solid.
         bottom: corners, counter-clockwise seen from the top, shape (corners, 3), metres.
         top: corners above those of `bottom`, shape (corners, 3), metres.
-        fixed: whether the solid is boundary.
     """
     count = len(bottom)
     after = [*range(1, count), 0]

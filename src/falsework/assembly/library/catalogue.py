@@ -40,11 +40,7 @@ class Parameter:
     unit: str = ""
 
     def check(self, value: Any, owner: str) -> Number:
-        """Return the value as the parameter's kind.
-
-        Raises:
-            InputError: not a number, not whole where it must be, or out of range.
-        """
+        """Return the value as the parameter's kind."""
         text = isinstance(value, str)
         try:
             number = float(value) if not isinstance(value, bool) else math.nan
@@ -85,11 +81,7 @@ class Structure(Generic[P]):
         return {parameter.name: parameter.default for parameter in self.details}
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> Assembly:
-        """Make the assembly.
-
-        Raises:
-            InputError: a parameter that does not exist, of the wrong type or out of range.
-        """
+        """Make the assembly."""
         return self.make(self._bind(*args, **kwargs))
 
     def generate(self, *args: P.args, **kwargs: P.kwargs) -> Blocks:
@@ -105,10 +97,6 @@ class Structure(Generic[P]):
             values: by parameter; those left out take their defaults.
             density: kg/m3; `DENSITY` if not given.
             friction: coefficient; `FRICTION` if not given.
-
-        Raises:
-            InputError: a parameter that does not exist, of the wrong type or out of range.
-            AssemblyError: density or friction out of range.
         """
         values = self.checked(values)
         defaults = {**self.parameters, "density": DENSITY, "friction": FRICTION}
@@ -123,11 +111,7 @@ class Structure(Generic[P]):
         )
 
     def checked(self, values: Mapping[str, Any]) -> dict[str, Number]:
-        """Fill in defaults and check types and ranges.
-
-        Raises:
-            InputError: a parameter that does not exist, of the wrong type or out of range.
-        """
+        """Fill in defaults and check types and ranges."""
         unknown = [name for name in values if name not in self.parameters]
         if unknown:
             raise InputError(f"{self.name} has no parameter {unknown[0]!r}; it has {', '.join(self.parameters)}")

@@ -29,9 +29,6 @@ def cut_cells(planes: Array, edges: Array, near: Sequence[Sequence[int]]) -> lis
 
     Returns:
         Outlines on the envelope; neighbouring cells name the nodes that they share alike.
-
-    Raises:
-        InputError: a plane has no cell.
     """
     cells = []
     for cell, others in enumerate(near):
@@ -84,13 +81,8 @@ def shell_solids(
     meet there. So neighbours share their corners exactly and every joint is flat.
 
     Args:
-        planes: as in `cut_cells`.
-        edges: as in `cut_cells`.
         groups: kind, cells and whether it is fixed, one a solid; the cells of a solid are joined.
         thickness: metres.
-
-    Raises:
-        InputError: a joint turns over within the thickness.
     """
     names = sorted({node for _, cells, _ in groups for cell in cells for node, _ in cell})
     index = {node: k for k, node in enumerate(names)}

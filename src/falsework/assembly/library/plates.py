@@ -93,7 +93,6 @@ def _columns(
     """Return the plate in the xz-plane out of columns side by side, each from `base` to a top that may slope.
 
     Args:
-        kind: name of the solid.
         columns: left x, right x, height on the left, height on the right; neighbours share an x.
         base: height of the lower edge.
         middle: height at which every column is cut, so that neighbours of different height share corners.

@@ -54,9 +54,6 @@ def build(spec: str, *, density: float | None = None, friction: float | None = N
             structure.
         density: kg/m3, in place of one in `spec`.
         friction: coefficient, in place of one in `spec`.
-
-    Raises:
-        InputError: no such structure or parameter, a value of the wrong type or out of range.
     """
     name, _, text = (piece.strip() for piece in spec.partition(":"))
     entry = next((entry for entry in _STRUCTURES if entry.name == name), None)

@@ -113,7 +113,6 @@ def nearest_grid(parts: int, support: float) -> Grid:
     """Return the grid whose number of parts is near `parts` and whose cells are near `SLENDERNESS`.
 
     Args:
-        parts: wanted.
         support: reach of a springer along an edge, as a share of the span.
     """
     guess = math.sqrt(parts * SLENDERNESS)

@@ -26,16 +26,11 @@ def random_pieces(region: Iterable[Cell], pieces: int, *, smallest: int, seed: i
     pieces are locked: some order must exist in which each one leaves straight along an axis, none downwards.
 
     Args:
-        region: the cubes.
-        pieces: how many pieces.
         smallest: cubes that each piece has at least.
         seed: of the random numbers; the same seed gives the same pieces.
 
     Returns:
         Pieces, lowest first.
-
-    Raises:
-        InputError: no such cut found.
     """
     cells = sorted(region)
     if pieces * smallest <= len(cells):
@@ -131,8 +126,6 @@ def surface(kind: str, piece: Piece, size: Sequence[float], origin: Sequence[flo
     """Return the boundary of a piece: one square a cube face that no other cube of the piece covers.
 
     Args:
-        kind: name of the solid.
-        piece: its cubes.
         size: edges of a cube along x, y, z, shape (3,), metres.
         origin: where cube (0, 0, 0) starts, shape (3,), metres.
     """

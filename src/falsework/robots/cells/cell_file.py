@@ -27,7 +27,7 @@ from falsework.robots.cells.cell_model import (
 from falsework.robots.cells.cell_robot import read_robot
 from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.cells.validate import check_cell
-from falsework.robots.model.cell import Cell, Gripper, Margins, Obstacle, Placement
+from falsework.robots.model.cell import Cell, Gripper, Obstacle, Placement
 from falsework.robots.model.shapes import Array, block, cylinder, move
 
 AnyCell = Cell | str | Path
@@ -153,7 +153,7 @@ def parse_cell(text: str, source: str, folder: Path, *, faults: list[str] | None
         obstacles=tuple(obstacles),
         floor=None if file.floor is False else file.floor,
         placement=Placement(position=(x, y, z), yaw=yaw, scale=structure.scale, density=structure.density),
-        margins=Margins(free=file.margins.free, line=file.margins.line, approach=file.margins.approach),
+        margins=file.margins,
         speed=file.speed,
     )
     idle = sorted(set(grippers) - {robot.gripper.name for robot in robots})

@@ -22,7 +22,7 @@ Text = Annotated[str, Meta(min_length=1)]
 Vector = Annotated[list[float], Meta(min_length=3, max_length=3)]
 Length = Annotated[float, Meta(ge=1e-4)]
 Limit = Annotated[float, Meta(ge=0)]
-_MARGINS, _SIGNALS = Margins(), Signals()
+_SIGNALS = Signals()
 
 
 class PoseEntry(FileModel, frozen=True):
@@ -165,24 +165,13 @@ class PlacementEntry(FileModel, frozen=True):
     """kg/m3, of every part."""
 
 
-class ClearancesEntry(FileModel, frozen=True):
-    """Distances that motions keep."""
-
-    free: Annotated[float, Meta(ge=0.0005, le=1)] = _MARGINS.free
-    """Clearance of free motions, metres."""
-    line: Annotated[float, Meta(ge=0, le=1)] = _MARGINS.line
-    """Clearance of the straight motions of a part, metres."""
-    approach: Annotated[float, Meta(ge=0.001, le=10)] = _MARGINS.approach
-    """Length of the straight motion to a part, metres."""
-
-
 class CellFile(FileModel, frozen=True, kw_only=True):
     """Cell file."""
 
     format: str = FORMAT
     name: Text | None = None
     structure: PlacementEntry = PlacementEntry()
-    margins: ClearancesEntry = ClearancesEntry()
+    margins: Margins = Margins()
     speed: Annotated[float, Meta(ge=0.001, le=1)] = 1.0
     """Share of the largest joint velocities."""
     floor: bool | float = 0.0

@@ -107,12 +107,7 @@ class JointLimits:
 
 
 def read_joint_limits(file: Path, joints: Sequence[str]) -> JointLimits:
-    """Read the limits of some joints from a YAML file with `joint_limits` by joint, as MoveIt has it.
-
-    Raises:
-        CellError: the file cannot be read, or a limit is no number above zero; the message names file and joint.
-        DependencyError: PyYAML is missing.
-    """
+    """Read the limits of some joints from a YAML file with `joint_limits` by joint, as MoveIt has it."""
     content = _parse(file)
     table = content.get("joint_limits") if isinstance(content, dict) else None
     if not isinstance(table, dict):

@@ -49,10 +49,6 @@ def new_cell(
     """Return the text of a cell file with some arms, evenly spaced around the structure, whose middle they face.
 
     Bases and homes are clear of the structure; without one the origin is in the middle.
-
-    Raises:
-        CellError: no arms, two of the same name, or one that cannot be read.
-        DependencyError: an arm is a URDF file and yourdfpy is missing.
     """
     if not arms:
         raise CellError(f"a cell needs an arm; give built-in ones, {', '.join(sorted(BUILTIN))}, or URDF files")

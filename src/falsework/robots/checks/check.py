@@ -295,16 +295,8 @@ def check_robot_plan(
     `validate_plan(plan.plan, ...)` does that.
 
     Args:
-        plan: the robot plan.
-        assembly: its structure, or the name or path of that.
-        cell: its cell, or the name or file of that.
         step: largest motion of a joint between two samples, rad or m.
         progress: callback `(done, total)` with numbers of steps.
-
-    Raises:
-        InputError: a step that is too large, or not above zero.
-        PlanError: the plan is for another structure or cell.
-        DependencyError: Pinocchio or Coal is missing.
     """
     if not 0 < step <= 0.5:
         raise InputError(f"a step of {step:g} rad is not positive or too coarse; give up to 0.5, such as 0.01")

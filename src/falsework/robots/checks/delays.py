@@ -332,9 +332,6 @@ def check_delays(plan: RobotPlan, judge: PinocchioCollisionChecker, *, most: int
     their full size, arms are compared between samples too, and a distance below `NEAREST` counts as a problem. Each
     arm against itself, its surroundings, and the parts that its motion was planned with is not checked here;
     `check_robot_plan` does both.
-
-    Raises:
-        PlanError: the plan has no schedule.
     """
     began = time.perf_counter()
     checker = _DelayChecker(plan, judge, most)

@@ -116,10 +116,6 @@ def write_bag(
     """Write the motions of a robot plan as an MCAP bag, and return the number of messages.
 
     Presses, at the times of the schedule, are set points of the wrench at the flange of an arm, zero from their end on.
-
-    Raises:
-        DependencyError: mcap or rosbags is missing.
-        InputError: the file cannot be written.
     """
     bag, graph, topics = _Bag(), schedule_of(plan), program_names(plan, _MOST_NAME)
     nodes, starts = graph.nodes, graph.starts()

@@ -55,10 +55,6 @@ def rapid_modules(
     Knots become joint targets in degrees for `MoveAbsJ` with the durations of the plan. An arm sets the
     group output `go_NAME_count`, and reads those of others as `gi_NAME_count`. An arm that presses moves its set point
     by force and moment over its stiffness, on a slow line from where it holds the part, and stays there.
-
-    Raises:
-        InputError: an arm with another number of joints than 6 or 7, too many motions for 16 bits, or an output that is
-            no name in RAPID.
     """
     names = _names(plan, presses)
     for robot, name in enumerate(names):
@@ -149,10 +145,6 @@ def ur_scripts(
     each. An arm writes its count to register 128 of its controller; others read it there over Modbus TCP, at the
     address in the first lines. An arm that presses controls the force along its direction, from what the sensor
     measures before on, and keeps its position across it; moments are not commanded.
-
-    Raises:
-        InputError: an arm with another number of joints than 6, too many motions for 16 bits, an output that the
-            controller does not have, or a rate above that of its cycles.
     """
     if rate * UR_CYCLE > 1:
         raise InputError(f"UR controllers take {1 / UR_CYCLE:g} positions per second at most; give a rate up to that")

@@ -53,11 +53,7 @@ def joint_trajectory(plan: RobotPlan, robot: int, trajectory: Trajectory, prefix
 
 
 def joint_names(plan: RobotPlan, robot: int, prefix: str) -> list[str]:
-    """Return the names of the joints of a robot with a prefix, in which `{robot}` stands for the name of the robot.
-
-    Raises:
-        InputError: a prefix with other braces.
-    """
+    """Return the names of the joints of a robot with a prefix, in which `{robot}` stands for the name of the robot."""
     record = plan.robots[robot]
     whole = prefix.replace("{robot}", record.name)
     if "{" in whole or "}" in whole:

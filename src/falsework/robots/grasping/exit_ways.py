@@ -68,8 +68,6 @@ class ExitWays:
         """Compute the blocking parts of every part and direction.
 
         Args:
-            assembly: the structure.
-            placement: of the structure in the cell.
             present, leaving: parts that are ever in place, and that ever leave, all by default: others need no fan.
         """
         self._assembly, self._placement, turn = assembly, placement, placement.pose[:3, :3]

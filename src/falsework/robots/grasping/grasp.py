@@ -73,9 +73,6 @@ def grasps(
 
     The gripper keeps clear of all other parts on the last segment of its approach and at the part. The list is
     deterministic: the best faces first, each at one rotation about its normal, then at the next.
-
-    Raises:
-        StateError: another number of parts, or no such part.
     """
     there = np.asarray(present) > 0
     if there.shape != (parts.part_count,):

@@ -262,7 +262,6 @@ class Work:
 
         Args:
             node: the keyframe before the step.
-            unit: the unit.
             place: index of the step in it.
             rests: bodies of all arms there.
         """

@@ -53,7 +53,6 @@ class JointHolds:
         """Record two or three parts that could not be held at the same time, and compare their grasps.
 
         Args:
-            parts: the parts.
             state: state in which one of them could not be held, shape (parts,).
 
         Returns:

@@ -47,7 +47,6 @@ class Withdrawal:
 
         Args:
             scene: with the part in place.
-            part: the part.
             robot: holds it.
             here: configuration of the robot, shape (joints,).
             ways: free ways of the part in the world; the last move of each is cut where the part is clear.

@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 import re
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Array, Pieces, pose
+from falsework.utils.models import FileModel
 
 GRIP_DISTANCE = 0.005
 """Largest distance of a cup, or of closed jaws, from a part that is held, metres."""
@@ -157,16 +159,15 @@ class Placement:
         return pose(self.position, self.yaw)
 
 
-@dataclass(frozen=True)
-class Margins:
-    """Distances that motions keep, metres."""
+class Margins(FileModel, frozen=True):
+    """Distances that motions keep."""
 
-    free: float = 0.005
-    """Between all bodies during free motions."""
-    line: float = 0.001
-    """During straight approaches and withdrawals; pairs in a contact rule may touch."""
-    approach: float = 0.10
-    """Length of a straight approach or withdrawal."""
+    free: Annotated[float, Meta(ge=0.0005, le=1)] = 0.005
+    """Clearance of free motions, metres."""
+    line: Annotated[float, Meta(ge=0, le=1)] = 0.001
+    """Clearance of the straight motions of a part, metres; pairs in a contact rule may touch."""
+    approach: Annotated[float, Meta(ge=0.001, le=10)] = 0.10
+    """Length of the straight motion to a part, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,13 +217,14 @@ def cell_identity(cell: Cell) -> str:
 
 
 def _feed(digest, value: Any) -> None:
-    if is_dataclass(value):
-        for entry in fields(value):
+    if is_dataclass(value) or isinstance(value, FileModel):
+        names = [entry.name for entry in fields(value)] if is_dataclass(value) else value.__struct_fields__
+        for name in names:
             # A limit that is not given was unknown to earlier versions, whose digests stay valid.
-            absent = entry.name in ("force", "moment") and np.isinf(getattr(value, entry.name))
-            if entry.name not in _NO_MOTION and not absent:
-                digest.update(entry.name.encode())
-                _feed(digest, getattr(value, entry.name))
+            absent = name in ("force", "moment") and np.isinf(getattr(value, name))
+            if name not in _NO_MOTION and not absent:
+                digest.update(name.encode())
+                _feed(digest, getattr(value, name))
     elif isinstance(value, np.ndarray):
         # Rounded, so that the digest survives a round trip through a file.
         digest.update((np.round(value.astype(np.float64), 9) + 0.0).astype("<f8").tobytes())

@@ -100,10 +100,6 @@ def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = MAX
     solid is ever outside by more than `_SKIN` of its size; where the limit of pieces is reached first, or a surface is
     curved, the cover is larger than the solid and motions keep a larger distance than necessary. A surface that is no
     manifold gets one piece.
-
-    Raises:
-        InputError: the mesh spans no volume.
-        DependencyError: the part is not convex, and manifold3d is missing.
     """
     corners, solid = hull(mesh.vertices), mesh.volume
     if float(ConvexHull(corners).volume) <= solid * (1 + tolerance):

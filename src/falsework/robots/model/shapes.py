@@ -32,9 +32,6 @@ def block(low: ArrayLike, high: ArrayLike, **bevels: tuple[float, float, float, 
 
     Returns:
         Its vertices, shape (8 or more, 3).
-
-    Raises:
-        InputError: it is too thin.
     """
     low, high = np.asarray(low, float), np.asarray(high, float)
     planes = [np.append(-np.eye(3)[k], low[k]) for k in range(3)] + [

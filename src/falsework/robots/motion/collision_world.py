@@ -282,12 +282,8 @@ class CollisionWorld:
 
         Args:
             scene: poses of everything; the configuration of `robot` in it is ignored.
-            robot: index of the moving robot.
             contact: pairs that may touch.
             margin: distance to keep, metres; by default that of free motions.
-
-        Raises:
-            InputError: no such robot.
         """
         if not 0 <= robot < self.cell.robot_count:
             raise InputError(

@@ -83,7 +83,6 @@ def plan_free(view: CollisionQuery, start: ArrayLike, goal: ArrayLike, *, seed: 
 
     Args:
         start, goal: configurations, shape (joints,).
-        seed: seed of the samples.
         nodes: largest number of nodes per tree, after which the search ends with "no connection".
     """
     model = view.model
@@ -129,9 +128,6 @@ def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, di
         start: configuration at the start of the line, shape (joints,).
         direction: direction in the world, shape (3,); any length.
         distance: metres.
-
-    Raises:
-        InputError: no direction, or a distance that is not positive.
     """
     along = np.asarray(direction, dtype=np.float64)
     length = float(np.linalg.norm(along))

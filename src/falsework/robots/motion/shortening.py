@@ -36,7 +36,6 @@ def shorter_path(view: CollisionQuery, path: Array, speed: float, seed: list[int
     Args:
         path: configurations, shape (points, joints).
         speed: share of the velocity limits of the cell.
-        seed: seed of the trees and shortcuts.
     """
     if len(path) < 3 or _cost(view, path, speed) < expected_seconds(view.model, path[[0, -1]], speed) + _EXCESS:
         return path

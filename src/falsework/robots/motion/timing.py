@@ -56,10 +56,6 @@ def time_path(model: RobotModel, path: ArrayLike, speed: float = 1.0) -> Timed:
     Args:
         path: configurations, shape (points, joints).
         speed: share of the velocity limits; accelerations are limited to its square.
-
-    Raises:
-        InputError: a path with another number of joints, outside the limits or with values that are not finite, or a
-            speed that is not in (0, 1].
     """
     points = _distinct(model, path)
     if not 0 < speed <= 1:

@@ -195,9 +195,6 @@ def grip_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[GripLoad
     until then; under `equilibrium` the weight of the part and the forces of its neighbours in one of possibly many
     sets. In a hand-over each of both grippers is taken to bear all of it. A press is listed at the keyframe after its
     step, alone. Forces grow with the cube of the structure's scale in the cell, and moments with its fourth power.
-
-    Raises:
-        PlanError: the plan is for another structure or cell.
     """
     plan.check_identity(assembly, cell)
     placement, scale = cell.placement, CellScale.from_cell(assembly, cell)

@@ -23,7 +23,7 @@ from falsework.robots.plans.robot_plan_model import (
     ScheduleEntry,
     TrajectoryEntry,
 )
-from falsework.robots.plans.temporal_graph import Precedence, TemporalPlanGraph
+from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
@@ -46,11 +46,7 @@ _TIMES = 1e-3
 
 
 def save_robot_plan(plan: RobotPlan, path: Path | str) -> None:
-    """Write a robot plan as JSON, format `falsework.robot-plan/3`, atomically.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write a robot plan as JSON, format `falsework.robot-plan/3`, atomically."""
     write_json(path, robot_plan_to_dict(plan), spread=("keyframes", "steps"))
 
 
@@ -87,7 +83,7 @@ def _schedule_to_dict(graph: TemporalPlanGraph) -> dict[str, Any]:
     return {
         **{key: getattr(graph, key) for key in ("makespan", "sequential", "lower_bound")},
         "motions": [{**to_builtins(node), "start": start} for node, start in zip(graph.nodes, starts, strict=True)],
-        "precedences": to_builtins(graph.edges),
+        "precedences": graph.edges,
     }
 
 
@@ -95,9 +91,6 @@ def load_robot_plan(path: Path | str) -> RobotPlan:
     """Read a robot plan and validate it: format, lengths, and continuity of motions and keyframes.
 
     Collisions and limits are not checked; see `check_robot_plan`.
-
-    Raises:
-        PlanError: no such file, damaged, of another version, or with discontinuous motions.
     """
     return robot_plan_from_dict(read_json(path, "robot plan file", "plan again"), str(Path(path)))
 
@@ -169,9 +162,8 @@ class _Reader:
             if max(edge.before, edge.after) >= len(expected):
                 remedy = f"motions are numbered from 0 to {len(expected) - 1}"
                 self._fail(f"schedule.precedences[{k}] is between motions {edge.before} and {edge.after}", remedy)
-        edges = convert(data.precedences, tuple[Precedence, ...], from_attributes=True)
         try:
-            graph = TemporalPlanGraph(expected, edges, len(plan.robots), data.lower_bound)
+            graph = TemporalPlanGraph(expected, data.precedences, len(plan.robots), data.lower_bound)
         except PlanError as error:
             self._fail(f"its schedule is invalid: {str(error).removesuffix('; plan again')}", "schedule it again")
         starts = [entry.start for entry in data.motions]

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from falsework.robots.plans.temporal_graph import Reason
+from falsework.robots.plans.temporal_graph import Precedence
 from falsework.utils.models import FileModel, model_schema
 
 FORMAT = "falsework.robot-plan/3"
@@ -111,15 +111,6 @@ class MotionEntry(FileModel, frozen=True):
     """Robots that move at the same instant, as one motion."""
 
 
-class PrecedenceEntry(FileModel, frozen=True):
-    """Motion `after` begins only when motion `before` has come to `offset` seconds of its nominal time."""
-
-    before: Index
-    offset: Seconds
-    after: Index
-    why: Reason
-
-
 class ScheduleEntry(FileModel, frozen=True):
     """What may take place at the same time."""
 
@@ -131,7 +122,7 @@ class ScheduleEntry(FileModel, frozen=True):
     """No order of these motions takes less."""
     motions: list[MotionEntry]
     """In the order of the steps."""
-    precedences: list[PrecedenceEntry]
+    precedences: tuple[Precedence, ...]
 
 
 class RobotPlanFile(FileModel, frozen=True):

@@ -11,13 +11,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import ArrayLike
 
 from falsework.errors import InputError, PlanError
 from falsework.robots.model.shapes import Array
+from falsework.utils.models import FileModel
 
 Reason = Literal["arm", "state", "part", "volume"]
 
@@ -42,14 +44,13 @@ class MotionNode:
         return (self.robot, *self.others)
 
 
-@dataclass(frozen=True)
-class Precedence:
-    """Precedence: `after` begins only when `before` has reached `offset`."""
+class Precedence(FileModel, frozen=True):
+    """Precedence: motion `after` begins only when motion `before` has come to `offset`."""
 
-    before: int
-    offset: float
-    """Seconds into the nominal motion of `before`, from 0 to its duration."""
-    after: int
+    before: Annotated[int, Meta(ge=0)]
+    offset: Annotated[float, Meta(ge=0)]
+    """Seconds into the nominal motion of `before`, up to its duration."""
+    after: Annotated[int, Meta(ge=0)]
     why: Reason
     """`arm`: the same arm; `state`: the structure must be in the state that the step needs; `part`: a part must have
     left its place or must not have reached it; `volume`: another arm must have left the swept volume."""
@@ -100,9 +101,6 @@ class TemporalPlanGraph:
 
         Args:
             stretch: factor on the nominal duration of each motion, shape (nodes,); 1 by default.
-
-        Raises:
-            InputError: factors below 1 or not finite: no motion is faster than nominal.
         """
         factor = np.ones(len(self.nodes)) if stretch is None else np.asarray(stretch, dtype=np.float64)
         if factor.shape != (len(self.nodes),) or not (factor >= 1).all() or not np.isfinite(factor).all():

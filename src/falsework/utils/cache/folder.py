@@ -55,11 +55,7 @@ def read_sealed(path: Path) -> bytes | None:
 
 
 def write_sealed(path: Path, content: bytes) -> None:
-    """Write content after its digest, whole or not at all.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write content after its digest, whole or not at all."""
     write_whole(path, lambda file: file.write(hashlib.sha256(content).digest() + content))
 
 

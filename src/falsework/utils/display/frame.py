@@ -21,13 +21,9 @@ def frame_of(assembly: Any, state: NDArray[Any], robots: int, words: str) -> NDA
     """Return a picture of a state, uint8, shape (height, width, 3), of one size for a structure.
 
     Args:
-        assembly: the structure.
         state: of its parts, shape (parts,).
         robots: parts that may be held at once.
         words: the line above.
-
-    Raises:
-        DependencyError: Pillow is not installed.
     """
     module, _, name = _painter.partition(":")
     return getattr(import_module(module), name)(assembly, state, robots, words)

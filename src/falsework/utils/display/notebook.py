@@ -61,18 +61,13 @@ def or_notebook(report: Callable[[P], None] | None, title: str) -> Callable[[P],
 
     Args:
         report: called with progress; None if not given.
-        title: what is being done.
     """
     show = notebook_progress(title) if report is None else None
     return report if show is None else lambda now: show(now.share, now.words)
 
 
 def notebook_progress(title: str) -> Callable[[float, str], None] | None:
-    """Return a function that shows a share, from 0 to 1, and words in the output of the cell; None outside notebooks.
-
-    Args:
-        title: what is being done.
-    """
+    """Return a function that shows a share, from 0 to 1, and words in the cell; None outside notebooks."""
     if not in_notebook():
         return None
     from IPython.display import HTML, display

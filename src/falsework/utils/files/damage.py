@@ -15,10 +15,6 @@ def blamed_on(path: Path | str, remedy: str) -> Iterator[None]:
 
     Readers check what they can name precisely. Formats and libraries leave further ways to fail, which no list holds.
 
-    Args:
-        path: the file or folder that is read.
-        remedy: what to do about it.
-
     Raises:
         InputError: in place of any exception that is no `FalseworkError`, lack of memory, or warning that is an error.
     """

@@ -86,20 +86,12 @@ def _points(group: str) -> dict[str, EntryPoint]:
 
 
 def format_names(group: str) -> tuple[str, ...]:
-    """Return the names of the formats in a group, without importing them.
-
-    Raises:
-        DependencyError: falsework is not installed.
-    """
+    """Return the names of the formats in a group, without importing them."""
     return tuple(_points(group))
 
 
 def formats(group: str) -> dict[str, Any]:
-    """Return the readers or exporters by name; what cannot be imported is left out, with a `ReadWarning`.
-
-    Raises:
-        DependencyError: falsework is not installed.
-    """
+    """Return the readers or exporters by name; what cannot be imported is left out, with a `ReadWarning`."""
     found = {}
     for name, point in _points(group).items():
         try:
@@ -135,12 +127,8 @@ def write_format(assembly: Any, path: Path | str, name: str, plan: Any = None, *
     Args:
         assembly: the structure; None for a robot plan that needs none.
         path: file to write, or folder.
-        name: of the format.
         plan: plan or robot plan to show; None for the structure at rest.
         options: of the format; None is equivalent to omission.
-
-    Raises:
-        InputError: no such format, one that cannot show this, or an option that it does not have.
     """
     known = formats(EXPORTERS)
     if name not in known:

@@ -29,10 +29,6 @@ def write_whole(path: Path | str, write: Callable[[IO[bytes]], object]) -> None:
     A symbolic link is followed and stays. A pipe, or a stream of this process such as `/dev/stdout`, gets the content
     at once when it is complete.
 
-    Args:
-        path: file to write, replaced if there.
-        write: called with a binary file that can be written and searched.
-
     Raises:
         InputError: the folder does not exist or cannot be written to, there is no room, or the path is a device, a
             socket or a folder.
@@ -54,11 +50,7 @@ def write_whole(path: Path | str, write: Callable[[IO[bytes]], object]) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Raise where `write_whole` would, without writing.
-
-    Raises:
-        InputError: as of `write_whole`.
-    """
+    """Raise where `write_whole` would, without writing."""
     try:
         target = _target(path)
     except OSError as error:
@@ -81,7 +73,6 @@ def path_beside(path: Path, file: Path) -> str:
 
     Args:
         path: file or folder that exists.
-        file: the output file.
     """
     if _descriptor(file) is not None:
         return path.resolve().as_posix()
@@ -92,12 +83,7 @@ def path_beside(path: Path, file: Path) -> str:
 
 
 def _target(path: Path) -> Path | int:
-    """Return the file that a path leads to, or the number of the open stream that it names.
-
-    Raises:
-        InputError: a device, a socket or a folder.
-        OSError: links that lead to each other.
-    """
+    """Return the file that a path leads to, or the number of the open stream that it names."""
     descriptor = _descriptor(path)
     if descriptor is not None:
         return descriptor

@@ -13,11 +13,7 @@ _ROOT = re.compile(r"<([A-Za-z_][\w:.-]*)")
 
 
 def read_xml_text(file: Path) -> bytes:
-    """Return the content of an XML file in which every prefix is declared, those that were not with a name of ours.
-
-    Raises:
-        OSError: the file cannot be read.
-    """
+    """Return the content of an XML file in which every prefix is declared, those that were not with a name of ours."""
     content = file.read_bytes()
     try:
         ElementTree.fromstring(content)

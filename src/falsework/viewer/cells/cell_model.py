@@ -177,11 +177,6 @@ def build_cell_model(subject: Cell | str | Path, structure: AnyStructure | None 
 
     Args:
         structure: structure in it; without it only the cell is shown.
-        options: as for `load_structure`.
-
-    Raises:
-        InputError: the structure cannot be read, or there is no such file.
-        DependencyError: the cell names a URDF file and yourdfpy is missing.
     """
     faults: list[str] = []
     if isinstance(subject, Cell):

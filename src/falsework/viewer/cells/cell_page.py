@@ -69,11 +69,7 @@ class CellPage(ServedPage):
         port: int = 8080,
         allowed_hosts: Iterable[str] = (),
     ) -> None:
-        """Read the cell by `look`, which is called again when its files have changed, and start the server.
-
-        Raises:
-            InputError: the cell cannot be read; and as `ServedPage`.
-        """
+        """Read the cell by `look`, which is called again when its files have changed, and start the server."""
         self.sight, self._look = look(), look
         super().__init__(host, port, allowed_hosts)
         self.configurations: list[Array] = []

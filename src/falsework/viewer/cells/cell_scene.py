@@ -21,11 +21,7 @@ class CellScene:
     """Nodes of one cell."""
 
     def __init__(self, scene: Any, sight: CellModel) -> None:
-        """Fill a scene.
-
-        Args:
-            scene: `viser.SceneApi`.
-        """
+        """Fill a scene."""
         self._scene, self._sight = scene, sight
         self._links, self._bodies, self._tools, self._reaches, self._others = ([] for _ in range(5))
         if sight.cell is None:

@@ -50,14 +50,7 @@ class Disruption:
     robots: int = 2
 
     def toggled(self, tool: ClickMode, part: int, assembly: Assembly, state: States) -> Disruption:
-        """Return the same disruption with one mark set, or removed if it was set.
-
-        Args:
-            state: state that the plan has reached, shape (parts,).
-
-        Raises:
-            InputError: the part never changes, or it is not there to be held or propped.
-        """
+        """Return the same disruption with one mark set, or removed if it was set."""
         if tool is ClickMode.LOOK:
             return self
         name = assembly.names[part]
@@ -111,11 +104,7 @@ class Disruption:
         return SiteSteps(tuple(sorted(self.props)), held, released)
 
     def applied_to(self, state: States, assembly: Assembly) -> States:
-        """Return the state on site according to the marks, shape (parts,).
-
-        Args:
-            state: state that the plan has reached, shape (parts,).
-        """
+        """Return the state on site according to the marks, shape (parts,)."""
         site = self.found(state)
         for part in self.props:
             site[[*prop_parts(assembly, part)]] = HELD
@@ -125,12 +114,7 @@ class Disruption:
         return site
 
     def question(self, assembly: Assembly, state: States, direction: Direction) -> dict[str, Any]:
-        """Return arguments for `falsework.replanning.replanner.replan`.
-
-        Args:
-            state: state that the plan has reached, shape (parts,).
-            direction: whether parts are being added or removed.
-        """
+        """Return arguments for `falsework.replanning.replanner.replan`."""
         missing = self.missing
         site = self.applied_to(state, assembly)
         if direction is Direction.ASSEMBLY:

@@ -34,11 +34,7 @@ class FilesTab:
     """Files from and to the page."""
 
     def __init__(self, gui: Any, page: Host) -> None:
-        """Fill the tab.
-
-        Args:
-            gui: `viser.GuiApi`, within the tab.
-        """
+        """Fill the tab."""
         self._page = page
         self._plan = gui.add_button("Download the plan", hint="A plan file, as falsework plan writes it.")
         self._plan.on_click(lambda event: page.guard(event, lambda: self._send_plan(event)))
@@ -76,10 +72,6 @@ def opened(name: str, content: bytes, model: ViewerState) -> ViewerState:
 
     Args:
         model: what is shown at present; its structure and cell are those of a plan that was made for them.
-
-    Raises:
-        InputError: nothing that can be shown, a file that is too large or that names other files, or a plan of another
-            structure.
     """
     name = Path(name.replace("\\", "/")).name
     if len(content) > LARGEST:

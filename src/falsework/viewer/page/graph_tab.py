@@ -9,12 +9,7 @@ from falsework.viewer.page.viewer_state import ViewerState
 
 
 def add_graph_tab(gui: Any, model: ViewerState, guard: Callable[[Any, Callable[[], object]], None]) -> None:
-    """Fill the tab.
-
-    Args:
-        gui: `viser.GuiApi`, within the tab.
-        model: state of the viewer; it has a graph.
-    """
+    """Fill the tab."""
     graph = model.graph
     assert graph is not None
     gui.add_markdown(

@@ -27,11 +27,7 @@ class LookTab:
     """What is drawn of the present state. Controls without a function there are not shown."""
 
     def __init__(self, gui: Any, page: Host) -> None:
-        """Fill the tab.
-
-        Args:
-            gui: `viser.GuiApi`, within the tab.
-        """
+        """Fill the tab."""
         self._page = page
         model = page.model
 

@@ -27,11 +27,7 @@ class PlayPanel:
     """Place in the plan. Without steps only its text is shown."""
 
     def __init__(self, gui: Any, page: Host) -> None:
-        """Add the controls.
-
-        Args:
-            gui: `viser.GuiApi`.
-        """
+        """Add the controls."""
         self._page = page
         model = page.model
         self.where = gui.add_markdown("")

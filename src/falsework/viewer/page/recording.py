@@ -66,11 +66,7 @@ class RecordedScene(ViserScene):
     """
 
     def __init__(self, scene: Any, timeline: Timeline) -> None:
-        """Begin without parts.
-
-        Args:
-            scene: `viser.SceneApi`.
-        """
+        """Begin without parts."""
         super().__init__(scene, timeline)
         parts = self.assembly.part_count
         self._opacities = np.zeros(parts)
@@ -149,14 +145,7 @@ class _NoVisitors(OriginGuard):
 
 
 def record(shown: Viewable | ViewerState) -> str:
-    """Return a page that plays what is viewable, in the order of assembly.
-
-    Args:
-        shown: plan, robot plan, state graph or structure, or a viewer of it, which stays where it is.
-
-    Returns:
-        A self-contained HTML document.
-    """
+    """Return a page that plays what is viewable, in the order of assembly."""
     viser = import_viser()
     arms = None if shown.arms is None else shown.arms.turned(Direction.ASSEMBLY)
     model = ViewerState(shown.timeline.turned(Direction.ASSEMBLY), plan=shown.plan, arms=arms)
@@ -195,16 +184,7 @@ def record(shown: Viewable | ViewerState) -> str:
 
 
 def save_page(shown: Viewable | ViewerState, path: Path | str) -> None:
-    """Write what is viewable as one HTML file.
-
-    Args:
-        shown: plan, robot plan, state graph or structure, or a viewer of it, which stays where it is.
-        path: file to write; it ends in .html.
-
-    Raises:
-        InputError: another ending, or a place that cannot be written.
-        DependencyError: viser is not installed.
-    """
+    """Write what is viewable as one HTML file."""
     if Path(path).suffix.lower() != ".html":
         raise InputError(f"{path}: a page is written as .html; name such a file")
     page = record(shown)

@@ -43,11 +43,7 @@ class ViserScene:
     """Browser scene; `show` updates it."""
 
     def __init__(self, scene: Any, timeline: Timeline) -> None:
-        """Fill a scene.
-
-        Args:
-            scene: `viser.SceneApi`.
-        """
+        """Fill a scene."""
         assembly = timeline.assembly
         self._scene = scene
         self.assembly = assembly
@@ -165,9 +161,7 @@ class ViserScene:
         """Update the arrows.
 
         Args:
-            arrows: arrows by kind; missing kinds are hidden.
             moved: vertices of parts slightly later in their motion, metres.
-            color: colour of these parts.
         """
         for kind in KINDS:
             name, some = f"/arrows/{kind.replace(' ', '-')}", arrows.get(kind)
@@ -195,7 +189,6 @@ class ViserScene:
 
         Args:
             arms: the robots; None to remove them.
-            arm_poses: where they are.
             seen: whether to show the arms; the parts that they carry are always shown.
         """
         if arms is None or arm_poses is None:
@@ -356,7 +349,6 @@ def sharp_edges(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> NDA
 
     Args:
         vertices: shape (vertices, 3); coinciding vertices count as one.
-        faces: shape (faces, 3).
     """
     points, same = np.unique(np.round(vertices, 5), axis=0, return_inverse=True)
     corners = same.reshape(-1)[faces.astype(np.int64)]

@@ -19,11 +19,7 @@ class SiteTab:
     """Marks and replanning."""
 
     def __init__(self, gui: Any, page: Host) -> None:
-        """Fill the tab.
-
-        Args:
-            gui: `viser.GuiApi`, within the tab.
-        """
+        """Fill the tab."""
         self._page = page
         model = page.model
         self._tool = gui.add_dropdown(

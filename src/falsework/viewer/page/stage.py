@@ -24,7 +24,6 @@ def set_stage(server: Any, scene: ViserScene, arms: Arms | None, *, aside: bool)
     """Add light and floor, and place the camera.
 
     Args:
-        server: `viser.ViserServer`.
         arms: robots that must be seen too.
     """
     node = server.scene

@@ -35,7 +35,6 @@ def step_list(timeline: Timeline, places: Iterable[int] | None = None, *, linked
 
     Args:
         places: places that the steps lead to; all if not given.
-        linked: whether a click on a step goes there.
     """
     rows = []
     for place in timeline.places[1:] if places is None else places:
@@ -56,11 +55,7 @@ class StepsTab:
     """Tab with the list of steps and a search in it; a click on a step goes there."""
 
     def __init__(self, gui: Any, page: Host) -> None:
-        """Fill the tab.
-
-        Args:
-            gui: `viser.GuiApi`, within the tab.
-        """
+        """Fill the tab."""
         self._page = page
         self._timeline: Timeline | None = None
         self._search = gui.add_text("Search", "", hint="A part, a robot such as R2, a number or an action.")

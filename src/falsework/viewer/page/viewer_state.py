@@ -54,9 +54,7 @@ class ViewerState:
         """Show a timeline.
 
         Args:
-            policy: action policy, a `torch.nn.Module`; None if there is none.
             arms: robots that execute the plan, in the same order as the timeline.
-            criterion: stability criterion, where no oracle is given.
             deadline: time limit for a new plan, s; None for no limit.
         """
         self.lock = threading.RLock()
@@ -231,11 +229,7 @@ class ViewerState:
             return part
 
     def click_part(self, part: int) -> None:
-        """Select a part, and toggle its mark if a tool is chosen.
-
-        Raises:
-            InputError: the part cannot be marked.
-        """
+        """Select a part, and toggle its mark if a tool is chosen."""
         with self.lock:
             self.selected = part
             before = self.disruption

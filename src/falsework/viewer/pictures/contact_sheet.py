@@ -95,13 +95,9 @@ def contact_sheet(
     """Return some states of a timeline with their steps, and the legend.
 
     Args:
-        timeline: timeline to show, in its order.
         places: states to show; chosen evenly if not given.
         proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
             above.
-
-    Raises:
-        InputError: no frames, no columns, or a state that is not there.
     """
     if frames < 1 or columns < 1:
         raise InputError(f"a sheet of {frames} pictures in {columns} columns shows nothing; give at least 1 of each")
@@ -233,11 +229,7 @@ def caption(timeline: Timeline, position: int, proof: StateProof | None = None) 
 
 
 def check_places(timeline: Timeline, places: Sequence[int]) -> None:
-    """Refuse states that are not there.
-
-    Raises:
-        InputError: one of them.
-    """
+    """Refuse states that are not there."""
     for position in places:
         if not 0 <= position <= len(timeline):
             raise InputError(f"step {position} does not exist; the plan has steps 0 (the beginning) to {len(timeline)}")
@@ -266,22 +258,14 @@ def to_pixels(image: Image) -> Pixels:
 
 
 def check_suffix(path: Path | str, *suffixes: str) -> None:
-    """Raise for a file whose name promises another format; a name without a suffix promises none.
-
-    Raises:
-        InputError: such a name.
-    """
+    """Raise for a file whose name promises another format; a name without a suffix promises none."""
     suffix = Path(path).suffix.lower()
     if suffix and suffix not in suffixes:
         raise InputError(f"{path}: pictures are written as {' or '.join(suffixes)}; name such a file")
 
 
 def import_pillow() -> Any:
-    """Return the package that writes pictures.
-
-    Raises:
-        DependencyError: it is not installed.
-    """
+    """Return the package that writes pictures."""
     try:
         import PIL.Image
         import PIL.ImageDraw

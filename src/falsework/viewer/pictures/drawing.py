@@ -80,9 +80,6 @@ def drawing(
         key: the legend, colour and words; of the timeline if not given.
         proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
             above.
-
-    Raises:
-        InputError: the structure is not two-dimensional, or a state is not there.
     """
     check_places(timeline, places)
     if columns < 1:

@@ -47,9 +47,6 @@ class GanttChart:
         Args:
             width: of the figure, inches.
             title: a line above, of the plan if empty; None for a low strip without one.
-
-        Raises:
-            DependencyError: matplotlib is not installed.
         """
         bars, strip = bars_of(plan), title is None
         rows = len(plan.robots)
@@ -121,10 +118,6 @@ def draw_gantt(plan: RobotPlan, path: Path, *, width: int = 0, title: str = "") 
 
     Args:
         width: pixels across; 0 chooses.
-
-    Raises:
-        DependencyError: matplotlib is not installed.
-        InputError: a file that is neither PNG nor SVG, or that cannot be written.
     """
     chart = GanttChart.from_plan(plan, title=title)
     save_figure(chart.figure, path, width / _WIDTH or _DOTS)

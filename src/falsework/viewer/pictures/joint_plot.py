@@ -47,10 +47,6 @@ def draw_joints(plan: RobotPlan, cell: Cell, path: Path, *, width: int = 0, titl
         path: file to write.
         width: pixels across; 0 chooses.
         title: a line above.
-
-    Raises:
-        DependencyError: matplotlib is not installed.
-        InputError: a file that is neither PNG nor SVG, or that cannot be written.
     """
     rows = len(plan.robots)
     figure = figure_class("plots of joints")(figsize=(_WIDTH, 0.8 + _ROW * rows), layout="constrained")

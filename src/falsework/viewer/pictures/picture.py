@@ -70,9 +70,6 @@ def figure_class(what: str) -> Any:
 
     Args:
         what: needs it, in the plural.
-
-    Raises:
-        DependencyError: it is not installed.
     """
     try:
         from matplotlib.figure import Figure
@@ -82,11 +79,7 @@ def figure_class(what: str) -> Any:
 
 
 def save_figure(figure: Any, path: Path, dpi: float) -> None:
-    """Write a figure of matplotlib as PNG or SVG, whole or not at all.
-
-    Raises:
-        InputError: a file that is neither, or that cannot be written.
-    """
+    """Write a figure of matplotlib as PNG or SVG, whole or not at all."""
     form = path.suffix.lower()[1:]
     if form not in ("png", "svg"):
         raise InputError(f"{path} is neither PNG nor SVG; name a file that ends in .png or .svg")

@@ -51,9 +51,7 @@ def frames_of(
     """Yield pictures of a video, one after the other.
 
     Args:
-        timeline: timeline to show, in its order.
         seconds: length of a step; a robot plan plays by its own clock instead.
-        rate: pictures a second.
         speed: seconds of a robot plan that pass in a second.
         proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
             above.
@@ -99,11 +97,7 @@ def _moments(
 
 
 def frame_times(makespan: float, rate: float, speed: float) -> list[float]:
-    """Return times of a robot plan that are shown, in seconds.
-
-    Raises:
-        InputError: no pictures a second, or a speed of zero.
-    """
+    """Return times of a robot plan that are shown, in seconds."""
     _check_rate(rate)
     if not (np.isfinite(speed) and 0 < speed <= 1000):
         raise InputError(f"a film at {speed:g} times the speed cannot be seen; give a number above zero, to 1000")
@@ -117,11 +111,7 @@ def _check_rate(rate: float) -> None:
 
 
 def frame_places(steps: int, seconds: float, rate: float) -> list[float]:
-    """Return places of a timeline that are shown, in steps.
-
-    Raises:
-        InputError: a step of no length, or no pictures a second.
-    """
+    """Return places of a timeline that are shown, in steps."""
     if not (np.isfinite(seconds) and seconds > 0):
         raise InputError(f"a step of {seconds:g} seconds cannot be seen; give a number above zero")
     _check_rate(rate)
@@ -144,19 +134,11 @@ def write_film(
     """Write a video, whole or not at all.
 
     Args:
-        path: file that ends in .mp4 or .gif.
-        seconds: length of a step; a robot plan plays by its own clock instead.
-        rate: pictures a second.
-        speed: seconds of a robot plan that pass in a second.
         proofs: as for `frames_of`.
         progress: called with the number of pictures drawn and of all.
 
     Returns:
         Number of pictures.
-
-    Raises:
-        InputError: another ending, or a file that cannot be written.
-        DependencyError: the package that writes such files is missing.
     """
     path = Path(path)
     kind = path.suffix.lower()

@@ -32,11 +32,7 @@ _REST = (
 
 
 def content_policy(viser: Any) -> str:
-    """Return the value of the header `Content-Security-Policy` for the client of viser.
-
-    Raises:
-        DependencyError: this version of viser packs its client differently.
-    """
+    """Return the value of the header `Content-Security-Policy` for the client of viser."""
     client = Path(viser.__file__).parent / "client" / "build" / "index.html"
     try:
         return policy_of(client.read_text(encoding="utf-8"))
@@ -45,11 +41,7 @@ def content_policy(viser: Any) -> str:
 
 
 def policy_of(page: str) -> str:
-    """Return the policy for a page.
-
-    Raises:
-        ValueError: a packed script cannot be unpacked.
-    """
+    """Return the policy for a page."""
     sources = ["'wasm-unsafe-eval'"]
     for attributes, script in _SCRIPT.findall(page):
         sources.append(_source(script.encode()))
@@ -69,9 +61,6 @@ def unpack(text: str, size: int) -> bytes:
 
     Args:
         text: digits of base 88, five for four bytes, of a Zstandard frame.
-
-    Raises:
-        ValueError: the text is nothing of that size.
     """
     import zstandard
 

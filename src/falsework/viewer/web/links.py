@@ -17,11 +17,7 @@ Unit = Literal["step", "seconds"]
 
 
 def link_to(unit: Unit, value: float, inside: str) -> str:
-    """Return a link to a step, or to a second of a schedule.
-
-    Args:
-        value: number of the step, or seconds.
-    """
+    """Return a link to a step, or to a second of a schedule."""
     return f'<a href="{PATH}?{unit}={format_number(value, 6)}" style="color:inherit;text-decoration:none">{inside}</a>'
 
 

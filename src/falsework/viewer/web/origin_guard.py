@@ -28,11 +28,7 @@ _SERVING = threading.Lock()
 
 
 def import_viser() -> Any:
-    """Return the package that serves the page.
-
-    Raises:
-        DependencyError: it is not installed.
-    """
+    """Return the package that serves the page."""
     try:
         import viser
     except ImportError:
@@ -88,10 +84,6 @@ def start_server(
     Args:
         port: port to listen at; if it is in use, the next free one, and any if it is 0.
         go: called with the step or second that a click on a link of the page asks for, see `links`.
-
-    Raises:
-        OSError: the address cannot be listened at.
-        DependencyError: this version of viser starts its server differently.
     """
     from websockets.asyncio import server as sockets
 
@@ -133,11 +125,7 @@ def start_server(
 
 
 def _check_address(host: str) -> None:
-    """Raise unless this machine has an address of this name; viser would try one port after the other for ever.
-
-    Raises:
-        OSError: it has none.
-    """
+    """Raise unless this machine has an address of this name; viser would try one port after the other for ever."""
     failure: OSError | None = None
     for family, kind, _, _, address in socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM):
         with socket.socket(family, kind) as tried:

@@ -22,14 +22,9 @@ class ServedPage:
         """Start the server.
 
         Args:
-            host: address to listen at.
             port: port to listen at; if it is in use, the next free one.
             allowed_hosts: names other than `host` under which browsers may open the page.
             go: called with the step or second that a click on a link of the page asks for.
-
-        Raises:
-            DependencyError: viser is not installed.
-            InputError: the address cannot be listened at.
         """
         self.host = host
         self._lock, self._stop, self._quiet = threading.RLock(), threading.Event(), False
@@ -76,11 +71,7 @@ class ServedPage:
 
 
 def check_host(host: str) -> str | None:
-    """Return a warning if others can reach the page, None if not.
-
-    Raises:
-        InputError: the host is empty.
-    """
+    """Return a warning if others can reach the page, None if not."""
     if not host.strip():
         raise InputError("--host is empty; leave it out to serve this machine alone")
     if host in LOCAL:
