@@ -206,7 +206,7 @@ def doctor(
     if stands is not None and None not in solids and len(solids) > 1:
         known = assembly if assembly is not None and not options.get("ground") else None
         upright = stands(known) if known is not None and not fixed.all() else _stands(draft, solids, options, stands)
-        lying = upright_finding(upright, lambda: _stands(draft, solids, options, stands, _Y_UP))
+        lying = upright_finding(upright, lambda: _stands(draft, solids, options, stands, _Y_UP), contacts)
     remarks += material_findings(draft, options, assembly)
     remarks += inclination_findings(draft.names if assembly is None else assembly.names, contacts)
     remarks += [lying] if lying else []
