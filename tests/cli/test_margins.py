@@ -50,7 +50,7 @@ def test_margins_of_a_plan_name_the_weakest_step(falsework: Run, stack: Path, tm
 
 
 def test_margins_of_a_plan_are_those_of_what_is_built(falsework: Run, tmp_path: Path) -> None:
-    """Plan, check and margins agree on what stands, and on what robots bear; what is measured from rest is not said to be built."""
+    """Plan, check and margins agree on what stands, and on what robots bear; only what was built is said to be."""
     plan = tmp_path / "plan.json"
     assert falsework("plan", "arch:blocks=7", "--out", plan).code == 0
     built = falsework("margins", plan, "--json")

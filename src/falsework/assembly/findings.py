@@ -123,8 +123,8 @@ def upright_finding(upright: bool | None, with_y_up: Callable[[], bool | None], 
         return ""
     if on_its_side:
         return (
-            "it stands as it is, where all joints are level or upright, and with y up, where some are inclined as in an "
-            "arch: if that is meant, export the model with z up"
+            "it stands as it is, where all joints are level or upright, and with y up, where some are inclined as in "
+            "an arch: if that is meant, export the model with z up"
         )
     now = "all parts lie on the ground or touch no other as it is" if upright is None else "it falls as it is"
     return f"{now}, but would stand with y up: export the model with z up"

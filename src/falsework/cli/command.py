@@ -28,13 +28,17 @@ CRITERION = (
 )
 _CRITERION_HINT = "(default: contact, or that of the plan)"
 _CONE_HINT = "(default: quadratic under contact, octagon under equilibrium)"
-STATES = (
+_STATES = (
     "A state, as `complete`, digits, plan.json:31, or parts such as 0-16,keystone,held:left; or a file with states: a "
     "JSON list, a .npy array, or a plan."
 )
 CriterionName = Literal["contact", "equilibrium"]
 CriterionOption = Annotated[CriterionName, arg(help=CRITERION)]
 CriterionOfPlan = Annotated[CriterionName | None, arg(help=CRITERION, help_behavior_hint=_CRITERION_HINT)]
+StatesOption = Annotated[
+    str | None,
+    arg(metavar="STATES", help=_STATES, help_behavior_hint="(default: complete, or those of the plan)"),
+]
 ConeOption = Annotated[
     Literal["octagon", "quadratic"] | None,
     arg(help="Friction cone: round, or eight-sided as in the paper.", help_behavior_hint=_CONE_HINT),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.command import STATES, UNSET, Command, ConeOption, CriterionOfPlan, StructureOptions
+from falsework.cli.command import UNSET, Command, ConeOption, CriterionOfPlan, StatesOption, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.margins_table import print_margins
 from falsework.errors import InputError
@@ -52,9 +52,7 @@ class FindMargins(Command):
     )
 
     structure: StructureOptions
-    states: Annotated[
-        str | None, arg(metavar="STATES", help=STATES, help_behavior_hint="(default: complete, or those of the plan)")
-    ] = None
+    states: StatesOption = None
     criterion: CriterionOfPlan = None
     cone: ConeOption = None
     bears: Annotated[str | None, arg(metavar="FORCE,MOMENT", help_behavior_hint=UNSET)] = None
@@ -216,7 +214,11 @@ def _histories(chosen: ChosenStates, assembly: Assembly, settings: StabilitySett
     from falsework.stability.contact.replay import Replayer
 
     plan, count = chosen.plan, chosen.first + len(chosen.states)
-    if plan is None or settings.criterion != "contact" or plan.claim.criterion != "contact" or assembly.joints is not None:
+    if (
+        plan is None
+        or (settings.criterion, plan.claim.criterion) != ("contact", "contact")
+        or assembly.joints is not None
+    ):
         return ()
     replayer = Replayer(assembly, replace(settings, holds=plan.claim.holds))
     histories = replayer.replay(plan.states[:count], presses=plan.presses_before[:count]).histories

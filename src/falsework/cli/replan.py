@@ -288,7 +288,8 @@ class MakeReplan(Command):
         output.say(
             f"{paths[0]}: {counted(len(plan), 'step')} of {answer.direction.value} with "
             f"{counted(plan.robots, 'robot')}{fewer}, every state proven {plan.claim.proves} "
-            f"(criterion {plan.claim.criterion}, decided by {answer.decided_by.value}, {answer.seconds:.2f} s, {counted(answer.verdicts, 'verdict')})"
+            f"(criterion {plan.claim.criterion}, decided by {answer.decided_by.value}, {answer.seconds:.2f} s, "
+            f"{counted(answer.verdicts, 'verdict')})"
         )
         for line in reserve_lines(plan):
             output.say(line)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar
-
-from tyro.conf import arg
+from typing import TYPE_CHECKING, ClassVar
 
 from falsework.cli.command import (
-    STATES,
     Command,
     ConeOption,
     CriterionOfPlan,
     SolverOption,
+    StatesOption,
     StructureOptions,
     settlement_record,
 )
@@ -48,7 +46,7 @@ class CheckStability(Command):
     outcomes: ClassVar[tuple[str, str]] = ("stable", "not_stable")
 
     structure: StructureOptions
-    states: Annotated[str | None, arg(metavar="STATES", help=STATES, help_behavior_hint="(default: complete, or those of the plan)")] = None
+    states: StatesOption = None
     criterion: CriterionOfPlan = None
     cone: ConeOption = None
     solver: SolverOption = "cpu"

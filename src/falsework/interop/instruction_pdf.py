@@ -1,4 +1,4 @@
-"""Printable PDF of assembly instructions: a cover with the stock list, then a picture and a box for each step."""
+"""Printable PDF of assembly instructions: cover, stock list, setting-out drawing, then a picture for each step."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from falsework.interop.instruction_table import (
     AssemblyInstructions,
     sheet,
 )
-from falsework.interop.pdf_text import BOLD, REGULAR, broken_lines, register_fonts, write_line, write_paragraph
+from falsework.interop.pdf_text import BOLD, REGULAR, broken_lines, jpeg, register_fonts, write_line, write_paragraph
+from falsework.interop.setting_out import setting_out
 from falsework.utils.files.formats import Exporter, writer_of
 from falsework.utils.quantity import counted, listed
 from falsework.viewer.appearance import appearance_at, bounds_of, diagonal
@@ -94,15 +95,18 @@ def instructions_pdf(
     room = int((_PAGE[1] - _MARGIN - _TOP) // _ROW)
     pages = [rows[begin : begin + room] for begin in range(0, len(rows), room)]
     stock = _cover(canvas, sheet, camera)
-    count = 1 + len(stock) + len(pages)
+    count = 2 + len(stock) + len(pages)
     _foot(canvas, sheet, 1, count)
     canvas.showPage()
     for number, lines in enumerate(stock, 2):
         _stock(canvas, sheet, lines, _PAGE[1] - _TOP - 12)
         _foot(canvas, sheet, number, count)
         canvas.showPage()
+    setting_out(canvas, sheet.assembly, _MARGIN, _PAGE[1] - _TOP, _PAGE[0] - 2 * _MARGIN, _PAGE[1] - _TOP - _MARGIN)
+    _foot(canvas, sheet, 2 + len(stock), count)
+    canvas.showPage()
     box, done = _box(sheet), 0
-    for number, page in enumerate(pages, 2 + len(stock)):
+    for number, page in enumerate(pages, 3 + len(stock)):
         for place, steps in enumerate(page):
             _row(canvas, sheet, steps, _PAGE[1] - _TOP - (place + 1) * _ROW, camera, box)
             done += 1
@@ -132,7 +136,7 @@ def _cover(canvas: Canvas, sheet: AssemblyInstructions, camera: Camera) -> list[
     y = _head(canvas, sheet) - _COVER[1] - 8
     view = replace(camera, width=900, height=round(900 * _COVER[1] / _COVER[0]))
     look = appearance_at(sheet.timeline, len(sheet.timeline), marks={}, travelling=False)
-    canvas.drawImage(_jpeg(draw(sheet.assembly, look, view, samples=2)), _MARGIN, y, *_COVER)
+    canvas.drawImage(jpeg(draw(sheet.assembly, look, view, samples=2)), _MARGIN, y, *_COVER)
     _axes(canvas, camera, _MARGIN + _COVER[0] + 40, y + 30, 26)
     placed = [(part, step.number) for step in sheet.steps if step.place for part in step.parts]
     y -= 20
@@ -333,18 +337,7 @@ def _picture(sheet: AssemblyInstructions, step: AssemblyInstruction, camera: Cam
     arrows = list(arrows_of_step(sheet.timeline, step.number).values())
     if step.place:
         arrows.append(step_arrows(sheet, step))
-    return _jpeg(draw(sheet.assembly, look, camera, bounds=box, arrows=arrows, samples=2))
-
-
-def _jpeg(image: NDArray[np.floating]) -> Any:
-    """Return a picture for the page, as JPEG: a fifth of the size of what the page would make of the pixels."""
-    from PIL import Image
-    from reportlab.lib.utils import ImageReader
-
-    file = io.BytesIO()
-    Image.fromarray(np.rint(255 * image).astype(np.uint8)).save(file, "JPEG", quality=88, subsampling=0)
-    file.seek(0)
-    return ImageReader(file)
+    return jpeg(draw(sheet.assembly, look, camera, bounds=box, arrows=arrows, samples=2))
 
 
 def _pdf_of(

@@ -1,7 +1,7 @@
 """Verdicts on states with their proofs, as text, arrows and marks.
 
-Under the criterion `contact` there are two: a state of a plan is judged as built, by the steps that lead to it, any other
-state from rest, all its loads at once. The text says which.
+Under the criterion `contact` there are two: a state of a plan is judged as built, by the steps that lead to it,
+any other state from rest, all its loads at once. The text says which.
 """
 
 from __future__ import annotations
