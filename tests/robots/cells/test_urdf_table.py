@@ -124,7 +124,7 @@ CASES = {
             ),
         ),
         r"fixed at zero: open, opposite",
-        holds=lambda m: m.joint_names == ("turn", "slide") and len(m.meshes[2]) == 3,
+        holds=lambda m: m.joint_names == ("turn", "slide") and len(m.pieces[2]) == 3,
     ),
     "mimic joint beside the arm that follows it, with shapes": changed(
         END, finger('<mimic joint="slide"/>') + END, "joint open beside the arm follows joint slide"

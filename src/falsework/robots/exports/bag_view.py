@@ -54,7 +54,7 @@ def write_view(plan: RobotPlan, placed: PlacedParts, write: Write) -> None:
     markers = _arm_markers(plan, placed.cell)
     shown, moved = set[int](), set[int]()
     for now in np.arange(0.0, plan.makespan + 2.0 / RATE, 1.0 / RATE).tolist():  # the last after the end
-        values, frames, loads = [], [], dict[int, Array]()
+        values, frames, loads = [], list[tuple[str, Array]](), dict[int, Array]()
         for arm in activities_at(plan, starts, now):
             configuration = arm.at(np.array([now]))[0]
             values.append(configuration)
@@ -75,7 +75,7 @@ def write_view(plan: RobotPlan, placed: PlacedParts, write: Write) -> None:
         stamp = duration(now)
         joints = {"header": {"stamp": stamp}, "name": names, "position": np.concatenate(values)}
         write("/joint_states", "sensor_msgs/msg/JointState", joints, now)
-        write("/tf", "tf2_msgs/msg/TFMessage", {"transforms": [_transform(*frame, stamp) for frame in frames]}, now)
+        write("/tf", "tf2_msgs/msg/TFMessage", {"transforms": [_transform(*one, stamp) for one in frames]}, now)
         if markers:
             for marker in markers:
                 marker["header"]["stamp"] = stamp
