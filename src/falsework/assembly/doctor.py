@@ -93,6 +93,9 @@ class Diagnosis:
     draft: Draft | None
     """The parts as in the files; None if they cannot be read."""
 
+    def __repr__(self) -> str:
+        return f"<Diagnosis of {self.path}: {len(self.parts)} parts, {len(self.doubtful)} doubtful; {self.error}>"
+
     @property
     def loads(self) -> bool:
         """Whether the structure can be used as it is."""
