@@ -94,7 +94,7 @@ class Diagnosis:
     """The parts as in the files; None if they cannot be read."""
 
     def __repr__(self) -> str:
-        return f"<Diagnosis of {self.path}: {len(self.parts)} parts, {len(self.doubtful)} doubtful; {self.error}>"
+        return f"<Diagnosis of {self.path}: {len(self.parts)} parts, {self.error or 'it loads'}>"
 
     @property
     def loads(self) -> bool:

@@ -98,8 +98,8 @@ class CheckStability(Command):
             near = "; the verdict depends on the tolerance" if verdicts.on_tolerance[index] else ""
             word = verdict.name.lower()
             if built is not None:
-                word = f"{built.words if verdicts.stable[index] and not built.stable else built.verdict} as built"
-                word += f", {verdict.name.lower()} from rest"
+                only_rest = verdicts.stable[index] and not built.stable
+                word = built.words if only_rest else f"{built.verdict} as built, {word} from rest"
             line = f"{subject}: {word}; {_reason(verdict, residual)}{near}"
             output.say(f"{line}; {describe(assembly, moving)}" if moving else line)
             if not verdicts.stable[index] and states[index].all() and (hint := assembly.clearance_hint):

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.interop.pdf_text import BOLD, REGULAR, jpeg, write_line
-from falsework.viewer.appearance import bounds_of
 from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, unit_rgb
 from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
@@ -22,8 +21,8 @@ Array = NDArray[np.float64]
 
 _POINTS = 72.0 / 0.0254
 """Points a metre."""
-_SCALES = (1.0, 2.0, 2.5)
-"""Scales of drawings, 1 to so many, and these times powers of ten; 1 to 5 is twice 1 to 2.5."""
+_SCALES = (1.0, 2.0, 2.5, 5.0)
+"""Usual scales of drawings, 1 to so many times a power of ten."""
 _GAP = 26.0
 """Space between views, points like all lengths on the page."""
 _BESIDE = 60.0
@@ -44,7 +43,7 @@ def setting_out(canvas: Canvas, assembly: Assembly, left: float, top: float, wid
     that stand on it. All coordinates are those of the model.
     """
     feet = _set_out(assembly)
-    low, high = bounds_of(assembly) if len(feet) == 0 else _bounds(assembly, [*feet, *_free(assembly)])
+    low, high = _bounds(assembly, [*feet, *np.flatnonzero(~assembly.boundary).tolist()])
     wide, deep, tall = (high - low).tolist()
     heading = 48.0
     room = (width - _BESIDE - _GAP) / (wide + deep), (height - heading - _BESIDE - _GAP) / (tall + deep)
@@ -73,10 +72,6 @@ def setting_out(canvas: Canvas, assembly: Assembly, left: float, top: float, wid
         _origin(canvas, x - low[0] * points, y - low[1] * points)
 
 
-def _free(assembly: Assembly) -> list[int]:
-    return np.flatnonzero(~assembly.boundary).tolist()
-
-
 def _set_out(assembly: Assembly) -> list[int]:
     """Return the fixed parts; where that is a ground alone, the parts that touch it."""
     fixed = [
@@ -96,7 +91,7 @@ def usual_scale(points: float) -> float:
     """Return the largest usual scale, 1 to so many, at which a metre has at most so many points."""
     least = _POINTS / points
     power = 10.0 ** np.floor(np.log10(least))
-    usual = [step * factor * power for factor in (1.0, 10.0) for step in (*_SCALES, 5.0)]
+    usual = [step * factor * power for factor in (1.0, 10.0) for step in _SCALES]
     return float(next(one for one in usual if one >= least * (1 - 1e-9)))
 
 
