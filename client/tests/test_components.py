@@ -143,3 +143,13 @@ class Components(unittest.TestCase):
         structure._shared.clear()
         gc.collect()
         self.assertEqual(len(grasshopper._plans), 0)
+
+    @unittest.skipUnless(os.environ.get("FALSEWORK_PYTHON"), "needs FALSEWORK_PYTHON, a Python that has falsework")
+    def test_a_service_that_they_start_answers(self) -> None:
+        del os.environ["FALSEWORK_URL"]  # put back at the end
+        whole = self.run_script("falsework_stability.py")
+        self.assertEqual((whole.stable, whole.verdict, whole.moving), (True, "stable", []))
+        plan = self.run_script("falsework_plan.py", step=1)
+        self.assertEqual((plan.outcome, plan.steps), ("found", ["1: insert 0", "2: release 0"]))
+        self.assertEqual((plan.held, plan.placed), ([self.top], [self.base]))
+        self.assertEqual(self.messages, [])

@@ -50,7 +50,7 @@ def vault_plan(path: Path) -> None:
 
 
 def sheet(path: Path) -> None:
-    """Cover and first steps of an instruction sheet, pages of a PDF side by side."""
+    """Cover, setting-out drawing and first steps of an instruction sheet, pages of a PDF side by side."""
     import numpy as np
     import pypdfium2
     from PIL import Image
@@ -60,12 +60,12 @@ def sheet(path: Path) -> None:
         run("plan", "arch:blocks=9", "--robots", "2", "--out", plan)
         run("export", plan, "--out", file)
         document = pypdfium2.PdfDocument(file)
-        pages = [np.array(document[number].render(scale=0.9).to_pil().convert("RGB")) for number in (0, 1)]
+        pages = [np.array(document[number].render(scale=0.9).to_pil().convert("RGB")) for number in (0, 1, 2)]
         document.close()
     for page in pages:
         page[[0, -1]] = page[:, [0, -1]] = 190  # the edge of the paper
     gap = np.full((pages[0].shape[0], 12, 3), 255, dtype=np.uint8)
-    Image.fromarray(np.hstack([pages[0], gap, pages[1]])).save(path, optimize=True)
+    Image.fromarray(np.hstack([pages[0], gap, pages[1], gap, pages[2]])).save(path, optimize=True)
 
 
 def press(path: Path) -> None:

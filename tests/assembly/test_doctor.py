@@ -360,6 +360,26 @@ def test_which_way_is_up_is_seen_of_shells(tmp_path: Path, spec: str, named: boo
             assert sorted(found.additions.get("boundary", [])) == ([] if turned else sorted(boundary))
 
 
+def test_an_arch_that_stands_on_its_side(tmp_path: Path) -> None:
+    """So does a straight vault of two rows: that none of its joints is inclined tells that it lies."""
+    arch = load_structure("arch:blocks=8")
+    for turned in (False, True):
+        lines, first = list[str](), 1
+        for row in range(2):
+            for mesh in arch.meshes:
+                points = mesh.vertices.copy()
+                points[:, 1] = 0.2 * np.sign(points[:, 1]) + 0.4 * row  # abutments are wider
+                points = points[:, [0, 2, 1]] * (1, 1, -1) if turned else points
+                lines += [f"o {mesh.name}-{row}", *(f"v {x} {y} {z}" for x, y, z in points)]
+                lines += [f"f {a + first} {b + first} {c + first}" for a, b, c in mesh.faces]
+                first += len(points)
+        path = tmp_path / f"{turned}.obj"
+        path.write_text("\n".join(lines))
+        found = doctor(path, stands=stands)
+        assert any("if that is meant, export the model with z up" in one for one in found.remarks) == turned
+        assert len(found.additions.get("boundary", [])) == (0 if turned else 4)
+
+
 @pytest.mark.parametrize(
     ("third", "wrong"),
     [

@@ -82,7 +82,7 @@ def test_states_of_a_plan(tmp_path: Path) -> None:
     plan = find_plans(arch, robots=2).plans[0]
     file = tmp_path / "plan.json"
     save_plan(plan, file)
-    np.testing.assert_array_equal(parse_states(str(file), "--states", arch), plan.states)
+    np.testing.assert_array_equal(parse_states(str(file), "--states", arch).states, plan.states)
     for step in range(len(plan) + 1):
         np.testing.assert_array_equal(parse_state(f"{file}:{step}", "--state", arch), plan.states[step])
     for step in ("99", "-1", "", "two"):

@@ -50,7 +50,7 @@ def test_margins_of_a_plan_name_the_weakest_step(falsework: Run, stack: Path, tm
 
 
 def test_margins_of_a_plan_are_those_of_what_is_built(falsework: Run, tmp_path: Path) -> None:
-    """Plan, check and margins agree on what stands, and on what robots bear; loaded at once is said so."""
+    """Plan, check and margins agree on what stands, and on what robots bear; only what was built is said to be."""
     plan = tmp_path / "plan.json"
     assert falsework("plan", "arch:blocks=7", "--out", plan).code == 0
     built = falsework("margins", plan, "--json")
@@ -59,7 +59,7 @@ def test_margins_of_a_plan_are_those_of_what_is_built(falsework: Run, tmp_path: 
     assert all(record["stands"] for record in states)
     borne = max(load["force_n"] for record in states for load in record["held"])
     assert borne == pytest.approx(falsework("check", plan, "--json").answer["largest_force_n"], rel=1e-3)
-    words = "measured in each state as it is built"
+    words = "measured as built"
     text = falsework("margins", plan).out
     assert words in text
     assert text.count("*") == len(built.answer["weakest"]) + 1  # all are shown, and the line that says what a mark is

@@ -54,7 +54,7 @@ def test_plan_and_check(falsework: Run, tmp_path: Path) -> None:
 
 def test_one_robot_is_not_plural(falsework: Run, tmp_path: Path) -> None:
     people = falsework("plan", "stack:blocks=2", "--robots", "1", "--out", tmp_path / "plan.json")
-    assert "steps with 1 robot, every state proven stable" in people.out
+    assert "steps with 1 robot, every state proven stable as built (criterion contact" in people.out
 
 
 def test_the_replay_is_printed_step_by_step(falsework: Run, tmp_path: Path) -> None:

@@ -216,3 +216,25 @@ def test_nonsense_is_not_certified_in_silence(
     done = falsework(command, "arch:blocks=3", *options, *out, "--json")
     assert doubt in done.error
     assert any(doubt in note for note in done.answer["notes"])
+
+
+def test_states_of_a_plan_are_judged_as_built_too(falsework: Run, tmp_path: Path) -> None:
+    """A plan that `plan` and `check` accept is accepted here; where its states slide from rest, both are said."""
+    plan = tmp_path / "plan.json"
+    assert falsework("plan", "vault", "--out", plan).code == 0
+    done = falsework("stability", plan, "--json")
+    assert done.code == 0
+    states = done.answer["states"]
+    assert {record["as_built"] for record in states} == {"stable"}
+    both = [record["state"] for record in states if record["verdict"] == "slides"]
+    assert both, "no state of this plan slides from rest; take another structure"
+    text = falsework("stability", "vault", "--states", f"{plan}:{both[0]}")
+    assert text.code == 0
+    assert text.out.startswith(f"{both[0]} ")
+    assert "stable as built, slides from rest; forces in balance exist" in text.out
+    assert "stable as built, stable from rest" in falsework("stability", plan, "--states", f"{plan}:0").out
+    margins = falsework("margins", "vault", "--states", f"{plan}:{both[0]}", "--json")
+    assert margins.code == 0
+    assert (margins.answer["states"][0]["state"], margins.answer["states"][0]["stands"]) == (both[0], True)
+    equilibrium = falsework("stability", plan, "--states", f"{plan}:0", "--criterion", "equilibrium", "--json")
+    assert equilibrium.answer["states"][0]["as_built"] is None

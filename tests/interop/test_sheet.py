@@ -122,7 +122,7 @@ def pdf(arch: Assembly, plan: Plan) -> bytes:
 
 
 def test_the_pdf_has_all_pages_and_pictures(pdf: bytes, arch: Assembly, plan: Plan) -> None:
-    """A cover with one picture, and six rows on a page; a part that is released at once takes one row."""
+    """A cover with one picture, three views, and six rows on a page; a part that is released at once takes one row."""
     assert pdf.startswith(b"%PDF-")
     from falsework.interop.instruction_pdf import table_rows
 
@@ -131,9 +131,9 @@ def test_the_pdf_has_all_pages_and_pictures(pdf: bytes, arch: Assembly, plan: Pl
     merged = [row for row in rows if len(row) == 2]
     assert merged
     assert all(row[0].parts == row[1].parts and row[0].place and not row[1].place for row in merged)
-    assert len(re.findall(rb"/Type /Page\b", pdf)) == 1 + -(-len(rows) // 6)
+    assert len(re.findall(rb"/Type /Page\b", pdf)) == 2 + -(-len(rows) // 6)
     pictures = re.findall(rb"/Subtype /Image", pdf)
-    assert len(pictures) == len(re.findall(rb"/DCTDecode", pdf)) == 1 + len(rows)
+    assert len(pictures) == len(re.findall(rb"/DCTDecode", pdf)) == 4 + len(rows)
 
 
 def text_of(pdf: bytes) -> str:
@@ -164,6 +164,26 @@ def test_the_stock_list_has_mass_place_and_step_of_every_part(pdf: bytes, arch: 
             x, y, z = arch.mass.center[part].round(3) + 0.0
             row = [arch.names[part], f"{arch.mass.mass[part]:.4g}", f"{x:.3f}, {y:.3f}, {z:.3f}", step.number]
             assert re.search(r"\s+".join(re.escape(str(entry)) for entry in row), stock), row
+
+
+def test_the_setting_out_has_the_dimensions_of_fixed_parts_and_of_the_whole(pdf: bytes, arch: Assembly) -> None:
+    words = text_of(pdf)
+    assert "Setting out" in words
+    boxes = np.array([mesh.bounds for mesh in arch.meshes])
+    whole = np.ptp([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)], axis=0)
+    fixed = boxes[arch.boundary]
+    for length in (*whole, *fixed[:, :, 0].ravel(), *np.diff(np.unique(np.round(fixed[:, :, 0], 4)))):
+        assert f"{round(1000 * length, 1):,.1f}".removesuffix(".0") in words, length
+
+
+@pytest.mark.parametrize(
+    ("points", "scale"), [(2834.7, 1.0), (2834.0, 2.0), (1400.0, 2.5), (57.0, 50.0), (56.0, 100.0), (30_000.0, 0.1)]
+)
+def test_drawings_have_usual_scales(points: float, scale: float) -> None:
+    """The largest at which a metre takes at most so many points, 1/72 inch each."""
+    from falsework.interop.setting_out import usual_scale
+
+    assert usual_scale(points) == pytest.approx(scale)
 
 
 def test_nothing_in_the_pdf_is_cut_short(tmp_path: Path) -> None:

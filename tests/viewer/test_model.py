@@ -225,7 +225,7 @@ def test_proofs_of_a_new_plan_are_those_of_its_own_states(model: ViewerState, fo
         model.go_to(place)
         proof = model.proof()
         assert proof.stable
-        assert ("as reached in assembly" in proof.words) == (place >= model.built), place
+        assert ("as built" in proof.words) == (place >= model.built), place
 
 
 def test_a_robot_holds_a_part_by_a_click(model: ViewerState) -> None:

@@ -56,6 +56,8 @@ def test_a_notebook_shows_pictures_tables_pages_and_progress(tmp_path: Path) -> 
     assert "<iframe srcdoc=" in shown(page, "text/html")
     assert re.search(r"http://localhost:\d+", shown(page, "text/html"))
     assert not any(output["output_type"] == "stream" for cell in book.cells for output in cell.outputs)
+    assert "(viser)" not in re.sub(r"\x1b\[\d*m", "", "".join(shown(cell, "text/plain") for cell in book.cells))
+    assert "Websocket" not in shown(page, "text/plain")
     assert "__VISER_EMBED_DATA__" in (tmp_path / "plan.html").read_text(encoding="utf-8")
 
 

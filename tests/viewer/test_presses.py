@@ -1,4 +1,4 @@
-"""Presses of robots in texts, pictures and on the page, and states of plans judged as they are reached."""
+"""Presses of robots in texts, pictures and on the page, and states of plans judged as built."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_states_of_a_plan_are_judged_as_they_are_reached(
     oracle = StabilityOracle(assembly)
     shown = viewable_of(plan, assembly)
     proofs = shown.proofs(range(len(plan) + 1))
-    assert all(proof.stable and proof.words.endswith("(as reached in assembly)") for proof in proofs.values())
+    assert all(proof.stable and proof.words.endswith("(as built)") for proof in proofs.values())
     assert PRESSES in proofs[place].arrows
     backwards = BuildProofs(plan, oracle)
     for at in (len(plan), place, 0):
@@ -173,7 +173,7 @@ def test_the_page_says_how_a_state_was_judged(
     model.go_to(place)
     text = where_text(model, ask=True)
     assert re.search(rf"R\d presses {assembly.names[part]} with 50 N", text)
-    assert ("(as reached in assembly)" in text) == contact
+    assert ("(as built)" in text) == contact
     assert labels_of(model, model.appearance())[part].endswith(" presses 50 N")
     model.tool = ClickMode.FIXED
     model.click_part(part)
@@ -215,7 +215,7 @@ def test_the_command_says_it(
     assert main(words) == 0
     said = capsys.readouterr().out
     assert re.search(rf"step {place} of .* R\d presses {arch[0].names[part]} with 50 N", said)
-    assert "(as reached in assembly)" in said
+    assert "(as built)" in said
     assert main(["check", str(file), "--steps"]) == 0
     steps = [line for line in capsys.readouterr().out.splitlines() if " presses " in line]
     assert len(steps) == 1

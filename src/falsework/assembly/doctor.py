@@ -93,6 +93,9 @@ class Diagnosis:
     draft: Draft | None
     """The parts as in the files; None if they cannot be read."""
 
+    def __repr__(self) -> str:
+        return f"<Diagnosis of {self.path}: {len(self.parts)} parts, {self.error or 'it loads'}>"
+
     @property
     def loads(self) -> bool:
         """Whether the structure can be used as it is."""
@@ -206,7 +209,7 @@ def doctor(
     if stands is not None and None not in solids and len(solids) > 1:
         known = assembly if assembly is not None and not options.get("ground") else None
         upright = stands(known) if known is not None and not fixed.all() else _stands(draft, solids, options, stands)
-        lying = upright_finding(upright, lambda: _stands(draft, solids, options, stands, _Y_UP))
+        lying = upright_finding(upright, lambda: _stands(draft, solids, options, stands, _Y_UP), contacts)
     remarks += material_findings(draft, options, assembly)
     remarks += inclination_findings(draft.names if assembly is None else assembly.names, contacts)
     remarks += [lying] if lying else []

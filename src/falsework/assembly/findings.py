@@ -108,17 +108,32 @@ def lowest(solids: Sequence[TriangleMesh | None]) -> list[int]:
     return np.flatnonzero(low <= np.nanmin(low) + level).tolist()
 
 
-def upright_finding(upright: bool | None, with_y_up: Callable[[], bool | None]) -> str:
+def upright_finding(upright: bool | None, with_y_up: Callable[[], bool | None], contacts: Contacts | None) -> str:
     """Return the finding that a structure was made with y up.
+
+    An arch on its side stands too: then no joint is inclined to the vertical, and with y up some are.
 
     Args:
         upright: whether it stands as it is; None if it has nothing to stand on, or all of it lies on the ground.
-        with_y_up: the same with y up; called only if it does not stand.
+        with_y_up: the same with y up; called only where it is in doubt.
+        contacts: of its parts, where they are known.
     """
-    if upright or not with_y_up():
+    on_its_side = bool(upright) and contacts is not None and not _inclined(contacts, 2) and _inclined(contacts, 1)
+    if (upright and not on_its_side) or not with_y_up():
         return ""
+    if on_its_side:
+        return (
+            "it stands as it is, where all joints are level or upright, and with y up, where some are inclined as in "
+            "an arch: if that is meant, export the model with z up"
+        )
     now = "all parts lie on the ground or touch no other as it is" if upright is None else "it falls as it is"
     return f"{now}, but would stand with y up: export the model with z up"
+
+
+def _inclined(contacts: Contacts, axis: int) -> bool:
+    """Return whether a joint is neither level nor upright where an axis is vertical."""
+    along, least = np.abs(contacts.normals[:, axis]), np.sin(np.radians(_INCLINED))
+    return bool(((along > least) & (along < np.sqrt(1 - least**2))).any())
 
 
 def likely_units(size: float, scale: float) -> list[str]:

@@ -6,6 +6,7 @@ import json
 import math
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -125,22 +126,37 @@ def parse_state(text: str, option: str, assembly: Assembly) -> States:
     Returns:
         Shape (parts,).
     """
-    states = parse_states(text, option, assembly)
+    states = parse_states(text, option, assembly).states
     if len(states) != 1:
         raise StateError(f"{option} {text}: holds {len(states)} states; give one")
     return states[0]
 
 
-def parse_states(text: str, option: str, assembly: Assembly) -> States:
+@dataclass(frozen=True, eq=False)
+class ChosenStates:
+    """States that a command is about: those of a plan, which stand as built, or others, which are loaded from rest."""
+
+    states: States
+    """Shape (states, parts)."""
+    plan: Plan | None = None
+    first: int = 0
+    """Steps of the plan up to the first of the states."""
+
+    def subject(self, row: int) -> str:
+        """Return the name of a state: the step of the plan that leads to it, or its number."""
+        if self.plan is None:
+            return f"state {row}"
+        step = self.first + row
+        return f"{step} {self.plan.steps[step - 1] if step else 'start'}"
+
+
+def parse_states(text: str, option: str, assembly: Assembly) -> ChosenStates:
     """Read states.
 
     Args:
         text: `complete`, `empty`, digits such as `2110`, a plan and its step such as `plan.json:31`, names of the parts
             that stand and, after `held:`, of those that are held, such as `0-16,keystone,held:left`; or a file: a plan,
             whose states all count, a JSON list or a `.npy` array.
-
-    Returns:
-        Shape (states, parts).
     """
     from falsework.assembly.state import as_states
     from falsework.replanning.named_state import named_state
@@ -148,20 +164,22 @@ def parse_states(text: str, option: str, assembly: Assembly) -> States:
 
     try:
         if text in ("complete", "empty"):
-            return named_state(text, assembly)[None]
+            return ChosenStates(named_state(text, assembly)[None])
         if text and set(text) <= set("012"):
-            return as_states([int(digit) for digit in text], assembly.boundary)
+            return ChosenStates(as_states([int(digit) for digit in text], assembly.boundary))
         if text.startswith("["):
-            return as_states(parse_json(text), assembly.boundary)
+            return ChosenStates(as_states(parse_json(text), assembly.boundary))
         file, colon, step = text.rpartition(":")
         if colon and Path(file).is_file():
-            return _state_of_step(file, step, assembly)[None]
+            return _state_of_step(file, step, assembly)
         if Path(text).is_file():
-            plain = not is_plan_file(text)
-            return as_states(read_states(Path(text)), assembly.boundary) if plain else _plan(text, assembly).states
+            if is_plan_file(text):
+                plan = _plan(text, assembly)
+                return ChosenStates(plan.states, plan)
+            return ChosenStates(as_states(read_states(Path(text)), assembly.boundary))
         if ".json" in (Path(text).suffix.lower(), Path(file).suffix.lower()) or text.endswith(".npy"):
             raise StateError(f"there is no file {file if colon else text}")
-        return _state_of_parts(text, option, assembly)[None]
+        return ChosenStates(_state_of_parts(text, option, assembly)[None])
     except (StateError, PlanError, ValueError) as error:
         raise StateError(f"{option} {text}: {error}") from None
 
@@ -176,11 +194,11 @@ def _plan(file: str, assembly: Assembly) -> Plan:
     return plan
 
 
-def _state_of_step(file: str, step: str, assembly: Assembly) -> States:
+def _state_of_step(file: str, step: str, assembly: Assembly) -> ChosenStates:
     plan = _plan(file, assembly)
     if not (step.isascii() and step.isdecimal() and int(step) <= len(plan)):
         raise PlanError(f"the plan has no step {step!r}; its steps are 1 to {len(plan)}, and 0 is the start")
-    return plan.states[int(step)]
+    return ChosenStates(plan.states[int(step)][None], plan, int(step))
 
 
 def _state_of_parts(text: str, option: str, assembly: Assembly) -> States:

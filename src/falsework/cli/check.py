@@ -183,8 +183,9 @@ class CheckPlan(JudgingCommand):
         if found.good:
             claim = found.claim
             output.say(
-                f"{self.plan}: all {found.states} states are stable by the criterion {claim.criterion} ({claim.cone} "
-                f"cone, tolerance {format_quantity(claim.tolerance, 'share')}, gravity {claim.gravity:g} m/s2, "
+                f"{self.plan}: all {found.states} states are {claim.proves} by the criterion {claim.criterion} "
+                f"({claim.cone} cone, tolerance {format_quantity(claim.tolerance, 'share')}, "
+                f"gravity {claim.gravity:g} m/s2, "
                 f"force bound "
                 f"{claim.force_bound:g}); largest residual {format_quantity(found.residual, 'share')} of gravity"
             )

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from falsework.cli.arguments import parse_load, parse_numbers, split_parts
+from falsework.cli.arguments import ChosenStates, parse_load, parse_numbers, parse_states, spell_options, split_parts
 from falsework.cli.exit_code import Exit
+from falsework.errors import InputError
 from falsework.utils.files.output_file import path_beside
 
 if TYPE_CHECKING:
@@ -27,13 +28,17 @@ CRITERION = (
 )
 _CRITERION_HINT = "(default: contact, or that of the plan)"
 _CONE_HINT = "(default: quadratic under contact, octagon under equilibrium)"
-STATES = (
+_STATES = (
     "A state, as `complete`, digits, plan.json:31, or parts such as 0-16,keystone,held:left; or a file with states: a "
     "JSON list, a .npy array, or a plan."
 )
 CriterionName = Literal["contact", "equilibrium"]
 CriterionOption = Annotated[CriterionName, arg(help=CRITERION)]
 CriterionOfPlan = Annotated[CriterionName | None, arg(help=CRITERION, help_behavior_hint=_CRITERION_HINT)]
+StatesOption = Annotated[
+    str | None,
+    arg(metavar="STATES", help=_STATES, help_behavior_hint="(default: complete, or those of the plan)"),
+]
 ConeOption = Annotated[
     Literal["octagon", "quadratic"] | None,
     arg(help="Friction cone: round, or eight-sided as in the paper.", help_behavior_hint=_CONE_HINT),
@@ -139,6 +144,34 @@ class StructureOptions(LoadOptions):
         if assembly.settlement is not None:
             warnings.warn(assembly.settlement.line(assembly.names), stacklevel=2)
         return assembly
+
+    def load_states(self, states: str | None, output: Output) -> tuple[Assembly, ChosenStates]:
+        """Read a structure and states of it, or a plan and its states, and warn of options that only the plan sets.
+
+        Args:
+            states: as given on the command line; all states of a plan, or the complete one of a structure, if None.
+
+        Raises:
+            InputError: a robot plan, or no states of this structure.
+        """
+        from falsework.files import load_own
+        from falsework.search.plans.plan import Plan
+        from falsework.search.plans.plan_check import check_identity
+        from falsework.search.plans.plan_source import structure_to_check
+
+        own = load_own(self.spec) if Path(self.spec).suffix.lower() == ".json" else None
+        if not isinstance(own, Plan):
+            if own is not None:
+                raise InputError(f"{self.spec} is a robot plan; give the plan or the structure")
+            assembly = self.load()
+            return assembly, parse_states(states or "complete", "--states", assembly)
+        assembly, set_by_plan = structure_to_check(own, self.spec, **self.given())
+        check_identity(own, assembly)
+        if set_by_plan:
+            options = spell_options(set_by_plan)
+            output.note(f"falsework: warning: the plan sets options of its structure itself: {options}")
+        chosen = ChosenStates(own.states, own) if states is None else parse_states(states, "--states", assembly)
+        return assembly, chosen
 
     def source(self, beside: Path) -> dict[str, Any]:
         """Return the source of the structure, to be recorded in a file.

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.arguments import parse_states, spell_options
-from falsework.cli.command import STATES, UNSET, Command, ConeOption, CriterionOfPlan, StructureOptions
+from falsework.cli.command import UNSET, Command, ConeOption, CriterionOfPlan, StatesOption, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.margins_table import print_margins
 from falsework.errors import InputError
@@ -18,6 +17,7 @@ from falsework.utils.quantity import format_quantity
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
+    from falsework.cli.arguments import ChosenStates
     from falsework.cli.output import Output
     from falsework.search.plans.plan import Plan
     from falsework.stability import StateMargins
@@ -35,8 +35,9 @@ class FindMargins(Command):
     has a certificate on both sides, within 1 %. A margin without a bound is null in JSON. Exit code 1 if a state is not
     stable, or if a robot would bear more than --bears.
 
-    States of a plan under the criterion contact are measured as they are built: their contacts keep the loads that they
-    have taken on. Other states, those of structures with joints, and those that --out writes, are loaded at once.
+    States of a plan under the criterion contact are measured as built: their contacts keep the loads that they have
+    taken on. Other states, those of structures with joints, and those that --out writes, are measured from rest, with
+    all loads at once.
     """
 
     rare: ClassVar[tuple[str, ...]] = ("cone", "polygon", "settlement", "placement", "draws", "seed")
@@ -51,9 +52,7 @@ class FindMargins(Command):
     )
 
     structure: StructureOptions
-    states: Annotated[
-        str | None, arg(metavar="STATES", help=STATES, help_behavior_hint="(default: complete, or those of the plan)")
-    ] = None
+    states: StatesOption = None
     criterion: CriterionOfPlan = None
     cone: ConeOption = None
     bears: Annotated[str | None, arg(metavar="FORCE,MOMENT", help_behavior_hint=UNSET)] = None
@@ -73,15 +72,11 @@ class FindMargins(Command):
     steps: bool = False
     """Print all steps of a plan, not the weakest alone."""
     out: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=UNSET)] = None
-    """File to write the plan to with the margins of all its states, loaded at once, which instruction sheets and the
-    page show and `falsework check` verifies."""
+    """File to write the plan to with the margins of all its states from rest, which instruction sheets and the page
+    show and `falsework check` verifies."""
 
     def run(self, output: Output) -> Exit:
         """Find and print the margins."""
-        from falsework.interop.formats import read_exportable
-        from falsework.search.plans.plan import Plan
-        from falsework.search.plans.plan_check import check_identity
-        from falsework.search.plans.plan_source import structure_to_check
         from falsework.stability.margins.margins import QUICK
         from falsework.stability.oracle import StabilityOracle
         from falsework.stability.settings import StabilitySettings
@@ -89,25 +84,15 @@ class FindMargins(Command):
 
         limits = self._limits()
         errors = [parse_quantity(text, "length", "--placement") for text in (self.placement or "").split(",") if text]
-        subject, assembly = read_exportable(self.structure.spec, **self.structure.given())
-        if assembly is None:
-            raise InputError(f"{self.structure.spec} is a robot plan; give the plan or the structure")
-        plan = subject if isinstance(subject, Plan) else None
-        if plan is not None:
-            check_identity(plan, assembly)
-            own = structure_to_check(plan, self.structure.spec, **self.structure.given())[1]
-            if own:
-                output.note(f"falsework: warning: the plan sets options of its structure itself: {spell_options(own)}")
-        own_states = plan is not None and self.states is None
-        text = self.states or "complete"
-        states = plan.states if plan and own_states else parse_states(text, "--states", assembly)
+        assembly, chosen = self.structure.load_states(self.states, output)
+        plan, states = chosen.plan, chosen.states
         criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
         settings = StabilitySettings(criterion=criterion, cone=self.cone)
         if self.out is not None:
             self._refuse_out(plan, settings)
         extra = [kind for kind in ("polygon", "settlement") if getattr(self, kind)]
         oracle, found, interrupted = StabilityOracle(assembly, settings), [], False
-        histories = _histories(plan, assembly, settings) if plan and own_states and self.out is None else ()
+        histories = _histories(chosen, assembly, settings) if self.out is None else ()
         with output.bar("margins") as show:
             try:
                 for row in range(len(states)):
@@ -121,7 +106,7 @@ class FindMargins(Command):
         shares = self._shares(assembly, states, errors, settings, output)
         overloaded, records = False, []
         for row, margins in enumerate(found):
-            record = {"state": row, **margins.to_dict(assembly.names)}
+            record = {"state": chosen.first + row, **margins.to_dict(assembly.names)}
             if errors:
                 record["placement"] = [{"error_m": e, "share": s} for e, s in zip(errors, shares[row], strict=True)]
             beyond = [
@@ -137,16 +122,15 @@ class FindMargins(Command):
             for load in beyond:
                 name = assembly.names[load.part]
                 output.note(
-                    f"falsework: state {row}: the robot that holds {name} bears "
+                    f"falsework: {chosen.subject(row)}: the robot that holds {name} bears "
                     f"{format_quantity(load.force_n, 'force')} and {format_quantity(load.moment_nm, 'moment')}, more "
                     f"than {self.bears}"
                 )
-        subjects = [f"state {row}" if self.states else assembly.name for row in range(len(records))]
-        if plan is not None and own_states:
-            subjects = [f"{row} {plan.steps[row - 1] if row else 'start'}" for row in range(len(records))]
+        whole = plan is None and self.states is None
+        subjects = [assembly.name if whole else chosen.subject(row) for row in range(len(records))]
         print_margins(records, subjects, output, everything=self.steps or plan is None)
         if histories:
-            output.say("measured in each state as it is built, with the loads that its contacts have taken on by then")
+            output.say("measured as built, with the loads that contacts have taken on by then")
         if interrupted:
             output.note(f"interrupted after {len(found)} of {len(states)} states")
             return Exit.INTERRUPTED
@@ -190,8 +174,8 @@ class FindMargins(Command):
         fallen = next((row for row, margins in enumerate(found) if not margins.stands), None)
         if fallen is not None:
             output.note(
-                f"falsework: {path} is not written: a plan carries margins of states that are loaded at once, and "
-                f"state {fallen} stands only as it is built"
+                f"falsework: {path} is not written: a plan carries margins of states from rest, and state {fallen} "
+                "stands only as built"
             )
             return
         margins = PlanMargins.from_states(found)
@@ -225,12 +209,17 @@ class FindMargins(Command):
         return curve.shares.T.tolist()
 
 
-def _histories(plan: Plan, assembly: Assembly, settings: StabilitySettings) -> tuple[History, ...]:
-    """Return the histories of the contacts in the states of a plan; none where they are loaded at once."""
+def _histories(chosen: ChosenStates, assembly: Assembly, settings: StabilitySettings) -> tuple[History, ...]:
+    """Return the histories of the contacts in the states of a plan; none where they are measured from rest."""
     from falsework.stability.contact.replay import Replayer
 
-    if settings.criterion != "contact" or plan.claim.criterion != "contact" or assembly.joints is not None:
+    plan, count = chosen.plan, chosen.first + len(chosen.states)
+    if (
+        plan is None
+        or (settings.criterion, plan.claim.criterion) != ("contact", "contact")
+        or assembly.joints is not None
+    ):
         return ()
     replayer = Replayer(assembly, replace(settings, holds=plan.claim.holds))
-    histories = replayer.replay(plan.states, presses=plan.presses_before).histories
-    return histories if len(histories) == len(plan.states) else ()
+    histories = replayer.replay(plan.states[:count], presses=plan.presses_before[:count]).histories
+    return histories[chosen.first :] if len(histories) == count else ()

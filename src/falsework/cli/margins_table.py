@@ -98,7 +98,7 @@ def _single(record: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _remarks(record: dict[str, Any]) -> list[str]:
-    words = [] if record["stands"] else ["does not stand if loaded at once"]
+    words = [] if record["stands"] else ["does not stand from rest"]
     for name, depth in record.get("settlement_m", {}).items():
         deep = "as far as the criterion allows" if depth is None else format_quantity(depth, "length")
         words.append(f"{name} may sink {deep}")

@@ -346,8 +346,8 @@ class MakePlan(Command):
         output.record({"verdicts": asked, "seconds": seconds})
         path, first = plans[0]
         output.say(
-            f"{path}: {counted(len(first), 'step')} with {counted(first.robots, 'robot')}, every state proven stable "
-            f"(criterion {first.claim.criterion}, {seconds:.1f} s, {counted(asked, 'verdict')})"
+            f"{path}: {counted(len(first), 'step')} with {counted(first.robots, 'robot')}, every state proven "
+            f"{first.claim.proves} (criterion {first.claim.criterion}, {seconds:.1f} s, {counted(asked, 'verdict')})"
         )
         for line in reserve_lines(first, robust=self.robust):
             output.say(line)

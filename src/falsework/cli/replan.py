@@ -287,8 +287,9 @@ class MakeReplan(Command):
             fewer = f", {self.robots} from step {answer.built + 1} on"
         output.say(
             f"{paths[0]}: {counted(len(plan), 'step')} of {answer.direction.value} with "
-            f"{counted(plan.robots, 'robot')}{fewer}, every state proven stable (criterion {plan.claim.criterion}, "
-            f"decided by {answer.decided_by.value}, {answer.seconds:.2f} s, {counted(answer.verdicts, 'verdict')})"
+            f"{counted(plan.robots, 'robot')}{fewer}, every state proven {plan.claim.proves} "
+            f"(criterion {plan.claim.criterion}, decided by {answer.decided_by.value}, {answer.seconds:.2f} s, "
+            f"{counted(answer.verdicts, 'verdict')})"
         )
         for line in reserve_lines(plan):
             output.say(line)

@@ -65,7 +65,8 @@ def found_texts(plan: RobotPlan, name: str, statistics: dict[str, Any]) -> list[
     """Return what is known of a plan that was found, in sentences."""
     found = [
         f"{name}: {counted(plan.executed, 'step')} for {counted(len(plan.robots), 'robot')}, {plan.seconds:.0f} s of "
-        f"motion, every state proven stable (criterion {plan.plan.claim.criterion}, {statistics['seconds']:.1f} s)"
+        f"motion, every state proven {plan.plan.claim.proves} (criterion {plan.plan.claim.criterion}, "
+        f"{statistics['seconds']:.1f} s)"
     ]
     done = len(plan.done_by)
     if done:

@@ -1,4 +1,4 @@
-"""Printable PDF of assembly instructions: a cover with the stock list, then a picture and a box for each step."""
+"""Printable PDF of assembly instructions: cover, stock list, setting-out drawing, then a picture for each step."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import io
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape
 
@@ -15,6 +14,8 @@ from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
 from falsework.interop.instruction_table import AssemblyInstruction, AssemblyInstructions, sheet
+from falsework.interop.pdf_page import REGULAR, jpeg, register_fonts
+from falsework.interop.setting_out import setting_out
 from falsework.utils.files.formats import Exporter, writer_of
 from falsework.utils.quantity import counted, listed
 from falsework.viewer.appearance import appearance_at, bounds_of, diagonal
@@ -50,8 +51,6 @@ _LISTED_PARTS = 12
 CAMERA = Camera(width=480, height=304, zoom=0.96)
 """Default camera of the pictures."""
 _GREY = "#77797d"
-_REGULAR, _BOLD = "FalseworkSans", "FalseworkSans-Bold"
-"""Names of the fonts, once they are registered."""
 
 
 def instructions_pdf(
@@ -68,9 +67,10 @@ def instructions_pdf(
     from reportlab import rl_config
     from reportlab.lib.pagesizes import A4
     from reportlab.platypus import PageBreak, SimpleDocTemplate
+    from reportlab.platypus.flowables import CallerMacro
 
     rl_config.useA85 = 0  # pictures as bytes: their ASCII form is a quarter longer, and slow to write
-    _register_fonts()
+    register_fonts()
     buffer = io.BytesIO()
     document = SimpleDocTemplate(
         buffer,
@@ -87,7 +87,11 @@ def instructions_pdf(
         invariant=1,
     )
     rows, box = table_rows(sheet), _box(sheet)
-    story = [*_cover(sheet, camera), PageBreak()]
+    drawing = CallerMacro(
+        drawCallable=lambda page: setting_out(page.canv, sheet.assembly, document.width, document.height),
+        wrapCallable=lambda page, width, height: (width, height),
+    )
+    story = [*_cover(sheet, camera), PageBreak(), drawing, PageBreak()]
     for done, steps in enumerate(rows, 1):
         story.append(_row(sheet, steps, camera, box))
         if progress is not None:
@@ -127,7 +131,7 @@ def _numbered(sheet: AssemblyInstructions) -> type[Canvas]:
             about = f"{sheet.assembly.name}, structure {sheet.assembly.identity[:12]}"
             for number, page in enumerate(self.kept, 1):
                 self.__dict__.update(page)
-                self.setFont(_REGULAR, 7.5)
+                self.setFont(REGULAR, 7.5)
                 self.setFillColor(_GREY)
                 self.drawString(_MARGIN, _MARGIN - 16, about)
                 self.drawRightString(A4[0] - _MARGIN, _MARGIN - 16, f"page {number} of {len(self.kept)}")
@@ -142,7 +146,7 @@ def _text(markup: str, size: float = 8.3, color: str = INK) -> Flowable:
     from reportlab.lib.styles import ParagraphStyle
     from reportlab.platypus import Paragraph
 
-    style = ParagraphStyle("", fontName=_REGULAR, fontSize=size, leading=1.2 * size, textColor=_color(color))
+    style = ParagraphStyle("", fontName=REGULAR, fontSize=size, leading=1.2 * size, textColor=_color(color))
     return Paragraph(markup, style)
 
 
@@ -181,7 +185,7 @@ def _cover(sheet: AssemblyInstructions, camera: Camera) -> list[Flowable]:
     colors = [f"{_square(robot_color(support))}support {support + 1}" for support in range(sheet.supports)]
     view = replace(camera, width=900, height=round(900 * _COVER[1] / _COVER[0]))
     look = appearance_at(sheet.timeline, len(sheet.timeline), marks={}, travelling=False)
-    picture = _jpeg(draw(assembly, look, view, samples=2), _COVER)
+    picture = _picture(draw(assembly, look, view, samples=2), _COVER)
     return [
         _text(f"<b>{escape(assembly.name)}</b>", 18),
         _text(f"{counted(len(placed), 'part')} to place, {mass:,.0f} kg; {work}", 10.5),
@@ -203,7 +207,7 @@ def _stock(sheet: AssemblyInstructions, placed: list[tuple[int, int]]) -> Flowab
     half = -(-len(lines) // 2)
     lines += [("",) * 4] * (2 * half - len(lines))
     rows = [[*left, *right] for left, right in zip(lines[:half], lines[half:], strict=True)]
-    style = [("FONT", (0, 0), (-1, -1), _REGULAR, 7.5), ("TEXTCOLOR", (0, 0), (-1, 0), _GREY)]
+    style = [("FONT", (0, 0), (-1, -1), REGULAR, 7.5), ("TEXTCOLOR", (0, 0), (-1, 0), _GREY)]
     style += [("VALIGN", (0, 0), (-1, -1), "TOP"), ("TOPPADDING", (0, 0), (-1, -1), 0)]
     style += [("BOTTOMPADDING", (0, 0), (-1, -1), 1)]
     style += [("ALIGN", (first, 0), (first + 2, -1), "RIGHT") for first in (1, 5)]
@@ -231,7 +235,7 @@ def _axes(camera: Camera, length: float) -> Drawing:
     for name, across, up in zip("xyz", *camera.axes[:2], strict=True):
         x, y = size + length * across, size + length * up
         drawing.add(Line(size, size, x, y, strokeColor=_color(INK), strokeWidth=0.8))
-        drawing.add(String(x + 3 * across - 2, y + 3 * up - 2, name, fontName=_REGULAR, fontSize=7))
+        drawing.add(String(x + 3 * across - 2, y + 3 * up - 2, name, fontName=REGULAR, fontSize=7))
     return drawing
 
 
@@ -280,7 +284,7 @@ def _row(
     arrows = list(arrows_of_step(sheet.timeline, step.number).values())
     if step.place:
         arrows.append(step_arrows(sheet, step))
-    picture = _jpeg(draw(sheet.assembly, look, camera, bounds=box, arrows=arrows, samples=2), _PICTURE)
+    picture = _picture(draw(sheet.assembly, look, camera, bounds=box, arrows=arrows, samples=2), _PICTURE)
     held = [_text(f"{_square(robot_color(by))}{escape(sheet.name(part))}", 9.5) for part, by in last.hold]
     hold = [_text("HOLD until released" if held else "nothing is held", color=_GREY), *held]
     cells = [[_text(f"<b>{number}</b>", 14 if len(steps) == 1 else 9), tick, _axes(camera, 11)], picture]
@@ -327,28 +331,10 @@ def _supports(step: AssemblyInstruction) -> str:
     return f"support {numbers[0]}" if len(numbers) == 1 else f"supports {', '.join(numbers[:-1])} and {numbers[-1]}"
 
 
-def _jpeg(image: NDArray[np.floating], size: tuple[float, float]) -> Flowable:
-    """Return a picture, as JPEG: a fifth of the size of what the page would make of the pixels."""
-    import PIL.Image
+def _picture(image: NDArray[np.floating], size: tuple[float, float]) -> Flowable:
     from reportlab.platypus import Image
 
-    file = io.BytesIO()
-    PIL.Image.fromarray(np.rint(255 * image).astype(np.uint8)).save(file, "JPEG", quality=88, subsampling=0)
-    file.seek(0)
-    return Image(file, *size, kind="proportional")
-
-
-def _register_fonts() -> None:
-    """Register fonts with more glyphs than the standard PDF fonts; they come with matplotlib."""
-    import matplotlib
-    from reportlab.pdfbase.pdfmetrics import getRegisteredFontNames, registerFont, registerFontFamily
-    from reportlab.pdfbase.ttfonts import TTFont
-
-    folder = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
-    for name, file in ((_REGULAR, "DejaVuSans.ttf"), (_BOLD, "DejaVuSans-Bold.ttf")):
-        if name not in getRegisteredFontNames():
-            registerFont(TTFont(name, folder / file))
-    registerFontFamily(_REGULAR, _REGULAR, _BOLD, _REGULAR, _BOLD)
+    return Image(jpeg(image), *size, kind="proportional")
 
 
 def _pdf_of(

@@ -23,7 +23,7 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import NO_ROBOT, Action, name_together
 from falsework.stability.holds import Press
 from falsework.utils.files.formats import Exporter, writer_of
-from falsework.utils.quantity import format_number, format_quantity, listed
+from falsework.utils.quantity import counted, format_number, format_quantity, listed
 from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
@@ -97,6 +97,10 @@ class AssemblyInstructions:
     steps: tuple[AssemblyInstruction, ...]
     supports: int
     """That there must be."""
+
+    def __repr__(self) -> str:
+        work = f"{counted(len(self.steps), 'step')} with {counted(self.supports, 'support')}"
+        return f"<AssemblyInstructions for {self.assembly.name}: {work}>"
 
     @property
     def assembly(self) -> Assembly:

@@ -18,7 +18,7 @@ from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.sheets import is_sheet
 from falsework.geometry.mesh.surface import PartSurface, separated, warn_of, warn_of_curves
-from falsework.interop.apart import read_apart
+from falsework.utils.child_process import read_apart
 from falsework.utils.files.formats import Reader
 
 _UNITS = {

@@ -13,7 +13,7 @@ import numpy as np
 from falsework.assembly.draft import Block, Draft
 from falsework.errors import DependencyError, InputError
 from falsework.geometry.mesh.surface import warn_of, warn_of_curves
-from falsework.interop.apart import read_apart
+from falsework.utils.child_process import read_apart
 from falsework.utils.files.formats import Reader
 
 _MILLIMETRE = 1e-3

@@ -38,7 +38,7 @@ class Stage(StrEnum):
     """A search through all reachable states."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ReplanResult(Result[Plan], Displayed):
     """Result of one request."""
 

@@ -40,7 +40,7 @@ _QUICK, _THOROUGH = 1, 10_000
 """Verdicts per part spent on the bound before the search for a plan, and after a plan with one robot more."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MinRobots(Result[int]):
     """Answer to how many robots a task needs."""
 

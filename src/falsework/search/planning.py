@@ -11,7 +11,7 @@ from falsework.search.problem.result import Outcome, Result, SearchResult
 from falsework.utils.display.notebook import Displayed
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Planning(Result[Plan], Displayed):
     """Result of `find_plans`."""
 
@@ -25,9 +25,6 @@ class Planning(Result[Plan], Displayed):
     """Without a plan whose replay succeeds: the one whose replay gets farthest, with the step at which it fails."""
     deadline_passed: bool = False
     """Whether the deadline ended the search; `result` and `plans` are the best that it had by then."""
-
-    def __repr__(self) -> str:
-        return f"<Planning: {self.result.outcome.value}, {self.plans if self.found else self.result}>"
 
     @property
     def value(self) -> Plan | None:

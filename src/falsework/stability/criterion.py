@@ -59,6 +59,11 @@ class StabilityCriterion(StabilityBounds):
         return vars(self) | {"holds": self.holds.to_dict()}
 
     @property
+    def proves(self) -> str:
+        """What it proves of the states of a plan, in words: under `contact` they are stable as the plan builds them."""
+        return "stable as built" if self.criterion == "contact" else "stable"
+
+    @property
     def well_below(self) -> float:
         """Residual up to which a stable state does not depend on the tolerance, a share of gravity."""
         return _WELL_BELOW * self.tolerance

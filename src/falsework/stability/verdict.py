@@ -64,7 +64,7 @@ class Proof(IntEnum):
     DISPLACEMENT = 3
     """A displacement whose contact forces balance every part (stable from rest under the criterion `contact`)."""
     HISTORY = 5
-    """Displacements in the steps of a build whose contact forces balance every part (stable as reached in a plan)."""
+    """Displacements in the steps of a build whose contact forces balance every part (stable as built)."""
     MOTION = 4
     """Such a displacement, and a motion from there that grows (`growth_of_motion`)."""
 

@@ -13,11 +13,16 @@ from pathlib import Path
 from typing import TypeVar
 
 import falsework
+from falsework.errors import InputError
 
 Result = TypeVar("Result")
 _MAIN = f"from {__name__} import answer; answer()"
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """Environment without threads for linear algebra, whose stacks would count as memory on a machine of many cores."""
+_MEMORY, _MEMORY_PER_BYTE = 4 << 30, 2000
+"""Address space of the process: for the libraries, and for each byte of the file."""
+_SECONDS, _SECONDS_PER_BYTE = 20.0, 20e-6
+"""Time of the process: for its start, and for each byte of the file."""
 
 
 class ChildDiedError(Exception):
@@ -65,6 +70,25 @@ def run_in_child(
     if error is not None:
         raise error
     return result
+
+
+def read_apart(read: Callable[..., Result], path: Path, *arguments: object, library: str) -> Result:
+    """Read a file in a process of its own.
+
+    Raises:
+        InputError: no such file, or the process ended, took too long or too much memory; or as `read`.
+    """
+    if not path.is_file():
+        raise InputError(f"there is no file {path}; name another")
+    size = path.stat().st_size
+    memory, seconds = _MEMORY + _MEMORY_PER_BYTE * size, _SECONDS + _SECONDS_PER_BYTE * size
+    try:
+        return run_in_child(read, path, *arguments, memory=memory, seconds=seconds)
+    except ChildDiedError as error:
+        how = f"stopped ({error})"
+    except MemoryError:
+        how = "takes more memory than a file of its size may"
+    raise InputError(f"{path} cannot be read: {library} {how}; the file is damaged, export it again")
 
 
 def answer() -> None:

@@ -1,7 +1,7 @@
 """Verdicts on states with their proofs, as text, arrows and marks.
 
-Under the criterion `contact` there are two: a state of a plan is judged as it is reached in assembly, any other state
-from rest, all its loads at once. The text says which.
+Under the criterion `contact` there are two: a state of a plan is judged as built, by the steps that lead to it,
+any other state from rest, all its loads at once. The text says which.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _NAMED = 3
 """Parts that a text names; the rest is counted."""
 _TIPS = "forces balance every part, but a small motion grows"
 _WHY = "balancing forces exist, but the contacts do not develop them"
-_REST, _REACHED = "from rest", "as reached in assembly"
+_REST, _BUILT = "from rest", "as built"
 _AT_ONCE = 64
 """States whose contact forces are in memory at the same time, and proofs that are kept."""
 
@@ -89,7 +89,7 @@ def proofs_of_states(oracle: StabilityOracle, states: States) -> list[StateProof
 
 
 class BuildProofs:
-    """Proofs of the states of a plan under `contact`, as they are reached in assembly.
+    """Proofs of the states of a plan under `contact`, as built.
 
     The plan is built step by step, with its presses, up to the last state that is asked for; each step once. Whether a
     state at rest tips was asked when the plan was accepted, and is not asked again.
@@ -116,11 +116,11 @@ class BuildProofs:
         self._build(place)
         state = self._states[place]
         if place < self._reached:
-            return _stable(self._assembly, state, self._forces[place], _REACHED, self._presses[place])
+            return _stable(self._assembly, state, self._forces[place], _BUILT, self._presses[place])
         rest = proof_of_state(self._oracle, state)
         if place > self._reached or not rest.stable:
             return rest
-        why = f"slides: parts do not come to rest {_REACHED}{self._ended}, only {_REST}"
+        why = f"slides: parts do not come to rest {_BUILT}{self._ended}, only {_REST}"
         return replace(rest, stable=False, words=why, arrows={}, slides=True, forces=None)
 
     def _build(self, place: int) -> None:
@@ -140,7 +140,7 @@ class BuildProofs:
 
 
 class ProofCache:
-    """The last proofs of states: of a plan as they are reached in assembly, under `contact`; of others from rest."""
+    """The last proofs of states: of a plan as built, under `contact`; of others from rest."""
 
     def __init__(self, *, contact: bool) -> None:
         self._contact = contact

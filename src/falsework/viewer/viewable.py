@@ -61,7 +61,7 @@ class Viewable:
     def proofs(self, places: Iterable[int], criterion: Criterion = "contact") -> dict[int, StateProof]:
         """Decide the stability of some states of the timeline, by place.
 
-        Under `contact`, states of a plan are judged as they are reached in assembly.
+        Under `contact`, states of a plan are judged as built.
         """
         chosen = list(places)
         oracle = StabilityOracle(self.assembly, StabilitySettings(criterion=criterion))

@@ -111,6 +111,21 @@ CASES = {
     "mimic joint in the arm": changed(
         'velocity="1"/>', 'velocity="1"/><mimic joint="turn" multiplier="-1"/>', "joint slide follows joint turn"
     ),
+    "fingers: links that move against each other with fewer joints than the arm has before them": Case(
+        (
+            ("tool0", "hand"),
+            (
+                END,
+                (
+                    finger()
+                    + finger('<mimic joint="open"/>').replace('"finger"', '"thumb"').replace('"open" t', '"opposite" t')
+                ).replace('link="two"', 'link="hand"')
+                + END,
+            ),
+        ),
+        r"fixed at zero: open, opposite",
+        holds=lambda m: m.joint_names == ("turn", "slide") and len(m.pieces[2]) == 3,
+    ),
     "mimic joint beside the arm that follows it, with shapes": changed(
         END, finger('<mimic joint="slide"/>') + END, "joint open beside the arm follows joint slide"
     ),
@@ -244,7 +259,7 @@ CASES = {
     ),
     "no link called tool0 or flange": Case(
         (('<link name="tool0"/>', '<link name="hand"/>'), ('<child link="tool0"/>', '<child link="hand"/>')),
-        "end of the longest chain: hand",
+        "end of the longest chain before fingers: hand",
     ),
     "accelerations": Case((), "robot arm has no acceleration"),
     "pairs in an SRDF": Case(

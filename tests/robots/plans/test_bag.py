@@ -7,9 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from falsework.robots import RobotPlan
+from falsework import Assembly
+from falsework.robots import Cell, RobotPlan
+from falsework.robots.exports.bag_view import PlacedParts
 from falsework.robots.exports.mcap_bag import write_bag
+from falsework.robots.kinematics.forward import flange_pose
+from falsework.robots.model.part_shapes import place_parts
 from tests.robots.plans.bag_reading import messages
 
 NANO = 1_000_000_000
@@ -94,3 +99,53 @@ def test_a_part_is_taken_before_it_is_put_down_and_only_by_one_arm(plan: RobotPl
 def test_the_same_plan_makes_the_same_bag(plan: RobotPlan, bag: Path, tmp_path: Path) -> None:
     write_bag(plan, tmp_path / "again.mcap")
     assert (tmp_path / "again.mcap").read_bytes() == bag.read_bytes()
+
+
+def test_viewers_of_a_bag_see_arms_and_parts_where_they_are(
+    plan: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path
+) -> None:
+    """In types that RViz and Foxglove draw: each marker in a frame that is known, at the end each part at its place."""
+    path, shapes = tmp_path / "view.mcap", place_parts(column, cell.placement)
+    write_bag(plan, path, PlacedParts(shapes, cell))
+    kinds = {topic: found.__msgtype__ for topic, _, found in messages(path)}
+    assert kinds["/joint_states"] == "sensor_msgs/msg/JointState"
+    assert kinds["/tf"] == "tf2_msgs/msg/TFMessage"
+    assert kinds["/markers"] == "visualization_msgs/msg/MarkerArray"
+    frames: dict[str, np.ndarray] = {}
+    markers: dict[tuple[str, int], Any] = {}
+    highest = dict.fromkeys(shapes.names, -np.inf)
+
+    def corners_of(name: str) -> np.ndarray:
+        points = np.array([(p.x, p.y, p.z) for p in markers[f"part_{name}", 0].points])
+        return points @ frames[f"part_{name}"][:3, :3].T + frames[f"part_{name}"][:3, 3]
+
+    for topic, _, found in messages(path, "/tf", "/markers"):
+        for sent in getattr(found, "transforms", ()):
+            assert sent.header.frame_id == "world"
+            pose, turn, at = np.eye(4), sent.transform.rotation, sent.transform.translation
+            pose[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
+            pose[:3, 3] = at.x, at.y, at.z
+            frames[sent.child_frame_id] = pose
+        for sent in getattr(found, "markers", ()):
+            assert sent.header.frame_id in frames
+            assert sent.frame_locked
+            if sent.action == 2:
+                del markers[sent.ns, sent.id]
+            else:
+                assert len(sent.points) % 3 == 0
+                markers[sent.ns, sent.id] = sent
+        for name in shapes.names if topic == "/tf" else ():
+            if (f"part_{name}", 0) in markers:
+                highest[name] = max(highest[name], corners_of(name)[:, 2].max())
+    there = {shapes.names[part] for part in np.flatnonzero(plan.states[-1])}
+    assert {space.removeprefix("part_") for space, _ in markers if space.startswith("part_")} == there
+    for name in there:
+        assert corners_of(name) == pytest.approx(shapes.meshes[shapes.names.index(name)].triangles.reshape(-1, 3))
+    moved = [
+        name for name, high in highest.items() if high > shapes.meshes[shapes.names.index(name)].bounds[1, 2] + 0.05
+    ]
+    assert moved, "no part was lifted"
+    for robot, entry in enumerate(cell.robots):
+        end = flange_pose(entry.model, plan.keyframes[-1].configurations[robot], entry.base)
+        assert frames[f"{entry.name}_tool0"] == pytest.approx(end)
+        assert any(space.startswith(f"{entry.name}_") for space, _ in markers)

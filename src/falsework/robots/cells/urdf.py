@@ -63,7 +63,7 @@ def load_urdf(
         path: URDF file; mesh paths are relative to it.
         base: name of the base link; by default the root of the file.
         tip: name of the link that a gripper is mounted on; by default `tool0` or `flange`, else the end of the
-            longest chain.
+            longest chain, or where its fingers begin.
         srdf: SRDF with ignored pairs and named configurations, of which `home` is the home configuration; by default
             the file of the same name beside the URDF, if there is one.
         joint_limits: limits that narrow those of the URDF; by default `joint_limits.yaml` beside it, if there is one.
@@ -196,7 +196,7 @@ def _load(file: Path, base: str | None, tip: str | None, srdf: Path, limits_file
             "limits are beyond two full turns, although the format has radians",
             [joint.name for joint in moving if joint.type == "revolute" and _turns_far(joint)],
         ),
-        ("the gripper is mounted on the end of the longest chain", [] if tip or end in _TIPS else [end]),
+        ("the gripper is mounted on the end of the longest chain before fingers", [] if tip or end in _TIPS else [end]),
         ("entries that are not used", [text] if (text := unused_text(document)) else []),
     ):
         if named:
@@ -246,20 +246,34 @@ def parse_urdf(file: Path) -> Any:
 
 
 def _tip(links: dict[str, Any], below: dict[str, Any], root: str) -> str:
-    """Return the link for the gripper: a usual name, else the end of the chain with most joints."""
+    """Return the link for the gripper: a usual name, else the end of the chain with most joints, before its fingers.
+
+    Fingers begin where two or more links move against each other with fewer joints than there are before them.
+    """
     for name in _TIPS:
         if name in links:
             return name
 
-    def depth(name: str) -> tuple[int, int]:
-        moving = fixed = 0
+    def above(name: str) -> list[Any]:
+        """Return the joints from the root to a link; none for a link that is elsewhere."""
+        found = []
         while name != root and name in below:
-            moving += below[name].type != "fixed"
-            fixed += 1
+            found.append(below[name])
             name = below[name].parent
-        return (moving, fixed) if name == root else (-1, 0)
+        return found[::-1] if name == root else []
 
-    return max(links, key=depth)
+    def moving(joints: Iterable[Any]) -> int:
+        return sum(joint.type != "fixed" for joint in joints)
+
+    chains = {name: above(name) for name in links}
+    end = max(links, key=lambda name: (moving(chains[name]), len(chains[name])))
+    for number, joint in enumerate(chains[end]):
+        before = chains[end][:number]
+        beyond = [chain[number:] for chain in chains.values() if chain[:number] == before]
+        fingers = {chain[0].name for chain in beyond if moving(chain)}
+        if len(fingers) > 1 and moving(before) > max(map(moving, beyond)):
+            return str(joint.parent)
+    return end
 
 
 def _chain(file: Path, below: dict[str, Any], root: str, end: str) -> list[Any]:

@@ -30,7 +30,7 @@ from falsework.robots.plans.robot_plan import PlanProblem, RobotPlan
 from falsework.robots.plans.trajectory import OUTSIDE, check_limits
 from falsework.search.plans.plan_report import PlanReport
 from falsework.search.problem.task import Direction
-from falsework.utils.quantity import format_number
+from falsework.utils.quantity import counted, format_number
 
 Progress = Callable[[int, int], None]
 
@@ -76,6 +76,10 @@ class CheckReport:
 
     states: PlanReport | None = None
     """Check of the stability of the states, where it was made."""
+
+    def __repr__(self) -> str:
+        found = self.problems[0] if self.problems else f"no problem in {counted(self.samples, 'configuration')}"
+        return f"<CheckReport: {found}>"
 
     @property
     def good(self) -> bool:

@@ -12,8 +12,9 @@ import numpy as np
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.errors import InputError, PlanError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
+from falsework.robots.exports.bag_view import PlacedParts
 from falsework.robots.exports.controller import MAKERS, check_makers, controller_settings, program_notes
-from falsework.robots.exports.mcap_bag import PlacedParts, write_bag
+from falsework.robots.exports.mcap_bag import write_bag
 from falsework.robots.exports.payloads import PartLoads, part_loads
 from falsework.robots.exports.programs import rapid_modules, ur_scripts
 from falsework.robots.exports.ros2 import lost_schedule, ros2_goals, ros2_messages

@@ -6,15 +6,14 @@ Topics, for each robot: `/NAME/joint_trajectory` (`trajectory_msgs/JointTrajecto
 scene monitor of MoveIt reads it. NAME has underscores for characters that no topic may have. The first scene, at the
 start, has the parts in place with their meshes, and a part that is picked up has its mesh in the frame of the flange;
 without the structure parts have only their names, and the reader's scene must have their shapes. A part put down in
-disassembly leaves the scene, unless its robot grips it again.
-Messages are CDR, with their definitions in the bag.
+disassembly leaves the scene, unless its robot grips it again. With the structure, viewers have topics of their own,
+those of `bag_view`. Messages are CDR, with their definitions in the bag.
 """
 
 from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -24,11 +23,10 @@ import numpy as np
 from falsework.assembly.state import REMOVED
 from falsework.errors import DependencyError
 from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.robots.exports.bag_view import WORLD, PlacedParts, write_view
 from falsework.robots.exports.controller import program_names
 from falsework.robots.exports.ros2 import NANO, duration, joint_names, joint_trajectory
 from falsework.robots.kinematics.forward import flange_pose
-from falsework.robots.model.cell import Cell
-from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import inverse_pose, move
 from falsework.robots.plans.loads import Load, load_of, loads_at
 from falsework.robots.plans.robot_forces import TimedPress, flange_of
@@ -41,8 +39,6 @@ from falsework.utils.files.output_file import write_whole
 _ADD, _REMOVE = 0, 1
 _MOST_NAME = 200
 """Most characters of the name of a robot in a topic; topics have 255 at most."""
-_WORLD = "world"
-"""Frame of the parts in place."""
 _IDENTITY = {"orientation": {"w": 1.0}}
 
 
@@ -102,14 +98,6 @@ class _Bag:
         return self.data.getvalue()
 
 
-@dataclass(frozen=True, eq=False)
-class PlacedParts:
-    """Parts of a structure in a cell, for a scene that needs no other source of shapes."""
-
-    shapes: PartShapes
-    cell: Cell
-
-
 def write_bag(
     plan: RobotPlan, path: Path, placed: PlacedParts | None = None, presses: Sequence[TimedPress] = ()
 ) -> int:
@@ -145,9 +133,10 @@ def write_bag(
             scene(end, attached=_attached(plan, robot, part, end, None, None), things=things)
 
     if placed is not None:
+        write_view(plan, placed, bag.write)
         present = np.flatnonzero(plan.states[0] != REMOVED).tolist()
         names = [joint for robot in range(len(plan.robots)) for joint in joint_names(plan, robot, "{robot}_")]
-        things = [_part(plan, part, _ADD, _WORLD, 0.0, placed.shapes.meshes[part]) for part in present]
+        things = [_part(plan, part, _ADD, WORLD, 0.0, placed.shapes.meshes[part]) for part in present]
         scene(0.0, joints={"name": names, "position": np.concatenate(plan.keyframes[0].configurations)}, things=things)
     for robot, load in loads_at(plan, 0).items():
         scene(0.0, attached=_attached(plan, robot, load.part, 0.0, load, placed))

@@ -39,7 +39,7 @@ class HybridSettings:
         check_seed(self.seed)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class HybridResult(Result[RobotPlan]):
     """Result of a search for a robot plan."""
 

@@ -191,7 +191,7 @@ class GripLoad:
 def grip_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[GripLoad]:
     """Return the load on each gripper at each keyframe at which it holds a part in a stable state, and each press.
 
-    Under `contact` the load is what the robot bears in the state as it is reached in assembly, with what it has pressed
+    Under `contact` the load is what the robot bears in the state as built, with what it has pressed
     until then; under `equilibrium` the weight of the part and the forces of its neighbours in one of possibly many
     sets. In a hand-over each of both grippers is taken to bear all of it. A press is listed at the keyframe after its
     step, alone. Forces grow with the cube of the structure's scale in the cell, and moments with its fourth power.

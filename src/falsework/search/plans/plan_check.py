@@ -206,7 +206,7 @@ def _check_build(
     carried: bool,
     progress: Callable[[int, int], None] | None,
 ) -> PlanReport:
-    """Check under `contact` the stability of states as they are reached in assembly, up to the first bad one.
+    """Check under `contact` the stability of states as built, up to the first bad one.
 
     Args:
         report: report so far.

@@ -92,6 +92,11 @@ class PlanReport:
     loads: Loads = ()
     """What robots bear in each state of a good plan under `contact`, as `Plan.loads`."""
 
+    def __repr__(self) -> str:
+        of = "" if self.about is None else f" of {self.about.structure}"
+        good = f"all {self.states} states are {self.claim.proves}"
+        return f"<PlanReport{of}: {good if self.good else self.reason}>"
+
     @property
     def good(self) -> bool:
         """Whether every step keeps the rules and every state is stable."""

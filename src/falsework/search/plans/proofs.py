@@ -57,7 +57,7 @@ def prove(states: States, oracle: StabilityOracle, *, forces: bool) -> tuple[Ver
 def prove_build(
     route: Route, assembly: Assembly, task: Task, replayer: Replayer, known: PlanReplay | None, *, forces: bool
 ) -> Plan:
-    """Return the plan along a route, each state proved as it is reached; up to where its replay fails, if it does.
+    """Return the plan along a route, each state proved as built; up to where its replay fails, if it does.
 
     Args:
         route: states and actions.

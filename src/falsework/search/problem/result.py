@@ -62,6 +62,11 @@ class Result(Generic[T]):
         def reason(self) -> str:
             """Why there is no value, in words; empty where there is one."""
 
+    def __repr__(self) -> str:
+        return (
+            f"<{type(self).__name__}: {self.outcome.value}, {self.reason if self.value is None else repr(self.value)}>"
+        )
+
     @property
     def found(self) -> bool:
         """Whether there is a value."""

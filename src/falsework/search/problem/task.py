@@ -85,6 +85,10 @@ class Task:
     together: InterlockedSets | None = None
     """Rule on several parts in one step; None where every step moves one part."""
 
+    def __repr__(self) -> str:
+        first, last = (int((state != REMOVED).sum()) for state in (self.start, self.target))
+        return f"<Task for {counted(self.robots, 'robot')}: from {first} to {last} of {len(self.boundary)} parts>"
+
     @classmethod
     def from_rules(
         cls,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.stability.margins.conditions import Condition
 from falsework.stability.verdict import Verdict, Verdicts
+from falsework.utils.quantity import format_quantity
 
 Array = NDArray[np.float64]
 
@@ -97,6 +98,13 @@ class StateMargins:
     """Boundary parts with their largest settlement, m; None where there is no bound."""
     unfinished: tuple[str, ...] = ()
     """Margins that a deadline cut short: those with a value have what has been proven so far."""
+
+    def __repr__(self) -> str:
+        units = {"friction": "factor", "tilt": "angle", "horizontal": "share of gravity", "push": "force"}
+        bounds = {kind: getattr(self, kind, None) for kind in self.kinds}
+        known = {kind: bound.value for kind, bound in bounds.items() if isinstance(bound, Bound)}
+        words = [f"{k} {format_quantity(v, units.get(k, 'factor'))}" for k, v in known.items() if v is not None]
+        return f"<StateMargins: {', '.join(words)}>" if self.stands else "<StateMargins: does not stand>"
 
     def to_dict(self, names: tuple[str, ...]) -> dict[str, Any]:
         """Return the margins as a JSON object: those that were requested, null where there is no bound.

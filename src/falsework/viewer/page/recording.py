@@ -5,8 +5,6 @@ A second of the recording is a step, or a second of the motions of arms, so that
 
 from __future__ import annotations
 
-import contextlib
-import io
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +30,7 @@ from falsework.viewer.pictures.contact_sheet import caption
 from falsework.viewer.section import Plane
 from falsework.viewer.web.content_policy import policy_of
 from falsework.viewer.web.markup import html_text
-from falsework.viewer.web.origin_guard import OriginGuard, import_viser, start_server
+from falsework.viewer.web.origin_guard import OriginGuard, import_viser, start_server, unannounced
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -173,7 +171,7 @@ def record(shown: Viewable | ViewerState) -> str:
             recorded.insert_sleep(1.0)  # a moment with the last state, before it begins anew
         page = recorded.as_html()
     finally:
-        with contextlib.redirect_stdout(io.StringIO()):  # viser says that it stops
+        with unannounced():
             server.stop()
     policy = f'<meta http-equiv="Content-Security-Policy" content="{policy_of(page)}">'
     name = f"<title>{html_text(model.assembly.name)}</title>"

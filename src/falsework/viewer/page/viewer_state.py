@@ -265,7 +265,7 @@ class ViewerState:
     def proof(self) -> StateProof:
         """Return the verdict on the marked state, with its proof.
 
-        Under `contact`, a state of the plan is judged as it is reached in assembly, a marked one from rest.
+        Under `contact`, a state of the plan is judged as built, a marked one from rest.
         """
         with self.lock:
             return self._proofs.prove(self.oracle, *self._shown)

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import io
 import ipaddress
 import socket
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import urlsplit
@@ -74,6 +73,19 @@ class OriginGuard:
         return None
 
 
+@contextlib.contextmanager
+def unannounced() -> Iterator[None]:
+    """Keep viser from saying that it starts and stops, at a terminal or below a cell of a notebook."""
+    import rich
+
+    console = rich.get_console()
+    quiet, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = quiet
+
+
 def start_server(
     viser: Any, host: str, port: int, guard: OriginGuard, *, go: Callable[[Unit, float], None] | None = None
 ) -> Any:
@@ -112,7 +124,7 @@ def start_server(
 
         return plain(*arguments, process_request=checked, **options)
 
-    with _SERVING, contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner to standard output
+    with _SERVING, unannounced():
         sockets.serve = serve  # type: ignore[assignment]
         try:
             made = viser.ViserServer(host=host, port=port, verbose=False)

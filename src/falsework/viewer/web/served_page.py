@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import threading
 from collections.abc import Callable, Iterable, Iterator
 
 from falsework.errors import InputError
 from falsework.utils.files.printable import printable
 from falsework.viewer.web.links import Unit
-from falsework.viewer.web.origin_guard import LOCAL, WILDCARDS, OriginGuard, import_viser, start_server
+from falsework.viewer.web.origin_guard import LOCAL, WILDCARDS, OriginGuard, import_viser, start_server, unannounced
 
 
 class ServedPage:
@@ -47,7 +46,7 @@ class ServedPage:
     def close(self) -> None:
         """Stop serving."""
         self._stop.set()
-        with contextlib.redirect_stdout(io.StringIO()):  # viser says that it stops
+        with unannounced():
             self.server.stop()
 
     def wait(self) -> None:

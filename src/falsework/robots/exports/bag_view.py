@@ -1,0 +1,144 @@
+"""What viewers draw of a bag: joint states, frames, and meshes of arms, grippers and parts.
+
+Topics: `/joint_states` (`sensor_msgs/JointState`) and `/tf` (`tf2_msgs/TFMessage`), `RATE` times a second, and
+`/markers` (`visualization_msgs/MarkerArray`), a mesh in its frame for each link, gripper and part that is there. RViz
+and the panels of Foxglove know these types by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from falsework.assembly.state import REMOVED
+from falsework.robots.cells.visuals import link_visuals, shape_of_pieces
+from falsework.robots.exports.ros2 import duration, joint_names
+from falsework.robots.kinematics.forward import link_poses, tool_pose
+from falsework.robots.model.cell import Cell
+from falsework.robots.model.part_shapes import PartShapes
+from falsework.robots.model.shapes import Array, inverse_pose
+from falsework.robots.plans.loads import Load
+from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.robots.plans.timeline import activities_at, event_times, schedule_of
+
+RATE = 20.0
+"""Joint states and frames a second."""
+WORLD = "world"
+"""Frame of the cell."""
+_TRIANGLES, _ADD, _DELETE = 11, 0, 2
+"""Of markers: a list of triangles, and what becomes of it."""
+_STONE = (0.86, 0.80, 0.70)
+_IDENTITY = {"orientation": {"w": 1.0}}
+
+Write = Callable[[str, str, dict[str, Any], float], None]
+"""Adds a message to a bag: topic, type, content and time."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedParts:
+    """Parts of a structure in a cell, whose shapes a bag then has."""
+
+    shapes: PartShapes
+    cell: Cell
+
+
+def write_view(plan: RobotPlan, placed: PlacedParts, write: Write) -> None:
+    """Write the topics of a robot plan."""
+    graph = schedule_of(plan)
+    starts, reached = graph.starts(), event_times(plan, graph)
+    centers = np.array([mesh.bounds.mean(axis=0) for mesh in placed.shapes.meshes])
+    names = [joint for robot in range(len(plan.robots)) for joint in joint_names(plan, robot, "{robot}_")]
+    markers = _arm_markers(plan, placed.cell)
+    shown, moved = set[int](), set[int]()
+    for now in np.arange(0.0, plan.makespan + 2.0 / RATE, 1.0 / RATE).tolist():  # the last after the end
+        values, frames, loads = [], list[tuple[str, Array]](), dict[int, Array]()
+        for arm in activities_at(plan, starts, now):
+            configuration = arm.at(np.array([now]))[0]
+            values.append(configuration)
+            frames += _arm_frames(plan, placed.cell, arm.robot, configuration)
+            if arm.load is not None:
+                loads[arm.load.part] = _pose(arm.load, placed.cell, arm.robot, configuration)
+        state = plan.states[int(np.searchsorted(reached, now, side="right"))]
+        there = {*np.flatnonzero(state != REMOVED).tolist(), *loads}
+        for part in sorted((there - shown) | moved | set(loads)):
+            pose = loads.get(part, np.eye(4)).copy()
+            pose[:3, 3] += pose[:3, :3] @ centers[part]
+            frames.append((f"part_{plan.plan.part_names[part]}", pose))
+        for part in sorted(there ^ shown):
+            mesh = placed.shapes.meshes[part]
+            corners = mesh.triangles.reshape(-1, 3) - centers[part] if part in there else np.zeros((0, 3))
+            name = f"part_{plan.plan.part_names[part]}"
+            markers.append(_marker(name, name, 0, corners, _STONE, _ADD if part in there else _DELETE))
+        stamp = duration(now)
+        joints = {"header": {"stamp": stamp}, "name": names, "position": np.concatenate(values)}
+        write("/joint_states", "sensor_msgs/msg/JointState", joints, now)
+        write("/tf", "tf2_msgs/msg/TFMessage", {"transforms": [_transform(*one, stamp) for one in frames]}, now)
+        if markers:
+            for marker in markers:
+                marker["header"]["stamp"] = stamp
+            write("/markers", "visualization_msgs/msg/MarkerArray", {"markers": markers}, now)
+        shown, moved, markers = there, set(loads), []
+
+
+def _pose(load: Load, cell: Cell, robot: int, configuration: Array) -> Array:
+    """Return how far a load is from its place, in the frame of the cell."""
+    if load.grip is None:
+        return load.pose
+    arm = cell.robots[robot]
+    return tool_pose(arm, configuration) @ inverse_pose(tool_pose(arm, load.grip)) @ load.pose
+
+
+def _arm_frames(plan: RobotPlan, cell: Cell, robot: int, configuration: Array) -> list[tuple[str, Array]]:
+    """Return the frames of the links of an arm, and of its flange."""
+    model, name = cell.robots[robot].model, plan.robots[robot].name
+    poses = link_poses(model, configuration, cell.robots[robot].base)
+    links = [(f"{name}_{link}", pose) for link, pose in zip(model.link_names, poses, strict=True)]
+    return [*links, (f"{name}_tool0", poses[-1] @ model.flange)]
+
+
+def _arm_markers(plan: RobotPlan, cell: Cell) -> list[dict[str, Any]]:
+    """Return the meshes of all links and grippers."""
+    found = []
+    for entry, about in zip(cell.robots, plan.robots, strict=True):
+        gripper = shape_of_pieces(entry.gripper.pieces)
+        names = [f"{about.name}_{link}" for link in entry.model.link_names]
+        shapes = list(zip(names, link_visuals(entry.model), strict=True))
+        for frame, pieces in [*shapes, (f"{about.name}_tool0", () if gripper is None else (gripper,))]:
+            for number, piece in enumerate(pieces):
+                corners = piece.vertices[piece.faces].reshape(-1, 3)
+                found.append(_marker(frame, about.name + "_" + frame, number, corners, piece.color, _ADD))
+    return found
+
+
+def _marker(
+    frame: str, space: str, number: int, corners: Array, color: tuple[float, float, float], action: int
+) -> dict[str, Any]:
+    """Return triangles that move with a frame, three corners each."""
+    return {
+        "header": {"frame_id": frame},
+        "ns": space,
+        "id": number,
+        "type": _TRIANGLES,
+        "action": action,
+        "pose": _IDENTITY,
+        "scale": dict.fromkeys("xyz", 1.0),
+        "color": dict(zip("rgba", (*color, 1.0), strict=True)),
+        "frame_locked": True,
+        "points": [dict(zip("xyz", corner, strict=True)) for corner in corners.tolist()],
+    }
+
+
+def _transform(frame: str, pose: Array, stamp: dict[str, int]) -> dict[str, Any]:
+    """Return where a frame is in the cell."""
+    from scipy.spatial.transform import Rotation
+
+    turn = dict(zip("xyzw", Rotation.from_matrix(pose[:3, :3]).as_quat().tolist(), strict=True))
+    shift = dict(zip("xyz", pose[:3, 3].tolist(), strict=True))
+    return {
+        "header": {"stamp": stamp, "frame_id": WORLD},
+        "child_frame_id": frame,
+        "transform": {"translation": shift, "rotation": turn},
+    }
