@@ -137,12 +137,12 @@ def test_the_pdf_has_all_pages_and_pictures(pdf: bytes, arch: Assembly, plan: Pl
 
 
 def text_of(pdf: bytes) -> str:
-    """All words of a PDF, page by page."""
+    """All words on the pages of a PDF."""
     pdfium = pytest.importorskip("pypdfium2", reason="needs pypdfium2, of the group test")
     document = pdfium.PdfDocument(pdf)
     about = document.get_metadata_dict()
     assert (about["Subject"], about["Author"]) == ("assembly instructions", "")
-    words = "\n".join(page.get_textpage().get_text_range() for page in document).replace("\u00a0", " ")
+    words = "\n".join(page.get_textpage().get_text_bounded() for page in document).replace("\u00a0", " ")
     document.close()
     return words
 

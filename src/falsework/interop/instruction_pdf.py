@@ -87,10 +87,12 @@ def instructions_pdf(
         invariant=1,
     )
     rows, box = table_rows(sheet), _box(sheet)
-    drawing = CallerMacro(
-        drawCallable=lambda page: setting_out(page.canv, sheet.assembly, document.width, document.height),
-        wrapCallable=lambda page, width, height: (width, height),
-    )
+
+    def draw_setting_out(flowable: Flowable, *_: float) -> None:  # from the upper left of the frame
+        flowable.canv.translate(0, -document.height)
+        setting_out(flowable.canv, sheet.assembly, document.width, document.height)
+
+    drawing = CallerMacro(drawCallable=draw_setting_out)
     story = [*_cover(sheet, camera), PageBreak(), drawing, PageBreak()]
     for done, steps in enumerate(rows, 1):
         story.append(_row(sheet, steps, camera, box))
