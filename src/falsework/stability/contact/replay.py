@@ -178,9 +178,10 @@ class Replayer:
 
     def _fails_near(self, before: States, after: States, history: History, presses: Sequence[Press] = ()) -> bool:
         """Return whether parts near a change do not come to rest under some presses while all others stay in place."""
-        if np.isfinite(self.settings.holds.stiffness):
-            return False  # what is held gives way
         pair = self._fixed_afar(np.stack([before, after]), before != after)
+        held_gives_way = np.isfinite(self.settings.holds.stiffness)
+        if held_gives_way or 2 * (pair[1] == INSTALLED).sum() > (after == INSTALLED).sum():
+            return False  # nothing would stay in place, or little
         return int(self._replay(pair, history, [(), presses]).stands[1]) in (MOVES_AWAY, OPEN)
 
     def _fixed_afar(self, states: States, changed: NDArray[np.bool_]) -> States:
