@@ -286,10 +286,12 @@ class Replayer:
 
     def _hold(self, batch: States, history: History, presses: tuple[Press, ...]) -> Replay:
         """Return the replay of a step that holds parts, which changes no force: as `place_new`, without the kernel."""
-        stay = self.problem.geometry.present(batch).all(axis=0)
+        before, after = self.problem.geometry.present(batch)
+        stay = before & after
         unloaded = np.column_stack([np.zeros(len(stay)), self._noise])
-        after = History(
-            np.where(batch.all(axis=0)[:, None], history.displacement, 0.0),
+        placed = (batch[0] > 0) & (batch[1] > 0)
+        kept = History(
+            np.where(placed[:, None], history.displacement, 0.0),
             np.where(stay[:, None], history.springs, unloaded),
             history.torn & stay,
             self._ages(batch, history.age)[1],
@@ -300,7 +302,7 @@ class Replayer:
         )
         count, moved = len(batch), np.full(len(batch), history.moved)
         result, part = np.full(count, RESTS, np.int8), np.full(count, history.part, np.int32)
-        return Replay(result, moved, part, np.zeros(count), self._size, (history, after), (history.presses, presses))
+        return Replay(result, moved, part, np.zeros(count), self._size, (history, kept), (history.presses, presses))
 
     @cached_property
     def _still(self) -> Array:
