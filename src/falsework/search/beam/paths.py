@@ -99,7 +99,7 @@ class BeamPaths:
             rests = np.zeros(len(rows), dtype=bool)
             origins = self._levels[level].states
             parents = frontier.parent(rows)
-            loose = frontier.fixing[parents].any(axis=1) & hasty
+            loose = np.logical_and(frontier.fixing[parents].any(axis=1), hasty)
             for k, (row, origin, state) in enumerate(zip(rows, parents, frontier.states(rows), strict=True)):
                 history = self._history(level, int(origin))
                 if history is None or (loose[k] and self._replayer.gives_way(history, origins[origin], state)):
