@@ -63,9 +63,6 @@ class RuleReplayer:
     def loads(self, states: States, histories: Sequence[History]) -> tuple[()]:
         return ()
 
-    def gives_way(self, history: History, before: States, after: States) -> bool:
-        return False
-
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
         if self.slow:
             time.sleep(self.slow.pop())

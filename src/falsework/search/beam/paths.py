@@ -85,28 +85,21 @@ class BeamPaths:
                 here.grounded[waiting] = np.where(stable, 1, -1)
         return here.grounded[rows] > 0
 
-    def verifier(self, frontier: Frontier, rows: Rows, *, hasty: bool = False) -> Mask:
-        """Return which stable candidates are reached by paths that are stable too, and come to rest. Shape (rows,).
-
-        Args:
-            frontier, rows: the candidates.
-            hasty: reject those that give way near the change without a replay of the whole, as long as a robot is free:
-                then the search need not turn back, and may try them again later.
-        """
+    def verifier(self, frontier: Frontier, rows: Rows) -> Mask:
+        """Return which stable candidates are reached by paths that are stable too, and come to rest. Shape (rows,)."""
         good = self.stable(frontier.parent(rows))
         if self._replayer is not None and good.any():
             rows, level = rows[good], len(self._levels) - 1
             rests = np.zeros(len(rows), dtype=bool)
             origins = self._levels[level].states
-            parents = frontier.parent(rows)
-            loose = np.logical_and(frontier.fixing[parents].any(axis=1), hasty)
-            for k, (row, origin, state) in enumerate(zip(rows, parents, frontier.states(rows), strict=True)):
+            for k, (row, origin, state) in enumerate(
+                zip(rows, frontier.parent(rows), frontier.states(rows), strict=True)
+            ):
                 history = self._history(level, int(origin))
-                if history is None or (loose[k] and self._replayer.gives_way(history, origins[origin], state)):
-                    continue
-                rests[k], after = self._replayer.step(history, origins[origin], state)
-                if rests[k]:
-                    self._next[int(row)] = after
+                if history is not None:
+                    rests[k], after = self._replayer.step(history, origins[origin], state)
+                    if rests[k]:
+                        self._next[int(row)] = after
             self._judge.sliding += int((~rests).sum())
             good[good] = rests
         self.refused = self.refused or not good.all()

@@ -145,15 +145,13 @@ class Selector:
         again = again[: AHEAD * wanted]
         order = np.concatenate([np.flatnonzero(~failed), again])
         waiting, keys = waiting[order], keys[order]
-        kept, rejected = self._verify_in_order(waiting, wanted, paths, hasty=waits)
+        kept, rejected = self._verify_in_order(waiting, wanted, paths)
         for rows, stable in ((kept, True), (rejected, False)):
             place = np.isin(waiting, rows)
             self.failures.learn(keys[place], np.full(int(place.sum()), stable))
         return kept, rejected
 
-    def _verify_in_order(
-        self, waiting: Rows, wanted: int, paths: BeamPaths, *, hasty: bool = False
-    ) -> tuple[Rows, Rows]:
+    def _verify_in_order(self, waiting: Rows, wanted: int, paths: BeamPaths) -> tuple[Rows, Rows]:
         """The first stable candidates of a list, about `wanted` of them, and those found unstable meanwhile."""
         frontier = self.frontier
         kept: list[Rows] = [waiting[:0]]
@@ -163,7 +161,7 @@ class Selector:
             batch = waiting[position : position + (max(wanted, _VERDICT_BATCH) if position else wanted)]
             stable = self.judge.stable(frontier.states(batch), self.stable_ancestors[frontier.parent(batch)])
             if stable.any():
-                stable[stable] = paths.verifier(frontier, batch[stable], hasty=hasty)
+                stable[stable] = paths.verifier(frontier, batch[stable])
             kept.append(batch[stable])
             rejected.append(batch[~stable])
             position += len(batch)

@@ -199,15 +199,6 @@ class DeadlineReplayer:
         with self._clock.piece("replays"):
             return self._replayer.step(history, before, after)
 
-    def gives_way(self, history: History, before: States, after: States) -> bool:
-        """Return whether a step fails near its change, see `Replayer.gives_way`.
-
-        Raises:
-            DeadlineExceeded: the deadline passed.
-        """
-        with self._clock.piece("replays"):
-            return self._replayer.gives_way(history, before, after)
-
     def replay_in_time(self, states: States, presses: Presses | None = None) -> Replayed:
         """Replay a sequence, or as much of it as the deadline allows; with a reserve, under the true friction too.
 

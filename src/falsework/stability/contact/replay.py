@@ -166,24 +166,6 @@ class Replayer:
                 return row
         return None
 
-    def gives_way(self, history: History, before: States, after: States) -> bool:
-        """Return whether parts near a change do not come to rest, however robots press, while all others stay in place.
-
-        In most of these cases, but not in all, the whole does not come to rest either; the work is that of a few parts.
-
-        Args:
-            history, before, after: as in `step`.
-        """
-        return self._fails_near(before, after, history) and not any(self._promising_presses(before, after, history))
-
-    def _fails_near(self, before: States, after: States, history: History, presses: Sequence[Press] = ()) -> bool:
-        """Return whether parts near a change do not come to rest under some presses while all others stay in place."""
-        pair = self._fixed_afar(np.stack([before, after]), before != after)
-        held_gives_way = np.isfinite(self.settings.holds.stiffness)
-        if held_gives_way or 2 * (pair[1] == INSTALLED).sum() > (after == INSTALLED).sum():
-            return False  # nothing would stay in place, or little
-        return int(self._replay(pair, history, [(), presses]).stands[1]) in (MOVES_AWAY, OPEN)
-
     def _fixed_afar(self, states: States, changed: NDArray[np.bool_]) -> States:
         """Return states with all parts fixed that are over `REACH` contacts from changed ones, shape (..., parts)."""
         near = np.asarray(changed, dtype=np.float64)
@@ -212,25 +194,30 @@ class Replayer:
 
     def _press(self, before: States, after: States, history: History) -> History | None:
         """Return the history of a step in which robots press before a part is released; None if none is found."""
-        pair = np.stack([before, after])
-        for presses in self._promising_presses(before, after, history):
+        if not self.settings.holds.presses or not ((before == HELD) & (after == INSTALLED)).any():
+            return None
+        shares, pair = self._set_shares(history.age[None])[0], np.stack([before, after])
+        for presses in self._presses.proposals(before, after, history.springs, history.torn, shares):
+            inexact = inexact_presses(presses)
+            if any(self._gives_way(before, after, history, some) for some in (presses, *inexact)):
+                continue
             found = self._replay_all(pair, history, [(), presses])
             if found.good:
                 guess = self._guess(found.histories)
-                inexact = ([(), varied] for varied in inexact_presses(presses))
-                if all(self._replay(pair, history, varied, guess).good for varied in inexact):
+                if all(self._replay(pair, history, [(), varied], guess).good for varied in inexact):
                     return found.histories[-1]
         return None
 
-    def _promising_presses(self, before: States, after: States, history: History) -> Iterator[tuple[Press, ...]]:
-        """Yield presses under which the parts near a release come to rest, also where robots err."""
-        if not self.settings.holds.presses or not ((before == HELD) & (after == INSTALLED)).any():
-            return
-        shares = self._set_shares(history.age[None])[0]
-        for presses in self._presses.proposals(before, after, history.springs, history.torn, shares):
-            tried = (presses, *inexact_presses(presses))
-            if not any(self._fails_near(before, after, history, some) for some in tried):
-                yield presses
+    def _gives_way(self, before: States, after: States, history: History, presses: Sequence[Press]) -> bool:
+        """Return whether parts near a release do not come to rest under some presses while all others stay in place.
+
+        In most of these cases, but not in all, the whole does not come to rest either; the work is that of a few parts.
+        """
+        pair = self._fixed_afar(np.stack([before, after]), before != after)
+        held_gives_way = np.isfinite(self.settings.holds.stiffness)
+        if held_gives_way or 2 * (pair[1] == INSTALLED).sum() > (after == INSTALLED).sum():
+            return False  # nothing would stay in place, or little
+        return int(self._replay(pair, history, [(), presses]).stands[1]) in (MOVES_AWAY, OPEN)
 
     def _set_shares(self, ages: NDArray[np.int32]) -> Array:
         """Return shares of the strength that contact points have reached, shape (states, points) or (states, 0)."""

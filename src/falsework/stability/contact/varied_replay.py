@@ -53,9 +53,6 @@ class AnyReplayer(Protocol):
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
         """Take one step, as a replay of both states."""
 
-    def gives_way(self, history: History, before: States, after: States) -> bool:
-        """Return whether parts near a change do not come to rest while all others stay in place."""
-
     @property
     def assembly(self) -> Assembly:
         """The structure."""
