@@ -105,6 +105,16 @@ def test_a_replay_goes_on_from_any_step(dome: Assembly, dome_states: NDArray) ->
     np.testing.assert_allclose(rest.moved[-1], whole.moved[-1], rtol=1e-9)
 
 
+def test_steps_one_by_one_leave_the_history_of_all_together(dome: Assembly, dome_states: NDArray) -> None:
+    """A step that holds parts has its history without the kernel when it is taken alone."""
+    replayer = Replayer(dome, replay=ReplaySettings(friction_noise=1.0))
+    whole = replayer.replay(dome_states).histories
+    for row in range(2, len(dome_states)):
+        _, after = replayer.step(whole[row - 1], dome_states[row - 1], dome_states[row], ())
+        for name in ("displacement", "springs", "torn", "age", "track", "moved", "part"):
+            np.testing.assert_array_equal(getattr(after, name), getattr(whole[row], name))
+
+
 def test_discrete_elements_agree_on_a_plan(dome: Assembly, dome_states: NDArray) -> None:
     assert Replayer(dome).replay(dome_states).good
     assert (replay_by_discrete_elements(dome, dome_states).stands == 1).all()
