@@ -89,7 +89,7 @@ class ReplanSession:
         self.clock = clock
         self.request = request
         self.context = context
-        self.task = request.task(context.assembly).judged_by(context.prover.oracle)
+        self.task = request.task(context.assembly).judged_by(context.prover.oracle).until(clock.check)
         self.direction = request.resolved_direction(context.assembly)
         done = request.done(context.assembly)
         self.built = done if self.direction is Direction.ASSEMBLY else None

@@ -289,7 +289,7 @@ class _Query:
             KeyboardInterrupt: from the keyboard.
         """
         if robots not in self._planners:
-            task = replace(self._task, robots=robots)
+            task = replace(self._task, robots=robots).until(self._clock.check)
             guide = SupportGuide(self._assembly)
             self._planners[robots] = Planner(task, self._timed, self._settings, guide=guide)
         planner, end, told = self._planners[robots], self._spent + seconds, False

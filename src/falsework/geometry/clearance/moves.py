@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,12 @@ class PathMove:
     """About it by the right-hand rule, rad."""
     point: Vector = (0.0, 0.0, 0.0)
     """On the axis, metres; no matter for a straight line."""
+
+    @classmethod
+    def straight(cls, parts: tuple[int, ...], direction: Array, distance: float = np.inf) -> PathMove:
+        """Return a move along a unit vector, shape (3,), by a distance in metres; by default as far as needed."""
+        x, y, z = (direction + 0.0).tolist()
+        return cls(parts, (x, y, z), float(distance))
 
     @property
     def turns(self) -> bool:
@@ -79,11 +86,11 @@ ExitPath = tuple[PathMove, ...]
 """Moves in which a part leaves, from where all parts are in place."""
 
 
-def way_back(way: ExitPath, part: int) -> ExitPath:
-    """Return the moves in which others go back as they came, the last one first, when a part is out."""
+def way_back(way: ExitPath) -> ExitPath:
+    """Return the moves in which others than the parts of the last move go back as they came, the last one first."""
     found = []
     for move in reversed(way):
-        others = tuple(one for one in move.parts if one != part)
+        others = tuple(one for one in move.parts if one not in way[-1].parts)
         x, y, z = move.direction
         if others:
             found.append(replace(move, parts=others, direction=(-x, -y, -z)))
@@ -94,13 +101,12 @@ def on_the_way(way: ExitPath, points: Callable[[int], Array], most: float) -> li
     """Return the moves of a way with the lengths to be shown, metres, and those in which others go back.
 
     Args:
-        way: in which the part of the last move leaves.
+        way: in which the parts of the last move leave.
         points: returns those of a part in place, shape (points, 3), metres.
         most: length of the last move that is shown at most, metres.
     """
     found, poses = [], dict[int, Array]()
-    (part,) = way[-1].parts
-    for number, move in enumerate((*way, *way_back(way, part))):
+    for number, move in enumerate((*way, *way_back(way))):
         radius = 0.0
         for one in move.parts:
             arm = apply(poses.get(one, np.eye(4)), points(one)) - np.array(move.point)
@@ -123,9 +129,9 @@ def part_way(shown: Sequence[tuple[float, PathMove]], share: float) -> dict[int,
     return after(done)
 
 
-def after(moves: Sequence[PathMove]) -> dict[int, Array]:
-    """Return where moves, one after the other, bring the parts that they move."""
-    poses: dict[int, Array] = {}
+def after(moves: Sequence[PathMove], poses: Poses = MappingProxyType({})) -> dict[int, Array]:
+    """Return where moves, one after the other, bring the parts that they move, and others that are not in place."""
+    poses = dict(poses)
     for move in moves:
         matrix = move.displacement()
         for part in move.parts:

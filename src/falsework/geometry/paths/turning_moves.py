@@ -44,8 +44,7 @@ class TurningMoves:
         """
         if not self._others:
             return
-        pose = poses.get(self._part, _HOME)
-        own = apply(pose, self._motions.meshes[self._part].triangles)
+        own = apply(poses.get(self._part, _HOME), self._motions.meshes[self._part].triangles)
         others = [apply(poses.get(other, _HOME), self._motions.meshes[other].triangles) for other in self._others]
         thickness = self._motions.meshes[self._part].thickness
         for axis in axes_of(own, others, self._motions.tolerance, thickness):
