@@ -59,6 +59,13 @@ class PathMove:
         matrix[:3, 3] = point - matrix[:3, :3] @ point + share * self.distance * axis
         return matrix
 
+    def length(self, points: Array) -> float:
+        """Return how far the farthest of some points, shape (..., 3), goes along its arc, metres."""
+        return float(np.hypot(self.distance, self._radius(points) * self.angle))
+
+    def _radius(self, points: Array) -> float:
+        return float(np.linalg.norm(np.cross(points - np.array(self.point), self.direction), axis=-1).max())
+
     def steps(self, points: Array, sagitta: float) -> int:
         """Count equal steps between which points stay within a distance of the lines that join where they are.
 
@@ -72,9 +79,7 @@ class PathMove:
         """
         if not self.turns:
             return 1
-        arm = points - np.array(self.point)
-        radius = np.linalg.norm(arm - np.outer(arm @ np.array(self.direction), self.direction), axis=1).max()
-        return max(1, int(np.ceil(abs(self.angle) * np.sqrt(radius / (8.0 * sagitta)))))
+        return max(1, int(np.ceil(abs(self.angle) * np.sqrt(self._radius(points) / (8.0 * sagitta)))))
 
 
 def apply(matrix: Array, points: Array) -> Array:
@@ -107,12 +112,8 @@ def on_the_way(way: ExitPath, points: Callable[[int], Array], most: float) -> li
     """
     found, poses = [], dict[int, Array]()
     for number, move in enumerate((*way, *way_back(way))):
-        radius = 0.0
-        for one in move.parts:
-            arm = apply(poses.get(one, np.eye(4)), points(one)) - np.array(move.point)
-            radius = max(radius, float(np.linalg.norm(np.cross(arm, move.direction), axis=1).max()))
-            poses[one] = move.displacement() @ poses.get(one, np.eye(4))
-        length = float(np.hypot(move.distance, radius * move.angle))
+        length = max(move.length(apply(poses.get(one, np.eye(4)), points(one))) for one in move.parts)
+        poses = after((move,), poses)
         share = min(1.0, most / length) if number + 1 == len(way) else 1.0
         found.append((share * length, move.until(share)))
     return found

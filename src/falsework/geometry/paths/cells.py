@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,7 @@ def _encoded(shift: Index) -> Index:
     return shift @ np.array([_BASE**2, _BASE, 1])
 
 
+@cache
 def _decoded(code: int) -> tuple[int, int, int]:
     found = []
     for _ in range(3):
@@ -80,7 +82,7 @@ class CellGrid:
     tolerance: float
     """Distance up to which places are one, metres."""
     _cells: dict[int, tuple[Index, bool]] = field(default_factory=dict)
-    _hits: dict[tuple[int, int], frozenset[int] | None] = field(default_factory=dict)
+    _hits: dict[tuple[int, int], frozenset[int]] = field(default_factory=dict)
 
     @staticmethod
     def from_meshes(meshes: Sequence[TriangleMesh], parts: Parts, tolerance: float) -> CellGrid | None:
@@ -131,19 +133,18 @@ class CellGrid:
             self._cells[part] = every, fits
         return self._cells[part]
 
-    def hits(self, one: int, other: int) -> frozenset[int] | None:
-        """Return the shifts of one part past another at which they overlap; None if these are too many to tell."""
+    def hits(self, one: int, other: int) -> frozenset[int]:
+        """Return the shifts of one part past another at which they overlap."""
         if (one, other) not in self._hits:
             a, b = self.cells(one)[0], self.cells(other)[0]
-            few = len(a) * len(b) <= _MOST
-            shifts = np.unique(_encoded(b[None] - a[:, None])).tolist() if few else None
-            self._hits[one, other] = None if shifts is None else frozenset(shifts)
+            self._hits[one, other] = frozenset(np.unique(_encoded(b[None] - a[:, None])).tolist())
         return self._hits[one, other]
 
     def compares(self, movable: Parts, rest: Mask) -> bool:
         """Return whether parts that may move are not too many cells to compare with each other and those at rest."""
+        own = max(len(self.cells(part)[0]) for part in movable)
         others = (*movable, *np.flatnonzero(rest).tolist())
-        return all(self.hits(one, other) is not None for one in movable for other in others if one != other)
+        return own * max(len(self.cells(part)[0]) for part in others) <= _MOST
 
 
 class CellShifts:
@@ -161,17 +162,15 @@ class CellShifts:
         self.fits = all(grid.cells(part)[1] for part in (*movable, *walls))
         """Whether all parts consist of cells; else some at rest count as the box around them."""
         self._hits = [
-            [(grid.hits(one, other) or frozenset(), j) for j, other in enumerate(movable) if other != one]
-            for one in movable
+            [(grid.hits(one, other), j) for j, other in enumerate(movable) if other != one] for one in movable
         ]
-        self._walls = [[(grid.hits(one, other) or frozenset(), other) for other in walls] for one in movable]
+        self._walls = [[(grid.hits(one, other), other) for other in walls] for one in movable]
         self._stop = [frozenset().union(*(hits for hits, _ in row)) for row in self._walls]
         own = [grid.cells(part)[0] for part in movable]
         self._boxes = [np.stack([cells.min(axis=0), cells.max(axis=0) + 1]).tolist() for cells in own]
         self._homes = [grid.box(box).tolist() for box in (departure.around, departure.beside)]
         self._leaving = (1 << len(departure.leaving)) - 1
         self._codes = [int(_encoded(np.array(step))) for step in STEPS]
-        self._places: dict[int, tuple[int, int, int]] = {}
         self._moves: dict[tuple[int, int, int], PathMove] = {}
 
     def key(self, at: Shifts) -> Shifts:
@@ -179,7 +178,7 @@ class CellShifts:
         return at
 
     def begun(self, at: Shifts, last: PathMove | None) -> Iterator[Begun]:
-        """See `PathSearch`."""
+        """See `RigidPoses`."""
         for step in range(6):
             for some in self._begun(at, step):
                 named = self._move(some, step, 1).parts
@@ -188,7 +187,7 @@ class CellShifts:
                     yield some, step
 
     def out(self, at: Shifts, begun: Begun) -> PathMove | None:
-        """See `PathSearch`."""
+        """See `RigidPoses`."""
         some, step = begun
         if some != self._leaving:
             return None
@@ -196,7 +195,7 @@ class CellShifts:
         return self._move(some, step, length) if self._free(at, some, step, length) == length else None
 
     def ends(self, at: Shifts, begun: Begun) -> Iterator[tuple[Shifts, PathMove, bool]]:
-        """See `PathSearch`."""
+        """See `RigidPoses`."""
         some, step = begun
         free, code = self._free(at, some, step, self._length(at, some, step)), self._codes[step]
         for cells in range(1, free + 1):
@@ -247,19 +246,14 @@ class CellShifts:
         ends = low[axis], high[axis]
         for i, code in enumerate(at):
             if code and not some >> i & 1:
-                place = self._place(code)[axis]
+                place = _decoded(code)[axis]
                 ends = min(ends[0], self._boxes[i][0][axis] + place), max(ends[1], self._boxes[i][1][axis] + place)
         lengths = []
         for i, code in enumerate(at):
             if some >> i & 1:
-                near, far = (end[axis] + self._place(code)[axis] for end in self._boxes[i])
+                near, far = (end[axis] + _decoded(code)[axis] for end in self._boxes[i])
                 lengths.append(ends[1] - near if upwards else far - ends[0])
         return max(max(lengths) if leaves else min(lengths), 1)
-
-    def _place(self, code: int) -> tuple[int, int, int]:
-        if code not in self._places:
-            self._places[code] = _decoded(code)
-        return self._places[code]
 
     def _move(self, some: int, step: int, cells: int) -> PathMove:
         if (some, step, cells) not in self._moves:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -25,42 +25,6 @@ class Found:
     """Without a way, parts at rest that suffice to close every one that was tried, shape (parts,)."""
     exact: bool
     """Without a way, whether it is proven that no straight moves, however many, take the parts out past these."""
-
-
-class _Poses(Protocol):
-    """Poses that parts which may move can reach, and the moves between them."""
-
-    home: Any
-    """Pose in which all are in place."""
-    most: int
-    """Poses from which moves are tried, at most."""
-    exact: bool
-    """Whether all straight moves that matter were listed so far."""
-
-    @property
-    def walls(self) -> Mask:
-        """Parts at rest that moves have hit so far, shape (parts,)."""
-        ...
-
-    def key(self, at: Any) -> Hashable:
-        """Return a name of a pose."""
-        ...
-
-    def begun(self, at: Any, last: PathMove | None) -> Iterator[Any]:
-        """Yield what can begin to move, and where; parts that moved last do not go on, or back, along the same line."""
-        ...
-
-    def out(self, at: Any, begun: Any) -> PathMove | None:
-        """Return the move by which parts that begin to move are out; None if they are not those that leave, or hit."""
-        ...
-
-    def ends(self, at: Any, begun: Any) -> Iterator[tuple[Any, PathMove, bool]]:
-        """Yield poses at which parts that begin to move may stop, the moves there, and whether they go no farther."""
-        ...
-
-    def turned(self, at: Any, last: PathMove | None) -> Iterator[tuple[Any, PathMove, bool]]:
-        """Yield poses that turns lead to, the turns, and whether the part is out there."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +99,8 @@ class PathSearch:
                 return found
         return self._search(RigidPoses(self._motions, departure, turns=turns), moves)
 
-    def _search(self, poses: _Poses, moves: int) -> Found:
+    def _search(self, poses: CellShifts | RigidPoses, moves: int) -> Found:
+        """Search over poses of one kind; what `begun` yields their other methods take."""
         front, tried, seen = [_Node(poses.home)], 0, {poses.key(poses.home)}
         for number in range(moves):
             if tried + len(front) > poses.most:

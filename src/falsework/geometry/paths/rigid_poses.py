@@ -50,7 +50,9 @@ class RigidPoses:
         self._corners = {one: _four_corners(motions.box(one)) for one in movable}
         self._turning = TurningMoves(motions, leaving[0], self._there) if turns and len(leaving) == 1 else None
         self.walls = np.zeros_like(rest)
+        """Parts at rest that moves have hit so far, shape (parts,)."""
         self.exact = not turns
+        """Whether all straight moves that matter were listed so far."""
 
     def key(self, at: Poses) -> bytes:
         """Return a name of poses: where they take the corners of the parts."""
@@ -58,7 +60,7 @@ class RigidPoses:
         return np.round(np.array(corners) / (2 * self._tolerance)).astype(np.int64).tobytes()
 
     def begun(self, at: Poses, last: PathMove | None) -> Iterator[Begun]:
-        """See `PathSearch`."""
+        """Yield what can begin to move, and where; parts that moved last do not go on, or back, along the same line."""
         for direction in self._directions(at):
             again = last is not None and not last.turns and abs(direction @ np.array(last.direction)) > 1.0 - 1e-9
             for parts in self._beginnings(at, direction):
@@ -66,7 +68,7 @@ class RigidPoses:
                     yield direction, parts
 
     def out(self, at: Poses, begun: Begun) -> PathMove | None:
-        """See `PathSearch`."""
+        """Return the move by which parts that begin to move are out; None if others are to leave, or it is not free."""
         direction, parts = begun
         if not self._departure.leaves(parts):
             return None
@@ -74,7 +76,7 @@ class RigidPoses:
         return move if self._free(move, at) else None
 
     def ends(self, at: Poses, begun: Begun) -> Iterator[tuple[Poses, PathMove, bool]]:
-        """See `PathSearch`."""
+        """Yield poses at which parts that begin to move may stop, the moves there, and whether they go no farther."""
         direction, parts = begun
         distances = self._distances(parts, at, direction, self._length(at, parts, direction))
         for distance in distances:
@@ -82,7 +84,7 @@ class RigidPoses:
             yield after((move,), at), move, distance == distances[-1]
 
     def turned(self, at: Poses, last: PathMove | None) -> Iterator[tuple[Poses, PathMove, bool]]:
-        """See `PathSearch`; not about the axis of the last move once more."""
+        """Yield poses after turns, these, and whether the part is out; none about the axis of the last move again."""
         if self._turning is None:
             return
         around = self._box_around(at, self._leaving)
