@@ -309,9 +309,10 @@ def test_two_parts_leave_together_in_several_moves(robots: int, tmp_path: Path) 
         ((up, replace(out, parts=(0,))), "the last move of its way is not that of its parts together"),
         ((replace(up, parts=(0,)), out), "move 1 takes" if robots == 2 else "do not move as one body"),
         ((out, up), "move 1 takes"),
+        ((replace(up, parts=(0, 1, 2)), out), "its way moves frame-2, which no robot holds"),
     ]:
         paths = (*plan.exit_paths[:step], moves, *plan.exit_paths[step + 1 :])
-        bare = replace(plan, displacement=None, loads=(), replay=None, exit_paths=paths)
+        bare = replace(plan, displacement=None, loads=(), replay=None, exit_paths=paths, waiting=True)
         assert why in validate_plan(bare, assembly, SETTINGS).reason
 
 

@@ -89,7 +89,7 @@ class ReplanSession:
         self.clock = clock
         self.request = request
         self.context = context
-        self.task = request.task(context.assembly).judged_by(context.prover.oracle).until(clock.check)
+        self.task = request.task(context.assembly).judged_by(context.prover.oracle)
         self.direction = request.resolved_direction(context.assembly)
         done = request.done(context.assembly)
         self.built = done if self.direction is Direction.ASSEMBLY else None
@@ -118,6 +118,11 @@ class ReplanSession:
         """Stages that proposed the routes whose replays failed."""
         self._unstable: States | None = None
         self._why = ""
+
+    @property
+    def timed_task(self) -> Task:
+        """The task for searches, in which those for ways out end at the deadline; plans are proved without one."""
+        return self.task.until(self.clock.check)
 
     @property
     def done(self) -> bool:

@@ -309,7 +309,7 @@ def _choose(
     """
     if settings.alternatives == 1:
         return Alternatives.from_routes(list(result.routes))
-    task = planner.task.postpone(planner.postponed)
+    task = planner.task.until(lambda: None).postpone(planner.postponed)  # the choice has a time of its own
     states = np.concatenate([planner.states, *(route.states for route in planner.routes)])
     known = {route.states.tobytes() for route in planner.routes}
     while True:

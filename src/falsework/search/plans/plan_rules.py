@@ -77,7 +77,7 @@ def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySe
         return f"is against the rules: its way has {len(moves)} moves, and {plan.moves} are allowed"
     if any(move.turns for move in moves) and not plan.turns:
         return "is against the rules: its way has a turn, and none is allowed"
-    if moves[-1].parts != leaving:
+    if set(moves[-1].parts) != set(leaving):
         only = "the part alone" if len(leaving) == 1 else "its parts together"
         return f"is against the rules: the last move of its way is not that of {only}"
     if len(leaving) > 1 and any(move.turns for move in moves):
@@ -88,7 +88,7 @@ def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySe
     moved = sorted({one for move in moves for one in move.parts})
     still = [one for one in moved if plan.immovable[one] or one in plan.fixed]
     loose = sorted(loose_parts(moves, state, leaving))
-    if still or (loose and not plan.waiting):
+    if still or (loose and (not plan.waiting or len(leaving) > 1)):
         name = plan.part_names[(still or loose)[0]]
         return f"is against the rules: its way moves {name}, which no robot holds"
     spare = hands_free(state, leaving, plan.robots, plan.immovable)
