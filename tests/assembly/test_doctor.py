@@ -454,3 +454,24 @@ def test_a_fallen_vault_that_friction_might_hold_falls(tmp_path: Path) -> None:
     springers = np.flatnonzero(vault.boundary).tolist()
     found = doctor(path, stands=stands, boundary=springers)
     assert any("falls as it is, but would stand with y up" in remark for remark in found.remarks)
+
+
+@pytest.mark.parametrize(("edge", "unit", "asked"), [(50.0, None, True), (0.5, None, False), (50.0, "m", False)])
+def test_a_folder_whose_unit_nothing_says_is_not_read_in_silence(
+    tmp_path: Path, edge: float, unit: str | None, asked: bool
+) -> None:
+    """Where its parts would have an unlikely size in metres; a unit that is given, or a description, is believed."""
+    for level in range(2):
+        write_box(tmp_path, f"{level}", (0, 0, level * edge), (edge, edge, (level + 1) * edge))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load_structure(tmp_path, unit=unit)
+    said = [str(warning.message) for warning in caught if "nothing says the unit" in str(warning.message)]
+    assert bool(said) == asked
+    if asked:
+        assert "a typical part is 86.6 m long: give --unit mm or cm or in, or --unit m if that is right" in said[0]
+    (tmp_path / "assembly.json").write_text('{"boundary": [0]}')
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load_structure(tmp_path)
+    assert not any("nothing says the unit" in str(warning.message) for warning in caught)

@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
-from itertools import pairwise, permutations, product
+from itertools import permutations, product
 
 import numpy as np
 import pytest
 
 from falsework import Outcome, StabilitySettings, find_plans
+from falsework.geometry.clearance.moves import after
 from falsework.geometry.paths.path_search import PathSearch
 from falsework.search.plans.plan_check import validate_plan
-from tests.geometry.test_exit_paths import Cells, motions_of, solid, structure
+from tests.geometry.test_exit_paths import EDGE, Cells, motions_of, solid, structure
 
 BURRS = {
     "Philippe Dubois": ((120, 160, 256, 512, 880, 960), 6),
@@ -151,8 +152,8 @@ def test_burrs_open_at_their_published_levels(name: str) -> None:
     rest = np.arange(6) == stays
     for part in np.flatnonzero(~rest).tolist() if level < 9 else [first]:
         aside = tuple(other for other in range(6) if other not in (part, stays))
-        assert PathSearch(motions, part, rest, aside).run(level - 1).way is None
-        found = PathSearch(motions, part, rest, aside).run(level)
+        assert PathSearch(motions, (part,), rest, aside).run(level - 1).way is None
+        found = PathSearch(motions, (part,), rest, aside).run(level)
         assert (found.way is None) == (part != first)
         if found.way is not None:
             assert len(found.way) == level
@@ -171,7 +172,7 @@ def test_later_sticks_leave_at_their_levels(name: str) -> None:
         for part in left:
             stays = next(other for other in left if other != part)
             aside = tuple(other for other in left if other not in (part, stays))
-            search = PathSearch(motions, part, np.arange(6) == stays, aside)
+            search = PathSearch(motions, (part,), np.arange(6) == stays, aside)
             fewest[part] = next((moves for moves in range(1, level + 1) if search.run(moves).way), level + 1)
         assert min(fewest.values()) == level
         levels.append(level)
@@ -200,52 +201,55 @@ def test_a_burr_is_planned_and_checked() -> None:
     assert validate_plan(plan, assembly, settings).good
 
 
-def winding(moves: int, width: int, shift: int, random: np.random.Generator) -> tuple[set[Place], Place]:
-    """A tunnel in a block of 11 by 11 and a width, that turns at every second cell and meets itself nowhere.
-
-    A cube at its blind end, which is returned too, needs as many moves to get out.
-    """
-
-    def go(path: list[Place], last: Place) -> list[Place] | None:
-        turns = [step for step in STEPS if not np.dot(step, last)]
-        random.shuffle(turns)
-        for step in turns:
-            if len(path) == moves:
-                ray = [plus(path[-1], (k * step[0], k * step[1], k * step[2])) for k in range(1, 11)]
-                ray = [cell for cell in ray if min(cell) >= 0 and max(cell) < 11]
-                if step[0] == 0 and not set(ray) & set(path):
-                    return [*path, *ray]
-                continue
-            new = plus(plus(path[-1], step), step)
-            if new in path or min(new) < 1 or new[0] >= width - 1 or max(new) > 9:
-                continue
-            if (found := go([*path, new], step)) is not None:
-                return found
-        return None
-
-    found = go([(1, 1, 1)], (0, 0, 0))
-    assert found is not None
-    between = {((a[0] + b[0]) // 2, (a[1] + b[1]) // 2, (a[2] + b[2]) // 2) for a, b in pairwise(found[:moves])}
-    return {plus(cell, (shift, 0, 0)) for cell in (*found, *between)}, (1 + shift, 1, 1)
+PELIKAN = """
+00000000 00000000 00552200 00552200 00552200 00552200 00000000 00000000
+00000000 0......0 0...2..0 0......0 0......0 0.5.2..0 0......0 00000000
+00444400 0....4.0 1...24.6 11...4.6 666..4.6 6.5..4.6 0......0 00334400
+00444400 0....4.0 1...2..6 1...2..6 6.666666 6.53.4.6 0....4.0 00334400
+00333300 0.3....0 1.33...1 1..32..1 6..3..11 6.53...1 0..3...0 00334400
+00333300 0......0 111111.1 1...2111 6......1 6.55.111 0..3...0 00334400
+00000000 0......0 0....2.0 0...22.0 0......0 0..5...0 0......0 00000000
+00000000 00000000 00222200 00222200 00555500 00555500 00000000 00000000
+"""
+"""Pelikan burr by Dic Sonneveld, assembled: a cage, 0, and six pieces in layers of 8 by 8 cells."""
+SEPARATED = [
+    ((3, 4), "0123456", 98),
+    ((3,), "34", 1),
+    ((2, 5), "01256", 2),
+    ((2,), "25", 1),
+    ((1,), "016", 4),
+    ((6,), "06", 2),
+]
+"""What leaves which pieces there, and in how many moves from where these are then: its level, 98.1.2.1.4.2."""
 
 
-def test_levels_of_up_to_98_moves_are_planned() -> None:
-    """Cubes in a block leave in 98, 1, 2, 1, 4 and 2 moves and in no fewer."""
-    levels, random, shift = (98, 1, 2, 1, 4, 2), np.random.default_rng(1), 0
-    dug, cubes = set[Place](), list[Place]()
-    for level in levels:
-        width = 11 if level > 4 else 3
-        tunnel, cube = winding(level, width, shift, random)
-        dug, shift, cubes = dug | tunnel, shift + width - 1, [*cubes, cube]
-    block = frozenset(product(range(shift + 1), range(11), range(11))) - dug
-    pieces = [frozenset({cube}) for cube in cubes]
-    motions, others = motions_of(*map(solid, [*pieces, block])), np.arange(7) == 6
-    for part, level in enumerate(levels):
-        assert PathSearch(motions, part, others).run(level - 1).way is None
-        way = PathSearch(motions, part, others).run(level).way
+def pelikan() -> list[Cells]:
+    rows = np.array([list(row) for row in PELIKAN.split()]).reshape(8, 8, 8)
+    return [frozenset(map(tuple, np.argwhere(rows == str(piece))[:, ::-1].tolist())) for piece in range(7)]
+
+
+def test_the_pelikan_burr_has_its_level() -> None:
+    """Two of its pieces leave the cage together, and come apart then."""
+    at = np.zeros((7, 3), dtype=int)
+    for leaving, there, level in SEPARATED:
+        pieces = sorted(map(int, there))
+        own = [frozenset(map(tuple, (np.array(sorted(pelikan()[piece])) + at[piece]).tolist())) for piece in pieces]
+        motions = motions_of(*map(solid, own))
+        out = tuple(map(pieces.index, leaving))
+        stays = next(place for place in range(len(pieces)) if place not in out)
+        aside = tuple(place for place in range(len(pieces)) if place not in (*out, stays))
+        search = PathSearch(motions, out, np.arange(len(pieces)) == stays, aside)
+        assert search.run(level - 1).way is None
+        way = search.run(level).way
         assert way is not None
         assert len(way) == level
-        assert motions.leaves(way, others) == ""
+        assert motions.leaves(way, np.ones(len(pieces), dtype=bool)) == ""
+        for place, pose in after(way).items():
+            at[pieces[place]] += np.rint(pose[:3, 3] / EDGE).astype(int)
+    alone = motions_of(*map(solid, pelikan()))
+    found = PathSearch(alone, (3,), np.arange(7) == 0, (1, 2, 4, 5, 6))
+    assert found.run(98).way is None, "one piece alone needs a move more"
+    assert found.run(99).way is not None
 
 
 @pytest.mark.parametrize("name", KEYED)
@@ -257,6 +261,6 @@ def test_keys_of_solid_burrs_slide_out_in_one_move(name: str) -> None:
         out = []
         for part in range(6):
             others = np.arange(6) != part
-            out += [part] if PathSearch(motions, part, others).run(1).way is not None else []
+            out += [part] if PathSearch(motions, (part,), others).run(1).way is not None else []
         assert out == [0]
         assert len(sticks[0]) == 24

@@ -40,12 +40,17 @@ def motions_of(*solids: Solid, turn: float = 0.0) -> PartMotions:
     return PartMotions(meshes, find_contacts(meshes), 1e-4)
 
 
-def fewest_moves(piece: Cells, rest: Cells, most: int, aside: tuple[Cells, ...] = ()) -> int | None:
-    """Straight moves by cells, of sets of pieces, after which the first is beside all others; None if none do."""
-    own = [np.array(sorted(cells)) for cells in (piece, *aside)]
-    count = len(own)
+def fewest_moves(
+    piece: Cells, rest: Cells, most: int, aside: tuple[Cells, ...] = (), beside: tuple[Cells, ...] = ()
+) -> int | None:
+    """Straight moves by cells, of sets of pieces, after which the first is beside all others; None if none do.
+
+    With those of `beside`, as one body in the last move.
+    """
+    own = [np.array(sorted(cells)) for cells in (piece, *beside, *aside)]
+    count, leaving = len(own), 1 + len(beside)
     others = np.array(sorted(rest.union(*aside)))
-    size = int(np.ptp(np.concatenate([*own, others]), axis=0).max()) + 2
+    size = int(np.ptp(np.concatenate([*own, np.array(sorted(rest))]), axis=0).max()) + 2
     sets = [some for some in product((0, 1), repeat=count) if any(some)]
 
     def free(at: tuple[tuple[int, ...], ...]) -> bool:
@@ -58,8 +63,8 @@ def fewest_moves(piece: Cells, rest: Cells, most: int, aside: tuple[Cells, ...] 
         return True
 
     def out(at: tuple[tuple[int, ...], ...]) -> bool:
-        here = own[0] + at[0]
-        there = np.concatenate([others, *(cells + offset for cells, offset in zip(own[1:], at[1:], strict=True))])
+        placed = [cells + offset for cells, offset in zip(own, at, strict=True)]
+        here, there = np.concatenate(placed[:leaving]), np.concatenate([others, *placed[leaving:]])
         return bool(((here > there.max(axis=0)).all(axis=0) | (here < there.min(axis=0)).all(axis=0)).any())
 
     home = ((0, 0, 0),) * count
@@ -72,7 +77,7 @@ def fewest_moves(piece: Cells, rest: Cells, most: int, aside: tuple[Cells, ...] 
                 here = tuple(map(tuple, (np.array(at) + shift).tolist()))
                 if not free(here) or np.abs(here).max() > size:
                     break
-                if some == (1, *(0,) * (count - 1)) and out(here):
+                if some == (1,) * leaving + (0,) * (count - leaving) and out(here):
                     return number
                 reached.add(here)
         front = reached - seen
@@ -111,7 +116,7 @@ def test_pieces_leave_tunnels_in_as_few_moves_as_by_cells(seed: int, turn: float
     motions, most, others = motions_of(solid(piece), solid(frame), turn=turn), 7, np.array([False, True])
     expected = fewest_moves(piece, frame, most)
     for moves in range(1, most + 1):
-        found = PathSearch(motions, 0, others).run(moves)
+        found = PathSearch(motions, (0,), others).run(moves)
         assert (found.way is not None) == (expected is not None and expected <= moves)
         if found.way is not None:
             assert len(found.way) == expected
@@ -121,7 +126,7 @@ def test_pieces_leave_tunnels_in_as_few_moves_as_by_cells(seed: int, turn: float
     else:
         assert expected is None or expected > most
         if expected is None:  # with one move more than there are poses to reach, the search says that it is proven
-            assert PathSearch(motions, 0, others).run(30).exact
+            assert PathSearch(motions, (0,), others).run(30).exact
 
 
 def test_tunnels_are_told_apart() -> None:
@@ -147,7 +152,7 @@ def test_pieces_leave_past_others_that_move_aside_in_as_few_moves_as_by_cells(se
     motions, rest, most = motions_of(*map(solid, pieces), turn=turn), np.array([False, False, False, True]), 3
     expected = fewest_moves(pieces[0], pieces[3], most, pieces[1:3])
     for moves in range(1, most + 1):
-        found = PathSearch(motions, 0, rest, (1, 2)).run(moves)
+        found = PathSearch(motions, (0,), rest, (1, 2)).run(moves)
         assert (found.way is not None) == (expected is not None and expected <= moves)
         if found.way is not None:
             assert len(found.way) == expected
@@ -166,12 +171,12 @@ def test_what_is_beside_the_grid_proves_nothing() -> None:
     leans = replace(wall, vertices=slope)
     meshes = [*motions_of(solid(piece), solid(ledge)).meshes, leans]
     motions, others = PartMotions(meshes, find_contacts(meshes), 1e-4), np.array([False, True, True])
-    found = PathSearch(motions, 0, others).run(1)
+    found = PathSearch(motions, (0,), others).run(1)
     assert found.way is not None
     assert motions.leaves(found.way, others) == ""
     lid = cells(range(-1, 2), range(-1, 2), range(1, 2)) | {(-1, 0, 0), (0, -1, 0), (0, 1, 0)}
     shut = [*meshes[:2], leans, *motions_of(solid(frozenset(lid))).meshes]
-    closed = PathSearch(PartMotions(shut, find_contacts(shut), 1e-4), 0, np.array([False, True, True, True])).run(3)
+    closed = PathSearch(PartMotions(shut, find_contacts(shut), 1e-4), (0,), np.array([False, True, True, True])).run(3)
     assert closed.way is None
     assert not closed.exact
 
@@ -187,7 +192,7 @@ def test_grids_need_not_be_cubes_nor_begin_at_zero() -> None:
     motions, others = motions_of(*solids), np.array([False, True])
     assert motions.grid((0, 1)) is not None
     assert motions_of(*solids, turn=0.3).grid((0, 1)) is None
-    assert PathSearch(motions, 0, others).run(expected - 1).way is None
-    way = PathSearch(motions, 0, others).run(expected).way
+    assert PathSearch(motions, (0,), others).run(expected - 1).way is None
+    way = PathSearch(motions, (0,), others).run(expected).way
     assert way is not None
     assert motions.leaves(way, others) == ""

@@ -23,8 +23,8 @@ def way_out(meshes: list[TriangleMesh], moves: int, part: int = 0) -> ExitPath |
     """Way out of a part past all others, which is swept anew; straight moves alone find none."""
     motions = PartMotions(meshes, find_contacts(meshes), TOLERANCE)
     others = np.arange(len(meshes)) != part
-    assert PathSearch(motions, part, others).run(moves).way is None
-    way = PathSearch(motions, part, others).run(moves, turns=True).way
+    assert PathSearch(motions, (part,), others).run(moves).way is None
+    way = PathSearch(motions, (part,), others).run(moves, turns=True).way
     assert way is None or motions.leaves(way, others) == ""
     return way
 
@@ -107,3 +107,27 @@ def test_a_plug_turns_until_its_lugs_are_below_their_slots(count: int) -> None:
     assert way is not None
     assert np.cos(count * way[0].angle) == pytest.approx(-1.0, abs=1e-3)
     assert way[1].direction == (0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("stop", [False, True])
+def test_a_leaf_is_turned_on_its_hinge_until_it_lifts_off(stop: bool) -> None:
+    """A lift-off hinge: a lintel lies above the leaf where it is shut; where a stop keeps it shut, it stays."""
+    around = 2 * np.pi * np.arange(32) / 32
+    outer = np.where(np.cos(around) > 0.97, 0.06, 0.02)
+    pin, hole = np.full(32, 0.01), np.full(32, 0.0105)
+    meshes = [
+        ring("leaf", outer, hole, 0.0, 0.02),
+        box("floor", (-0.08, -0.08, -0.02), (0.08, 0.08, -0.01)),
+        ring("pin", pin, np.full(32, 0.002), -0.01, 0.03),
+        ring("seat", np.full(32, 0.018), np.full(32, 0.0102), -0.01, 0.0),
+        box("lintel", (0.035, -0.03, 0.0205), (0.07, 0.03, 0.04)),
+    ]
+    if stop:
+        meshes += [box("stop", (0.04, y, -0.01), (0.05, y + 0.01, 0.02)) for y in (-0.0221, 0.0121)]
+    way = way_out(meshes, 2)
+    assert (way is None) == stop
+    if way is not None:
+        turn, lift = way
+        assert abs(turn.direction[2]) == pytest.approx(1.0)
+        np.testing.assert_allclose(turn.point[:2], 0.0, atol=1e-3)
+        assert lift.direction == (0.0, 0.0, 1.0)

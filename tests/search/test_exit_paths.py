@@ -7,6 +7,7 @@ import json
 import pickle
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,11 @@ from falsework import (
     StabilityOracle,
     StabilitySettings,
     find_plans,
+    load,
     make_task,
     min_robots,
     replan,
+    save,
 )
 from falsework import sheet as make_sheet
 from falsework.assembly.library import shelf as built_in_shelf
@@ -35,8 +38,11 @@ from falsework.geometry import TriangleMesh
 from falsework.geometry.clearance.moves import PathMove, apply
 from falsework.interop.instruction_table import instructions_csv
 from falsework.interop.tracks import tracks_of
+from falsework.search.planner import Planner
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
+from falsework.search.problem.deadline import DeadlineExceeded
+from falsework.search.together.moves import TaskMoves
 from falsework.viewer import Timeline
 from falsework.viewer.appearance import TRAVEL, appearance_at, diagonal
 
@@ -266,6 +272,77 @@ def test_sets_of_parts_and_several_moves_go_together() -> None:
     assert validate_plan(plan, assembly, SETTINGS).good
 
 
+def hooked() -> Assembly:
+    """Two pieces that hook each other in a bent tunnel, so that neither leaves without the other."""
+    one = {(0, 0, 0), (0, 0, 1), (0, 1, 0), (1, 0, 1), (1, 0, 2), (1, 1, 2)}
+    other = cells(range(2), range(2), range(3)) - one
+    hollow = cells(range(6), range(2), range(3)) | cells(range(4, 6), range(2), range(5))
+    return of_cubes(one, other, frame=cells(range(-1, 7), range(-1, 3), range(-1, 5)) - hollow)
+
+
+@pytest.mark.parametrize("robots", [1, 2])
+def test_two_parts_leave_together_in_several_moves(robots: int, tmp_path: Path) -> None:
+    """Carried by one robot, or held by two; one at a time, or in one move, they do not leave."""
+    assembly = hooked()
+    rules = {"robots": robots, "stability": SETTINGS, "settings": PlannerSettings(directions=(Direction.DISASSEMBLY,))}
+    alone = find_plans(assembly, moves=2, **rules)
+    assert alone.result.outcome is not Outcome.FOUND
+    straight = find_plans(assembly, parts_at_once=2, **rules)
+    assert straight.result.outcome is not Outcome.FOUND
+    start = [2, 2 if robots == 2 else 1, 2]
+    (plan,) = find_plans(assembly, parts_at_once=2, moves=2, start=start, **rules).plans
+    (way,) = [way for way in plan.exit_paths if way]
+    assert [move.parts for move in way] == [(0, 1)] * 2
+    assert int((plan.states == 2)[:, :2].sum(axis=1).max()) == robots
+    assert validate_plan(plan, assembly, SETTINGS).good
+    save(plan, tmp_path / "plan.json")
+    again = load(tmp_path / "plan.json")
+    assert isinstance(again, Plan)
+    assert again.exit_paths == plan.exit_paths
+    assert validate_plan(again, assembly, SETTINGS).good
+    step = next(number for number, way in enumerate(plan.exit_paths) if way)
+    shown = Timeline.from_plan(plan, assembly).displacements(0, 1.0, 1.0)
+    np.testing.assert_allclose(shown[0], shown[1])
+    assert tracks_of(plan, assembly).tracks[0].path == tracks_of(plan, assembly).tracks[1].path
+    up, out = way
+    for moves, why in [
+        ((up, replace(out, parts=(0,))), "the last move of its way is not that of its parts together"),
+        ((replace(up, parts=(0,)), out), "move 1 takes" if robots == 2 else "do not move as one body"),
+        ((out, up), "move 1 takes"),
+        ((replace(up, parts=(0, 1, 2)), out), "its way moves frame-2, which no robot holds"),
+    ]:
+        paths = (*plan.exit_paths[:step], moves, *plan.exit_paths[step + 1 :])
+        bare = replace(plan, displacement=None, loads=(), replay=None, exit_paths=paths, waiting=True)
+        assert why in validate_plan(bare, assembly, SETTINGS).reason
+
+
+def test_more_sets_than_can_be_examined_are_no_proof(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Then those are tried that lock each other in place."""
+    monkeypatch.setattr("falsework.search.together.exits.MOST_SETS", 0)
+    task = make_task(hooked(), 1, moves=2, parts_at_once=2)
+    moves = TaskMoves(task, StabilityOracle(hooked(), SETTINGS))
+    assert moves.caveat == "of 1 sets of parts those were tried that lock each other in place"
+
+
+def test_a_search_for_a_way_ends_at_the_deadline() -> None:
+    """And so does the search for a plan around it."""
+    task = make_task(shaft(), 1, moves=2)
+    calls: list[int] = []
+
+    def late() -> None:
+        calls.append(1)
+        raise DeadlineExceeded
+
+    timed = task.until(late).clearance
+    assert timed is not None
+    with pytest.raises(DeadlineExceeded):
+        timed.can_leave(task.start[None])
+    assert calls == [1]
+    found = Planner(task.until(late), StabilityOracle(shaft(), SETTINGS)).run()
+    assert found.interrupted
+    assert not found.found
+
+
 @pytest.mark.parametrize(
     ("rules", "message"),
     [
@@ -350,10 +427,17 @@ def test_a_bolt_screws_out_of_its_thread(screwed: tuple[Assembly, Plan]) -> None
     assert again.turns
 
 
-def test_another_pitch_does_not_pass(screwed: tuple[Assembly, Plan]) -> None:
+def test_another_pitch_or_axis_does_not_pass(screwed: tuple[Assembly, Plan]) -> None:
     assembly, plan = screwed
     (move,) = plan.exit_paths[0]
-    for wrong in (replace(move, angle=0.0), replace(move, angle=-move.angle), replace(move, angle=1.3 * move.angle)):
+    x, y, z = move.point
+    for wrong in (
+        replace(move, angle=0.0),
+        replace(move, angle=-move.angle),
+        replace(move, angle=1.3 * move.angle),
+        replace(move, point=(x + 0.1, y, z)),
+        replace(move, direction=(1.0, 0.0, 0.0)),
+    ):
         bare = replace(plan, forces=None, exit_paths=((wrong,), ()))
         assert "move 1 takes bolt into plate" in validate_plan(bare, assembly, SETTINGS).reason
     bare = replace(plan, forces=None, turns=False)

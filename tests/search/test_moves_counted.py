@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from falsework import make_task
 from falsework.assembly.library.voxels import grow_pieces
 from falsework.search import ExhaustiveSearch
 from tests.geometry.test_exit_paths import Cells, fewest_moves, solid, structure
-from tests.search.test_together import EveryStateStands
+from tests.search.test_together import EveryStateStands, plans_of
 
 FLOOR: Cells = frozenset(product(range(-1, 4), range(-1, 4), [-1]))
 
@@ -27,8 +27,18 @@ def drawn(seed: int, count: int) -> list[Cells]:
             return [frozenset(piece) for piece in pieces]
 
 
-def counted(pieces: list[Cells], robots: int, most: int) -> int:
-    """Orders of holding and removing pieces; one that is held leaves in so many moves, others held may move aside."""
+def counted(pieces: list[Cells], robots: int, most: int, largest: int = 1) -> int:
+    """Orders of holding and removing pieces; those that are held leave in so many moves, others held may move aside.
+
+    Up to `largest` leave together where no fewer of them do, in one move or in so many.
+    """
+
+    @lru_cache(None)
+    def leave(state: tuple[int, ...], some: tuple[int, ...], most: int) -> bool:
+        rest = FLOOR.union(*(pieces[one] for one, there in enumerate(state) if there == 1))
+        aside = tuple(pieces[one] for one, there in enumerate(state) if there == 2 and one not in some)
+        first, *beside = (pieces[one] for one in some)
+        return (fewest_moves(first, rest, most, aside, tuple(beside)) or most + 1) <= most
 
     @lru_cache(None)
     def plans(state: tuple[int, ...]) -> int:
@@ -38,11 +48,12 @@ def counted(pieces: list[Cells], robots: int, most: int) -> int:
         for part, value in enumerate(state):
             if value == 1 and len(held) < robots:
                 total += plans((*state[:part], 2, *state[part + 1 :]))
-            if value == 2:
-                rest = FLOOR.union(*(pieces[one] for one, there in enumerate(state) if there == 1))
-                aside = tuple(pieces[one] for one in held if one != part)
-                if (fewest_moves(pieces[part], rest, most, aside) or most + 1) <= most:
-                    total += plans((*state[:part], 0, *state[part + 1 :]))
+        for size in range(1, largest + 1):
+            for some in combinations(held, size):
+                fewer = [few for count in range(1, size) for few in combinations(some, count)]
+                ways = {moves for moves in (1, most) if leave(state, some, moves)}
+                if any(not any(leave(state, few, moves) for few in fewer) for moves in ways):
+                    total += plans(tuple(0 if part in some else value for part, value in enumerate(state)))
         return total
 
     return plans((1,) * len(pieces))
@@ -73,3 +84,21 @@ def test_as_many_plans_with_several_moves_as_an_enumeration_by_cells(
     for moves, number in enumerate(expected, 1):
         task = make_task(assembly, robots, moves=moves, removable_only_if_clear=True)
         assert ExhaustiveSearch(task, EveryStateStands()).run().plans == number
+
+
+class EachPartIsHeld(EveryStateStands):
+    """Oracle that says of no group whether a robot can carry it."""
+
+    settings = None
+
+
+@pytest.mark.parametrize(
+    ("seed", "count", "robots", "more"), [(11, 3, 2, 8), (11, 3, 3, 20), (5, 3, 2, 0), (0, 4, 2, 0)]
+)
+def test_as_many_plans_with_several_parts_in_several_moves(seed: int, count: int, robots: int, more: int) -> None:
+    """Two at once in two moves: more than one at a time, or two in one move, where they open anything."""
+    pieces = drawn(seed, count)
+    assembly = structure(*map(solid, pieces), solid(FLOOR, fixed=True))
+    expected = counted(pieces, robots, 2, 2)
+    assert expected - counted(pieces, robots, 2) == more
+    assert plans_of(make_task(assembly, robots, moves=2, parts_at_once=2), EachPartIsHeld()) == expected

@@ -96,7 +96,7 @@ def test_the_part_that_leaves_waits_half_way_out_itself() -> None:
     assert validate_plan(plan, assembly, SETTINGS).good
     waits = [
         (state, poses)
-        for state, poses in stages(plan.exit_paths[0], plan.states[1], 0, 0, out=True)
+        for state, poses in stages(plan.exit_paths[0], plan.states[1], (0,), 0, out=True)
         if state[0] == 1 and 0 in poses
     ]
     assert any(state[1] == 0 for state, _ in waits)
@@ -226,7 +226,7 @@ def test_pieces_leave_in_as_few_moves_as_by_cells_one_at_a_time(seed: int) -> No
     for moves in range(2, 5):
         clearance = make_task(assembly, 1, moves=moves, waiting=True).clearance
         assert clearance is not None
-        way = clearance.exit_path(state, 0)
+        way = clearance.exit_path(state, (0,))
         assert (way is not None) == (expected is not None and expected <= moves)
         if way is not None:
             assert len(way or (0,)) == expected

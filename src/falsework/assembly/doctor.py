@@ -20,6 +20,7 @@ from falsework.assembly.findings import (
     likely_units,
     lowest,
     material_findings,
+    part_sizes,
     support_findings,
     upright_finding,
 )
@@ -162,8 +163,7 @@ def doctor(
             return Diagnosis(str(path), str(error), (), (), (), 0, None, {}, False, None)
     given = {name: value for name, value in options.items() if value is not None}
     options = {**described, **given}
-    boxes = [np.ptp(block.vertices, axis=0) if len(block.vertices) else np.zeros(3) for block in draft.blocks]
-    size = np.linalg.norm(boxes, axis=1) * draft.scale
+    size = part_sizes(draft)
     middle = float(np.median(size))
     likely = [] if path.suffix.lower() in _HAVE_UNITS else likely_units(middle, draft.scale)
     if len(likely) == 1:  # what else is found and proposed, parts of this size have

@@ -79,6 +79,8 @@ class Draft:
     """In metres."""
     fits: bool = False
     """Whether its format is one of models with clearance, whose parts settle if they do not rest as modelled."""
+    says_unit: bool = True
+    """Whether the file, or who read it, says the unit."""
 
     @staticmethod
     def from_blocks(
@@ -138,7 +140,7 @@ class Draft:
             )
             for surface in surfaces
         ]
-        return Draft(path, scale, tuple(blocks))
+        return Draft(path, scale, tuple(blocks), says_unit=unit is not None or bool(stated))
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -136,6 +136,12 @@ def _inclined(contacts: Contacts, axis: int) -> bool:
     return bool(((along > least) & (along < np.sqrt(1 - least**2))).any())
 
 
+def part_sizes(draft: Draft) -> np.ndarray:
+    """Return the diagonals of the boxes around the parts, shape (parts,), metres."""
+    boxes = [np.ptp(block.vertices, axis=0) if len(block.vertices) else np.zeros(3) for block in draft.blocks]
+    return np.linalg.norm(boxes, axis=1) * draft.scale
+
+
 def likely_units(size: float, scale: float) -> list[str]:
     """Return the units in which a typical part has a likely size; none where it has one already."""
     if _SIZES[0] <= size <= _SIZES[1]:

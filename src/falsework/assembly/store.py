@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from falsework.assembly.assembly_model import FORMAT, AssemblyFile
 from falsework.assembly.draft import Draft
 from falsework.assembly.fasteners import furnish
+from falsework.assembly.findings import likely_units, part_sizes
 from falsework.assembly.model import Assembly
 from falsework.assembly.part_numbers import part_ids
 from falsework.errors import AssemblyError, InputError
@@ -26,7 +27,7 @@ from falsework.geometry.mesh.surface import warn_of
 from falsework.utils.files.formats import Exporter
 from falsework.utils.json_text import parse_json
 from falsework.utils.models import read_model
-from falsework.utils.quantity import listed
+from falsework.utils.quantity import format_quantity, listed
 
 FILE = "assembly.json"
 _NOTES = frozenset(
@@ -79,6 +80,8 @@ def load_assembly(
     source = Path(path)
     described = read_description(source)
     draft = described_draft(source, described, unit)
+    if unit is None and not draft.says_unit and not described_by(source).is_file():
+        _ask_for_unit(draft)
     own = described.get("boundary") if boundary is None else None
     if own is not None:  # wrong names are of the file, not of an option
         part_ids(own, draft.names, f"{described_by(source)}: boundary")
@@ -94,6 +97,17 @@ def load_assembly(
     given = {"loads": loads, "earthquake": earthquake, "materials": materials, "joints": joints, "fasteners": fasteners}
     acting = {name: described.get(name) if value is None else value for name, value in given.items()}
     return furnish(assembly, **acting)
+
+
+def _ask_for_unit(draft: Draft) -> None:
+    """Warn where parts that were read in metres, since nothing says their unit, have an unlikely size."""
+    size = float(np.median(part_sizes(draft)))
+    if likely := likely_units(size, draft.scale):
+        warn_of(
+            draft.path,
+            f"nothing says the unit; in metres, as it was read, a typical part is {format_quantity(size, 'length')} "
+            f"long: give --unit {' or '.join(likely)}, or --unit m if that is right",
+        )
 
 
 def described_draft(source: Path, described: Mapping[str, Any], unit: str | None = None) -> Draft:

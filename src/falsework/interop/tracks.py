@@ -94,8 +94,9 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
             continue
         leaves = bool(present[step, moved[0]])
         if plan.exit_paths and plan.exit_paths[step]:
-            shown[moved[0]].append((begin, True))
-            holder[moved[0]].append((begin, int(robots[step + 1, moved[0]])))
+            for part in moved:
+                shown[part].append((begin, True))
+                holder[part].append((begin, int(robots[step + 1, part])))
             for part, keys in _ways_in(plan.exit_paths[step], begin, end).items():
                 path[part] += keys
             continue
@@ -118,7 +119,7 @@ def _ways_in(way: ExitPath, begin: float, end: float) -> dict[int, list[tuple[fl
     """Return the keys of the parts that move as one comes in by the moves of its way out, undone, at one speed."""
     if any(move.turns for move in way):
         raise PlanError("a part turns on its way in, which these files cannot show; make a picture or a recording")
-    moves = (*way, *way_back(way, way[-1].parts[0]))
+    moves = (*way, *way_back(way))
     done = np.concatenate([[0.0], np.cumsum([move.distance for move in moves])])
     keys = {}
     for part in {part for move in moves for part in move.parts}:
@@ -126,7 +127,7 @@ def _ways_in(way: ExitPath, begin: float, end: float) -> dict[int, list[tuple[fl
         stops = np.concatenate([np.zeros((1, 3)), np.cumsum(shifts, axis=0)])
         times = end - (end - begin) * done / done[-1]
         keys[part] = [(float(time), triple(stop)) for time, stop in zip(times[::-1], stops[::-1], strict=True)]
-        if part == way[-1].parts[0]:
+        if part in way[-1].parts:
             keys[part] = keys[part][len(moves) - len(way) :]
     return keys
 

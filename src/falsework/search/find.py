@@ -145,11 +145,12 @@ def find_plans(
     clock = Deadline(deadline)
     task = task or make_task(assembly, 2 if robots is None else robots, **rules)
     guide = guide or SupportGuide(assembly)
-    planner = Planner(task, timed(oracle, clock), settings, guide=guide, beams=beams_on(backend, task, oracle))
+    searched = task.until(clock.check)
+    planner = Planner(searched, timed(oracle, clock), settings, guide=guide, beams=beams_on(backend, task, oracle))
     if checkpoint is not None:
         planner.check_saved()
         if Path(checkpoint).exists():
-            planner = Planner.load(checkpoint, task, timed(oracle, clock), settings, guide=guide)
+            planner = Planner.load(checkpoint, searched, timed(oracle, clock), settings, guide=guide)
     result = _run(
         planner,
         lambda: HoldBound(
@@ -275,6 +276,7 @@ def prove_route(
     Raises:
         PlanError: a state that cannot be proved stable.
     """
+    task = task.judged_by(oracle)
     if assembly.props and not all_props:
         bare = assembly.part_count - len(assembly.props)
         used = np.flatnonzero((route.states[:, bare:] != REMOVED).any(axis=0))
@@ -307,7 +309,7 @@ def _choose(
     """
     if settings.alternatives == 1:
         return Alternatives.from_routes(list(result.routes))
-    task = planner.task.postpone(planner.postponed)
+    task = planner.task.until(lambda: None).postpone(planner.postponed)  # the choice has a time of its own
     states = np.concatenate([planner.states, *(route.states for route in planner.routes)])
     known = {route.states.tobytes() for route in planner.routes}
     while True:

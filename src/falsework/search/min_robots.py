@@ -289,7 +289,7 @@ class _Query:
             KeyboardInterrupt: from the keyboard.
         """
         if robots not in self._planners:
-            task = replace(self._task, robots=robots)
+            task = replace(self._task, robots=robots).until(self._clock.check)
             guide = SupportGuide(self._assembly)
             self._planners[robots] = Planner(task, self._timed, self._settings, guide=guide)
         planner, end, told = self._planners[robots], self._spent + seconds, False
@@ -309,7 +309,7 @@ class _Query:
     def _take(self, robots: int, result: SearchResult) -> None:
         """Record the result of a search."""
         if result.found:
-            task = self._planners[robots].task
+            task = replace(self._task, robots=robots)
             plan = prove_route(result.routes[0], self._assembly, task, self._oracle, forces=self._forces)
             if plan.replay is None or plan.replay.stands:
                 self._plan = plan

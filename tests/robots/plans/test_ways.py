@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
@@ -22,6 +23,7 @@ from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.library.voxels import surface
 from falsework.errors import InputError, PlanError
 from falsework.geometry.clearance.moves import PathMove
+from falsework.geometry.paths.path_search import Found, PathSearch
 from falsework.robots import Cell, HybridSettings, RobotPlan
 from falsework.robots.exports.export import export_plan
 from falsework.robots.kinematics.forward import tool_pose
@@ -214,6 +216,20 @@ def test_a_way_beyond_reach_names_its_move() -> None:
     assert "move 1 of 2 (a line): " in result.reason, result.reason
 
 
+def test_a_deadline_ends_the_search_for_a_way(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    search = PathSearch.run
+
+    def slow(self: PathSearch, moves: int, *, turns: bool = False) -> Found:
+        time.sleep(2.0)
+        return search(self, moves, turns=turns)
+
+    monkeypatch.setattr(PathSearch, "run", slow)
+    task = make_task(tray(), 1, moves=2)
+    result = plan_robots(tray(), cell, task=task, concurrent=False, deadline=1.0)
+    assert result.value is None
+    assert "the deadline has passed" in result.reason
+
+
 def test_parts_leave_at_one_instant_along_different_directions(spread: tuple[Assembly, Cell, RobotPlan]) -> None:
     assembly, cell, plan = spread
     report = check(assembly, plan, cell)
@@ -306,16 +322,23 @@ def test_parts_that_meet_in_their_common_motion_are_refused(lifted: tuple[Assemb
 
 def test_exports_say_it_or_refuse(spread: tuple[Assembly, Cell, RobotPlan], bent: RobotPlan, tmp_path: Path) -> None:
     _, cell, plan = spread
-    for form in ("ros2-goals", "rapid", "urscript"):
+    for form in ("rapid", "urscript"):
         with pytest.raises(InputError, match=f"several robots move at the same instant, which {form} cannot say"):
             export_plan(plan, tmp_path, form, cell=cell)
-        if form != "urscript":
-            assert export_plan(bent, tmp_path / form, form, cell=make_cell(payload=20.0))
+        assert export_plan(bent, tmp_path / form, form, cell=make_cell(payload=20.0), force=True)
     (joint,) = [k for k, step in enumerate(plan.steps) if step.partners]
     export_plan(plan, tmp_path / "json", "ros2-json", cell=cell)
     told = json.loads((tmp_path / "json" / f"step-{joint + 1:03d}.json").read_text())["sequence"]
     assert len({entry["start"] for entry in told}) == 1
     assert {entry["robot"] for entry in told} == {"arm 1", "arm 2"}
+    (goals,) = export_plan(plan, tmp_path / "goals", "ros2-goals", cell=cell)
+    arms = json.loads(goals.read_text())["arms"]
+    both = [[entry for entry in arm["sequence"] if "at_once_with" in entry] for arm in arms]
+    assert both[0]
+    for first, second in zip(*both, strict=True):
+        assert (first["at_once_with"], second["at_once_with"]) == (["arm 2"], ["arm 1"])
+        ends = [one["goal"]["trajectory"]["points"][-1]["time_from_start"] for one in (first, second)]
+        assert ends[0] == ends[1]
     export_plan(plan, tmp_path / "csv", "csv", cell=cell)
     rows = [*csv.DictReader((tmp_path / "csv" / f"step-{joint + 1:03d}.csv").open())]
     assert {row["moving"] for row in rows} == {"arm 2 and arm 1"}

@@ -29,7 +29,7 @@ _CIRCLES = 48
 """Separating planes of a set up to which directions are examined; sets with more are kept."""
 LARGEST = 8
 """Parts of a set at most; all subsets of a set are examined."""
-_MOST = 20_000
+MOST_SETS = 20_000
 """Sets that are examined at most."""
 
 
@@ -52,7 +52,7 @@ class LockedSets:
         own = np.unique(np.round(signed, 9) + 0.0, axis=0)
         return np.concatenate([own, sphere_directions(_PLANES)])
 
-    def find(self, movable: NDArray[np.integer], largest: int, most: int = _MOST) -> tuple[PartSet, ...]:
+    def find(self, movable: NDArray[np.integer], largest: int, most: int = MOST_SETS) -> tuple[PartSet, ...]:
         """Return the candidates of two parts and more.
 
         Args:

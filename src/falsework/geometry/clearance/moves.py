@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,12 @@ class PathMove:
     point: Vector = (0.0, 0.0, 0.0)
     """On the axis, metres; no matter for a straight line."""
 
+    @classmethod
+    def straight(cls, parts: tuple[int, ...], direction: Array, distance: float = np.inf) -> PathMove:
+        """Return a move along a unit vector, shape (3,), by a distance in metres; by default as far as needed."""
+        x, y, z = (direction + 0.0).tolist()
+        return cls(parts, (x, y, z), float(distance))
+
     @property
     def turns(self) -> bool:
         """Whether the parts turn."""
@@ -52,6 +59,13 @@ class PathMove:
         matrix[:3, 3] = point - matrix[:3, :3] @ point + share * self.distance * axis
         return matrix
 
+    def length(self, points: Array) -> float:
+        """Return how far the farthest of some points, shape (..., 3), goes along its arc, metres."""
+        return float(np.hypot(self.distance, self._radius(points) * self.angle))
+
+    def _radius(self, points: Array) -> float:
+        return float(np.linalg.norm(np.cross(points - np.array(self.point), self.direction), axis=-1).max())
+
     def steps(self, points: Array, sagitta: float) -> int:
         """Count equal steps between which points stay within a distance of the lines that join where they are.
 
@@ -65,9 +79,7 @@ class PathMove:
         """
         if not self.turns:
             return 1
-        arm = points - np.array(self.point)
-        radius = np.linalg.norm(arm - np.outer(arm @ np.array(self.direction), self.direction), axis=1).max()
-        return max(1, int(np.ceil(abs(self.angle) * np.sqrt(radius / (8.0 * sagitta)))))
+        return max(1, int(np.ceil(abs(self.angle) * np.sqrt(self._radius(points) / (8.0 * sagitta)))))
 
 
 def apply(matrix: Array, points: Array) -> Array:
@@ -79,11 +91,11 @@ ExitPath = tuple[PathMove, ...]
 """Moves in which a part leaves, from where all parts are in place."""
 
 
-def way_back(way: ExitPath, part: int) -> ExitPath:
-    """Return the moves in which others go back as they came, the last one first, when a part is out."""
+def way_back(way: ExitPath) -> ExitPath:
+    """Return the moves in which others than the parts of the last move go back as they came, the last one first."""
     found = []
     for move in reversed(way):
-        others = tuple(one for one in move.parts if one != part)
+        others = tuple(one for one in move.parts if one not in way[-1].parts)
         x, y, z = move.direction
         if others:
             found.append(replace(move, parts=others, direction=(-x, -y, -z)))
@@ -94,19 +106,14 @@ def on_the_way(way: ExitPath, points: Callable[[int], Array], most: float) -> li
     """Return the moves of a way with the lengths to be shown, metres, and those in which others go back.
 
     Args:
-        way: in which the part of the last move leaves.
+        way: in which the parts of the last move leave.
         points: returns those of a part in place, shape (points, 3), metres.
         most: length of the last move that is shown at most, metres.
     """
     found, poses = [], dict[int, Array]()
-    (part,) = way[-1].parts
-    for number, move in enumerate((*way, *way_back(way, part))):
-        radius = 0.0
-        for one in move.parts:
-            arm = apply(poses.get(one, np.eye(4)), points(one)) - np.array(move.point)
-            radius = max(radius, float(np.linalg.norm(np.cross(arm, move.direction), axis=1).max()))
-            poses[one] = move.displacement() @ poses.get(one, np.eye(4))
-        length = float(np.hypot(move.distance, radius * move.angle))
+    for number, move in enumerate((*way, *way_back(way))):
+        length = max(move.length(apply(poses.get(one, np.eye(4)), points(one))) for one in move.parts)
+        poses = after((move,), poses)
         share = min(1.0, most / length) if number + 1 == len(way) else 1.0
         found.append((share * length, move.until(share)))
     return found
@@ -123,9 +130,9 @@ def part_way(shown: Sequence[tuple[float, PathMove]], share: float) -> dict[int,
     return after(done)
 
 
-def after(moves: Sequence[PathMove]) -> dict[int, Array]:
-    """Return where moves, one after the other, bring the parts that they move."""
-    poses: dict[int, Array] = {}
+def after(moves: Sequence[PathMove], poses: Poses = MappingProxyType({})) -> dict[int, Array]:
+    """Return where moves, one after the other, bring the parts that they move, and others that are not in place."""
+    poses = dict(poses)
     for move in moves:
         matrix = move.displacement()
         for part in move.parts:

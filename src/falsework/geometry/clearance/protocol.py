@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -35,6 +36,10 @@ class Clearance(Protocol):
         """
         return self
 
+    def until(self, check: Callable[[], None]) -> Self:
+        """Return the same clearance, whose searches call something from time to time and end with what that raises."""
+        return self
+
     def can_leave(self, states: States) -> Mask:
         """Return whether each part has a way out that no other part of a state blocks, shape (batch, parts).
 
@@ -44,9 +49,15 @@ class Clearance(Protocol):
         """
         ...
 
-    def exit_path(self, state: States, part: int) -> ExitPath | None:
-        """Return the moves in which a part leaves a state, none of them where it leaves straight; None if it cannot."""
-        return () if self.can_leave(np.asarray(state)[None])[0, part] else None
+    def exit_path(self, state: States, leaving: tuple[int, ...]) -> ExitPath | None:
+        """Return the moves in which parts leave a state together; None if they do not.
+
+        Args:
+            state: shape (parts,), with the parts in it.
+            leaving: a part, for which there are no moves where it leaves straight; or several, each held by a robot
+                or all carried by that of one, where they leave in several moves.
+        """
+        return () if len(leaving) == 1 and self.can_leave(np.asarray(state)[None])[0, leaving[0]] else None
 
     def caveat(self, parts: Mask) -> str:
         """Explain why some of the parts, shape (parts,), may have ways that were not found; empty if none can."""

@@ -1,4 +1,4 @@
-"""Search for ways out of parts that are made of cells of one grid, by exact comparisons of whole numbers.
+"""Poses of parts that are made of cells of one grid, by exact comparisons of whole numbers.
 
 Such parts, the pieces of most puzzles among them, touch and pass each other at shifts by whole cells alone. Two of them
 overlap or not by their relative shift: one table for each pair of parts answers all swept tests (as BurrTools does).
@@ -6,24 +6,28 @@ overlap or not by their relative shift: one table for each pair of parts answers
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.clearance.moves import ExitPath, PathMove
+from falsework.geometry.clearance.moves import PathMove
 from falsework.geometry.mesh.collision import inside
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
+from falsework.geometry.paths.departure import Departure, Parts
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Parts = tuple[int, ...]
-State = tuple[int, ...]
+Mask = NDArray[np.bool_]
+Shifts = tuple[int, ...]
 """Shift of each part that may move, as one number; see `_encoded`."""
+Begun = tuple[int, int]
+"""Set of parts, as bits, and the step in which they can begin to move."""
 
 _STATES = 200_000
-"""States that are looked at, at most."""
+"""Shifts from which moves are tried, at most."""
 _FINER = 4
 """Parts into which the smallest distance of two faces is divided at most, to find a grid."""
 _MOST = 4_000_000
@@ -38,6 +42,7 @@ def _encoded(shift: Index) -> Index:
     return shift @ np.array([_BASE**2, _BASE, 1])
 
 
+@cache
 def _decoded(code: int) -> tuple[int, int, int]:
     found = []
     for _ in range(3):
@@ -77,7 +82,7 @@ class CellGrid:
     tolerance: float
     """Distance up to which places are one, metres."""
     _cells: dict[int, tuple[Index, bool]] = field(default_factory=dict)
-    _hits: dict[tuple[int, int], frozenset[int] | None] = field(default_factory=dict)
+    _hits: dict[tuple[int, int], frozenset[int]] = field(default_factory=dict)
 
     @staticmethod
     def from_meshes(meshes: Sequence[TriangleMesh], parts: Parts, tolerance: float) -> CellGrid | None:
@@ -128,88 +133,80 @@ class CellGrid:
             self._cells[part] = every, fits
         return self._cells[part]
 
-    def hits(self, one: int, other: int) -> frozenset[int] | None:
-        """Return the shifts of one part past another at which they overlap; None if these are too many to tell."""
+    def hits(self, one: int, other: int) -> frozenset[int]:
+        """Return the shifts of one part past another at which they overlap."""
         if (one, other) not in self._hits:
             a, b = self.cells(one)[0], self.cells(other)[0]
-            few = len(a) * len(b) <= _MOST
-            shifts = np.unique(_encoded(b[None] - a[:, None])).tolist() if few else None
-            self._hits[one, other] = None if shifts is None else frozenset(shifts)
+            self._hits[one, other] = frozenset(np.unique(_encoded(b[None] - a[:, None])).tolist())
         return self._hits[one, other]
 
+    def compares(self, movable: Parts, rest: Mask) -> bool:
+        """Return whether parts that may move are not too many cells to compare with each other and those at rest."""
+        own = max(len(self.cells(part)[0]) for part in movable)
+        others = (*movable, *np.flatnonzero(rest).tolist())
+        return own * max(len(self.cells(part)[0]) for part in others) <= _MOST
 
-class CellSearch:
-    """Search in breadth over shifts of some parts by cells; of sets that move, all that are pushed move along."""
 
-    def __init__(self, grid: CellGrid, movable: Parts, rest: Parts, around: Array, beside: Array) -> None:
-        """Take the parts that may move, the first of which leaves, and the others that are there.
+class CellShifts:
+    """Shifts of some parts by cells; of sets that move, all that are pushed move along."""
 
-        Args:
-            grid: to which all parts that may move belong.
-            movable: the parts that may move.
-            rest: those that do not.
-            around: box around all parts, there or not, shape (2, 3), metres.
-            beside: the same without the part that leaves.
-        """
-        self._grid, self._movable, self._rest = grid, movable, rest
-        count = range(len(movable))
-        tables = [[grid.hits(one, other) if one != other else frozenset() for other in movable] for one in movable]
-        walls = [[(grid.hits(one, other), other) for other in rest] for one in movable]
-        self.known = not any(None in row for row in tables) and not any(
-            hits is None for row in walls for hits, _ in row
-        )
-        """Whether the parts are not too many cells to compare."""
-        self.fits = all(grid.cells(part)[1] for part in (*movable, *rest))
+    most = _STATES
+
+    def __init__(self, grid: CellGrid, departure: Departure) -> None:
+        """Take the grid to which all parts that may move belong, with `CellGrid.compares`, and those that leave."""
+        movable, rest = departure.movable, departure.rest
+        self._grid, self._movable, self._carried = grid, movable, departure.carried
+        self.home: Shifts = (0,) * len(movable)
+        self.exact, self.walls = True, np.zeros_like(rest)
+        walls = np.flatnonzero(rest).tolist()
+        self.fits = all(grid.cells(part)[1] for part in (*movable, *walls))
         """Whether all parts consist of cells; else some at rest count as the box around them."""
-        self._hits = [[(tables[i][j] or frozenset(), j) for j in count if j != i] for i in count]
-        self._walls = [[(hits or frozenset(), other) for hits, other in row] for row in walls]
+        self._hits = [
+            [(grid.hits(one, other), j) for j, other in enumerate(movable) if other != one] for one in movable
+        ]
+        self._walls = [[(grid.hits(one, other), other) for other in walls] for one in movable]
         self._stop = [frozenset().union(*(hits for hits, _ in row)) for row in self._walls]
         own = [grid.cells(part)[0] for part in movable]
         self._boxes = [np.stack([cells.min(axis=0), cells.max(axis=0) + 1]).tolist() for cells in own]
-        self._homes = grid.box(around).tolist(), grid.box(beside).tolist()
+        self._homes = [grid.box(box).tolist() for box in (departure.around, departure.beside)]
+        self._leaving = (1 << len(departure.leaving)) - 1
         self._codes = [int(_encoded(np.array(step))) for step in STEPS]
-        self._places: dict[int, tuple[int, int, int]] = {}
-        self.walls: set[int] = set()
-        """Parts at rest that were in the way so far."""
+        self._moves: dict[tuple[int, int, int], PathMove] = {}
 
-    def run(
-        self, moves: int, carried: Callable[[Parts], bool], stands: Callable[[ExitPath, bool], bool] | None
-    ) -> tuple[ExitPath | None, bool]:
-        """Search for a way out in up to some number of moves; also whether more would not help.
+    def key(self, at: Shifts) -> Shifts:
+        """Return a name of shifts."""
+        return at
 
-        Arguments as of `PathSearch`.
-        """
-        home = (0,) * len(self._movable)
-        came: dict[State, tuple[State, int, int, int]] = {home: (home, 0, 0, 0)}
-        front = [home]
-        for number in range(moves):
-            reached: list[State] = []
-            for at in front:
-                last = came[at]
-                for step in range(6):
-                    for some in self._begun(at, step):
-                        if (some == last[1] and step // 2 == last[2] // 2) or not carried(self._named(some)):
-                            continue
-                        length, free = self._length(at, some, step), self._free(at, some, step)
-                        if some == 1 and free >= length:
-                            way = self._way(came, at, (some, step, length))
-                            if stands is None or stands(way, True):
-                                return way, False
-                        for cells in range(1, min(free, length) + 1) if number + 1 < moves else ():
-                            then = self._shifted(at, some, cells * self._codes[step])
-                            if then in came:
-                                continue
-                            if stands is None or stands(self._way(came, at, (some, step, cells)), False):
-                                came[then] = at, some, step, cells
-                                reached.append(then)
-                if len(came) > _STATES:
-                    return None, False
-            front = reached
-            if not front:
-                return None, number + 1 < moves
-        return None, False
+    def begun(self, at: Shifts, last: PathMove | None) -> Iterator[Begun]:
+        """See `RigidPoses`."""
+        for step in range(6):
+            for some in self._begun(at, step):
+                named = self._move(some, step, 1).parts
+                again = last is not None and named == last.parts and last.direction[step // 2] != 0.0
+                if not again and self._carried(named):
+                    yield some, step
 
-    def _begun(self, at: State, step: int) -> list[int]:
+    def out(self, at: Shifts, begun: Begun) -> PathMove | None:
+        """See `RigidPoses`."""
+        some, step = begun
+        if some != self._leaving:
+            return None
+        length = self._length(at, some, step)
+        return self._move(some, step, length) if self._free(at, some, step, length) == length else None
+
+    def ends(self, at: Shifts, begun: Begun) -> Iterator[tuple[Shifts, PathMove, bool]]:
+        """See `RigidPoses`."""
+        some, step = begun
+        free, code = self._free(at, some, step, self._length(at, some, step)), self._codes[step]
+        for cells in range(1, free + 1):
+            then = tuple(place + cells * code if some >> i & 1 else place for i, place in enumerate(at))
+            yield then, self._move(some, step, cells), cells == free
+
+    def turned(self, at: Shifts, last: PathMove | None) -> Iterator[tuple[Shifts, PathMove, bool]]:
+        """Yield nothing: cells turn in place at most."""
+        yield from ()
+
+    def _begun(self, at: Shifts, step: int) -> list[int]:
         """Return the sets of parts that can begin to move, as bits, the smaller ones first."""
         code, every = self._codes[step], range(len(at))
         pushed, blocked = [0] * len(at), 0
@@ -221,62 +218,47 @@ class CellSearch:
                     pushed[i] |= 1 << j
             if here in self._stop[i]:
                 blocked |= 1 << i
-                self.walls.update(other for hits, other in self._walls[i] if here in hits)
+                self._hit(i, here)
         return closed_sets(pushed, blocked)
 
-    def _free(self, at: State, some: int, step: int) -> int:
-        """Return by how many cells a set that can begin to move goes until it hits another part."""
-        code, cells = self._codes[step], 1
-        inside_, outside = [i for i in range(len(at)) if some >> i & 1], ~some
-        reach = 2 * max(high - low for low, high in zip(*self._homes[0], strict=True)) + 2
-        while cells < reach:
-            ahead = (cells + 1) * code
-            for i in inside_:
-                here = at[i] + ahead
-                if any(outside >> j & 1 and here - at[j] in hits for hits, j in self._hits[i]):
-                    return cells
-                if here in self._stop[i]:
-                    self.walls.update(other for hits, other in self._walls[i] if here in hits)
-                    return cells
-            cells += 1
-        return cells
+    def _hit(self, i: int, here: int) -> None:
+        self.walls[[other for hits, other in self._walls[i] if here in hits]] = True
 
-    def _length(self, at: State, some: int, step: int) -> int:
-        """Return by how many cells a set moves until one of its parts is beside the box around all others."""
+    def _free(self, at: Shifts, some: int, step: int, most: int) -> int:
+        """Return by how many cells, up to some number, a set that can begin to move goes until it hits another part."""
+        code = self._codes[step]
+        inside_, outside = [i for i in range(len(at)) if some >> i & 1], ~some
+        for cells in range(2, most + 1):
+            for i in inside_:
+                here = at[i] + cells * code
+                if any(outside >> j & 1 and here - at[j] in hits for hits, j in self._hits[i]):
+                    return cells - 1
+                if here in self._stop[i]:
+                    self._hit(i, here)
+                    return cells - 1
+        return most
+
+    def _length(self, at: Shifts, some: int, step: int) -> int:
+        """Return by how many cells a set moves until a part, or all that leave, are beside the box around others."""
         axis, upwards = step // 2, step % 2 == 0
-        low, high = self._homes[some == 1]
+        leaves = some == self._leaving
+        low, high = self._homes[leaves]
         ends = low[axis], high[axis]
         for i, code in enumerate(at):
             if code and not some >> i & 1:
-                place = self._place(code)[axis]
+                place = _decoded(code)[axis]
                 ends = min(ends[0], self._boxes[i][0][axis] + place), max(ends[1], self._boxes[i][1][axis] + place)
         lengths = []
         for i, code in enumerate(at):
             if some >> i & 1:
-                near, far = (end[axis] + self._place(code)[axis] for end in self._boxes[i])
+                near, far = (end[axis] + _decoded(code)[axis] for end in self._boxes[i])
                 lengths.append(ends[1] - near if upwards else far - ends[0])
-        return max(min(lengths), 1)
-
-    def _place(self, code: int) -> tuple[int, int, int]:
-        if code not in self._places:
-            self._places[code] = _decoded(code)
-        return self._places[code]
-
-    def _shifted(self, at: State, some: int, code: int) -> State:
-        return tuple(place + code if some >> i & 1 else place for i, place in enumerate(at))
-
-    def _named(self, some: int) -> Parts:
-        return tuple(sorted(part for i, part in enumerate(self._movable) if some >> i & 1))
-
-    def _way(self, came: dict[State, tuple[State, int, int, int]], at: State, last: tuple[int, int, int]) -> ExitPath:
-        """Return the moves to a state, and one more."""
-        return tuple(reversed([self._move(*last), *self._back(came, at)]))
-
-    def _back(self, came: dict[State, tuple[State, int, int, int]], at: State) -> Iterator[PathMove]:
-        while came[at][1]:
-            at, some, step, cells = came[at]
-            yield self._move(some, step, cells)
+        return max(max(lengths) if leaves else min(lengths), 1)
 
     def _move(self, some: int, step: int, cells: int) -> PathMove:
-        x, y, z = STEPS[step]
-        return PathMove(self._named(some), (float(x), float(y), float(z)), float(cells * self._grid.pitch[step // 2]))
+        if (some, step, cells) not in self._moves:
+            parts = tuple(sorted(part for i, part in enumerate(self._movable) if some >> i & 1))
+            x, y, z = STEPS[step]
+            distance = float(cells * self._grid.pitch[step // 2])
+            self._moves[some, step, cells] = PathMove(parts, (float(x), float(y), float(z)), distance)
+        return self._moves[some, step, cells]

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from copy import copy
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -16,6 +15,7 @@ from falsework.geometry.clearance.relative_motions import can_begin_to_move
 from falsework.geometry.clearance.table import ClearanceTable
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.paths.departure import Parts
 from falsework.geometry.paths.motions import PartMotions
 from falsework.geometry.paths.path_search import PathSearch
 from falsework.geometry.paths.waiting import HELD, PosedStability, hands_free, has_hands, loose_parts, stages
@@ -34,7 +34,7 @@ class StandsOracle(Protocol):
 
 
 class ExitPaths(Clearance):
-    """Ways out of parts in up to some number of moves; each is searched for when first asked for, and kept.
+    """Ways out of parts, alone or together, in up to some number of moves; each is searched for once, and kept.
 
     A part that has a straight way out takes that (`ClearanceTable`). Otherwise it may leave in several moves, and other
     parts that robots hold in the same state may move aside meanwhile, and back when it is out. Robots carry parts all
@@ -81,8 +81,9 @@ class ExitPaths(Clearance):
         self.waiting = waiting is not None
         self._oracle: StandsOracle | None = None
         self._robots = 1
-        self._ways: dict[int, list[_KeptWay]] = {}
-        self._closed: dict[int, list[_Closed]] = {}
+        self._check: Callable[[], None] = lambda: None
+        self._ways: dict[tuple[Parts, bool], list[_KeptWay]] = {}
+        self._closed: dict[tuple[Parts, bool], list[_Closed]] = {}
         self._waited: dict[tuple[int, bytes], ExitPath | None] = {}
         self._stands: dict[bytes, bool] = {}
         self._undecided = 0
@@ -101,33 +102,36 @@ class ExitPaths(Clearance):
         """
         if self._oracle is oracle and self._robots == robots:
             return self
-        new = copy(self)
-        new._oracle, new._robots, new._waited, new._stands = oracle, robots, {}, {}
+        return self._with(_oracle=oracle, _robots=robots, _waited={}, _stands={})
+
+    def until(self, check: Callable[[], None]) -> ExitPaths:
+        """See `Clearance.until`."""
+        return self._with(_check=check)
+
+    def _with(self, **changes: Any) -> ExitPaths:
+        """Return the same ways out with other attributes; what was found is shared."""
+        new = ExitPaths.__new__(ExitPaths)
+        new.__dict__.update(self.__dict__, **changes)
         return new
 
     def can_leave(self, states: States) -> Mask:
         """Return whether each part has a way out past the parts that are present; as `ClearanceTable.can_leave`."""
         found = self._straight.can_leave(states)
         for row, part in np.argwhere(~found & ~self._fixed).tolist():
-            found[row, part] = self._way(states[row], part) is not None
+            found[row, part] = self._way(states[row], (part,)) is not None
         return found
 
-    def exit_path(self, state: States, part: int) -> ExitPath | None:
-        """Return the moves in which a part leaves a state, shape (parts,); none of them where it leaves straight.
-
-        Returns:
-            None if no way was found.
-        """
-        if self._straight.can_leave(np.asarray(state)[None])[0, part]:
+    def exit_path(self, state: States, leaving: Parts) -> ExitPath | None:
+        """See `Clearance.exit_path`."""
+        state = np.asarray(state)
+        if len(leaving) == 1 and self._straight.can_leave(state[None])[0, leaving[0]]:
             return ()
-        if self._fixed[part]:
-            return None
-        return self._way(np.asarray(state), part)
+        return None if self._fixed[list(leaving)].any() else self._way(state, leaving)
 
     def caveat(self, parts: Mask) -> str:
         """Explain why some of the parts, shape (parts,), may have ways that were not found; empty if none can."""
-        every = np.flatnonzero(parts).tolist()
-        unsure = [part for part in every if not all(known.exact for known in self._closed.get(part, ()))]
+        unsure = {key[0] for key, known in self._closed.items() if not all(closed.exact for closed in known)}
+        unsure = {leaving for leaving in unsure if parts[list(leaving)].all()}
         if self._undecided:
             return (
                 f"of {self._undecided} states in which parts would move aside it is not proven that they fall; a way "
@@ -141,16 +145,18 @@ class ExitPaths(Clearance):
         if not unsure:
             return ""
         kinds = ("straight moves", "straight moves and turns")[self.turns]
+        first = " with ".join(self._meshes[part].name for part in min(unsure))
         return (
-            f"for {len(unsure)} parts, {self._meshes[unsure[0]].name} the first, ways out of up to {self.moves} "
+            f"for {len(unsure)} parts or sets, {first} the first, ways out of up to {self.moves} "
             f"{kinds} were sought along the faces and edges of parts, and none was found; others may be free"
         )
 
-    def _way(self, state: States, part: int) -> ExitPath | None:
+    def _way(self, state: States, leaving: Parts) -> ExitPath | None:
         """Return a way on which nothing waits, else one on which others or the part do, if they may; else None."""
-        found = self._search(state, part)
-        if found is not None or self._posed is None:
+        found = self._search(state, leaving)
+        if found is not None or self._posed is None or len(leaving) > 1:
             return found
+        (part,) = leaving
         state = state.copy()
         state[part] = HELD
         if (part, state.tobytes()) not in self._waited:
@@ -162,16 +168,16 @@ class ExitPaths(Clearance):
 
         These are parts that block others of the way, beginning with the part that leaves.
         """
-        spare = hands_free(state, part, self._robots, posed.immovable)
+        spare = hands_free(state, (part,), self._robots, posed.immovable)
         if spare < 0:
             return None
         held = (state == HELD) & ~self._fixed
         able = (state > 0) & ~self._fixed & ~held
 
         def stands(way: ExitPath, out: bool) -> bool:
-            if self._oracle is None or not loose_parts(way, state, part):
+            if self._oracle is None or not loose_parts(way, state, (part,)):
                 return True
-            return all(posed.stands(self._oracle, *stage) for stage in stages(way, state, part, spare, out=out))
+            return all(posed.stands(self._oracle, *stage) for stage in stages(way, state, (part,), spare, out=out))
 
         aside = self._contacts.touched(part, len(state)) & able
         while True:
@@ -179,64 +185,72 @@ class ExitPaths(Clearance):
             movable[part] = False
             search = PathSearch(
                 self._motions,
-                part,
+                (part,),
                 (state > 0) & ~held & ~aside,
                 tuple(np.flatnonzero(movable).tolist()),
-                carried=lambda parts: has_hands(parts, state, part, spare),
+                carried=lambda parts: has_hands(parts, state, (part,), spare),
                 stands=stands,
+                check=self._check,
             )
             found = search.run(self.moves, turns=self.turns)
             if found.way is not None:
-                loose = bool(loose_parts(found.way, state, part))
+                loose = bool(loose_parts(found.way, state, (part,)))
                 return found.way if loose or self._rest_stands(state, found.way) else None
             more = np.flatnonzero(found.walls & able & ~aside)[: _WAITING - int(aside.sum())]
             if not len(more):
                 return None
             aside[more] = True
 
-    def _search(self, state: States, part: int) -> ExitPath | None:
+    def _search(self, state: States, leaving: Parts) -> ExitPath | None:
         present, held = state > 0, (state == HELD) & ~self._fixed
-        present[part] = held[part] = False
+        joined = len(leaving) > 1 and not held[list(leaving)].all()  # one robot carries them
+        present[list(leaving)] = held[list(leaving)] = False
         words, hands = (pack(mask[None])[0] for mask in (present, held))
-        for kept in self._ways.get(part, ()):
+        for kept in self._ways.get((leaving, joined), ()):
             free = not (kept.blockers & words).any() and not (kept.aside & ~hands).any()
             if free and self._rest_stands(state, kept.way):
                 return kept.way
-        for closed in self._closed.get(part, ()):
-            if not (closed.walls & ~words).any() and not (hands & ~closed.aside).any():
-                return None
-        if not self._begins_to_move(state, part, held):
-            touching = pack((present & self._contacts.touched(part, len(state)))[None])[0]
-            self._closed.setdefault(part, []).append(_Closed(touching, hands & touching, True))
+        closed = self._closed.setdefault((leaving, joined), [])
+        if any(not (known.walls & ~words).any() and not (hands & ~known.aside).any() for known in closed):
             return None
-        aside = tuple(np.flatnonzero(held).tolist())
-        found = PathSearch(self._motions, part, present & ~held, aside).run(self.moves)
-        if found.way is None and self.turns:
-            straight, found = found, PathSearch(self._motions, part, present & ~held, aside).run(self.moves, turns=True)
+        if not self._begins_to_move(state, leaving, held):
+            touching = pack((present & self._contacts.touched(leaving, len(state)))[None])[0]
+            closed.append(_Closed(touching, hands & touching, True))
+            return None
+        search = PathSearch(
+            self._motions,
+            leaving,
+            present & ~held,
+            tuple(np.flatnonzero(held).tolist()),
+            carried=lambda parts: not joined or set(leaving) <= set(parts) or set(leaving).isdisjoint(parts),
+            check=self._check,
+        )
+        found = search.run(self.moves)
+        if found.way is None and self.turns and len(leaving) == 1:
+            straight, found = found, search.run(self.moves, turns=True)
             found.walls[straight.walls] = True
         if found.way is None:
-            walls = pack((found.walls | held)[None])[0]
-            self._closed.setdefault(part, []).append(_Closed(walls, hands, found.exact))
+            closed.append(_Closed(pack((found.walls | held)[None])[0], hands, found.exact))
             return None
         moved = np.zeros(len(state), dtype=bool)
         moved[[other for move in found.way for other in move.parts]] = True
-        moved[part] = False
-        blockers = pack(self._blockers(found.way, part, moved)[None])[0]
-        self._ways.setdefault(part, []).append(_KeptWay(found.way, blockers, pack(moved[None])[0]))
+        moved[list(leaving)] = False
+        blockers = pack(self._blockers(found.way, leaving, moved)[None])[0]
+        self._ways.setdefault((leaving, joined), []).append(_KeptWay(found.way, blockers, pack(moved[None])[0]))
         return found.way if self._rest_stands(state, found.way) else None
 
-    def _begins_to_move(self, state: States, part: int, held: Mask) -> bool:
-        """Return whether a part can begin to move at all, alone or where others that are held move with it."""
+    def _begins_to_move(self, state: States, leaving: Parts, held: Mask) -> bool:
+        """Return whether parts can begin to move at all, alone or where others that are held move with them."""
         if held.any():
             return True
         there = state > 0
-        there[part] = True
-        return can_begin_to_move(self._contacts, (part,), there)
+        there[list(leaving)] = True
+        return can_begin_to_move(self._contacts, leaving, there)
 
     def _rest_stands(self, state: States, way: ExitPath) -> bool:
         """Return whether a state stands without the parts of a way, where others than the one that leaves move."""
         moved = sorted({part for move in way for part in move.parts})
-        if self._oracle is None or len(moved) == 1:
+        if self._oracle is None or moved == sorted(way[-1].parts):
             return True
         rest = state.copy()
         rest[moved] = 0
@@ -246,10 +260,10 @@ class ExitPaths(Clearance):
             self._undecided += int((~verdicts.stable & ~verdicts.unstable).sum())
         return self._stands[rest.tobytes()]
 
-    def _blockers(self, way: ExitPath, part: int, aside: Mask) -> Mask:
+    def _blockers(self, way: ExitPath, leaving: Parts, aside: Mask) -> Mask:
         """Return the parts at rest that would block a way, shape (parts,)."""
         found, others = np.zeros(len(self._meshes), dtype=bool), ~aside
-        others[part] = False
+        others[list(leaving)] = False
         for number, move in enumerate(way):
             found |= self._motions.blockers(move, others, after(way[:number]))
         return found

@@ -44,8 +44,7 @@ class TurningMoves:
         """
         if not self._others:
             return
-        pose = poses.get(self._part, _HOME)
-        own = apply(pose, self._motions.meshes[self._part].triangles)
+        own = apply(poses.get(self._part, _HOME), self._motions.meshes[self._part].triangles)
         others = [apply(poses.get(other, _HOME), self._motions.meshes[other].triangles) for other in self._others]
         thickness = self._motions.meshes[self._part].thickness
         for axis in axes_of(own, others, self._motions.tolerance, thickness):
@@ -53,7 +52,7 @@ class TurningMoves:
 
     def _along(self, axis: Axis, own: Array, others: list[Array], poses: Poses, box: Array) -> Iterator[PathMove]:
         whole = self._whole(axis, own, box)
-        first = whole.until(min(1.0, 4 * self._motions.tolerance / _length(whole, own)))
+        first = whole.until(min(1.0, 4 * self._motions.tolerance / whole.length(own)))
         hit = self._motions.blockers(first, self._there, poses, stop=True)
         self.walls |= hit
         if hit.any():
@@ -67,7 +66,7 @@ class TurningMoves:
         for angle in sorted(set(angles), reverse=True):
             move = whole.until(angle / whole.angle)
             if (
-                _length(move, own) > 4 * self._motions.tolerance
+                move.length(own) > 4 * self._motions.tolerance
                 and not self._motions.blockers(move, self._there, poses, stop=True).any()
             ):
                 yield move
@@ -83,12 +82,6 @@ class TurningMoves:
             angle = sense * distance / abs(axis.pitch)
         (x, y, z), (a, b, c) = (direction + 0.0).tolist(), axis.point.tolist()
         return PathMove((self._part,), (x, y, z), distance, float(angle), (a, b, c))
-
-
-def _length(move: PathMove, own: Array) -> float:
-    """Return how far the farthest point of a part goes in a move, along its arc, metres."""
-    radius = np.linalg.norm(np.cross(own.reshape(-1, 3) - np.array(move.point), move.direction), axis=1).max()
-    return float(np.hypot(move.distance, radius * move.angle))
 
 
 def _ahead(axis: Axis, triangles: Array) -> Array:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.clearance.moves import ExitPath, Poses, after, way_back
+from falsework.geometry.paths.departure import Mask, Parts
 
-Mask = NDArray[np.bool_]
 States = NDArray[np.uint8]
 
 REMOVED, INSTALLED, HELD = 0, 1, 2
@@ -30,19 +30,20 @@ class PosedStability(Protocol):
         ...
 
 
-def hands_free(state: States, part: int, robots: int, immovable: Mask) -> int:
-    """Count the robots that hold nothing in a state, shape (parts,), while one of them holds a part."""
+def hands_free(state: States, leaving: Parts, robots: int, immovable: Mask) -> int:
+    """Count the robots that hold nothing in a state, shape (parts,), while others hold what leaves."""
     held = (state == HELD) & ~immovable
-    held[part] = True
+    if len(leaving) == 1:  # of several the state says which are held, and which are carried with these
+        held[leaving[0]] = True
     return robots - int(held.sum())
 
 
-def loose_parts(way: ExitPath, state: States, part: int) -> set[int]:
-    """Return the parts that a way moves and no robot holds, but for the part that leaves."""
-    return {one for move in way for one in move.parts if state[one] != HELD and one != part}
+def loose_parts(way: ExitPath, state: States, leaving: Parts) -> set[int]:
+    """Return the parts that a way moves and no robot holds, but for those that leave."""
+    return {one for move in way for one in move.parts if state[one] != HELD and one not in leaving}
 
 
-def stages(way: ExitPath, state: States, part: int, spare: int, *, out: bool) -> Iterator[tuple[States, Poses]]:
+def stages(way: ExitPath, state: States, leaving: Parts, spare: int, *, out: bool) -> Iterator[tuple[States, Poses]]:
     """Yield what has to stand along a way: a state, shape (parts,), and the poses of parts that are not in place.
 
     A move is carried: nothing bears on its parts. Others that robots hold stay held. Where no robot is free for a
@@ -52,11 +53,11 @@ def stages(way: ExitPath, state: States, part: int, spare: int, *, out: bool) ->
     Args:
         way: moves of a part, and of others.
         state: in which it leaves, shape (parts,).
-        part: the part.
+        leaving: the part.
         spare: robots that hold nothing in that state.
         out: whether the way takes the part out, so that others go back.
     """
-    whole = state.copy()
+    (part,), whole = leaving, state.copy()
     whole[part] = HELD
     for number, move in enumerate(way):
         held = whole.copy()
@@ -66,7 +67,7 @@ def stages(way: ExitPath, state: States, part: int, spare: int, *, out: bool) ->
         yield from _moved(held, move.parts, after(way[:number]), after(way[: number + 1]), out and move is way[-1])
     if out:
         whole[part] = REMOVED
-        back = way_back(way, part)
+        back = way_back(way)
         for number, move in enumerate(back):
             yield from _moved(
                 whole, move.parts, after((*way, *back[:number])), after((*way, *back[: number + 1])), False
@@ -83,7 +84,7 @@ def _moved(state: States, parts: tuple[int, ...], before: Poses, then: Poses, go
         yield state, then
 
 
-def has_hands(parts: tuple[int, ...], state: States, part: int, spare: int) -> bool:
-    """Return whether there are robots to carry some parts; that of the part that leaves may let go of it."""
-    carried = sum(state[one] != HELD and one != part for one in parts)
-    return carried <= spare + (part not in parts)
+def has_hands(parts: Parts, state: States, leaving: Parts, spare: int) -> bool:
+    """Return whether there are robots to carry some parts; that of a part that leaves alone may let go of it."""
+    carried = sum(state[one] != HELD and one not in leaving for one in parts)
+    return carried <= spare + (len(leaving) == 1 and leaving[0] not in parts)

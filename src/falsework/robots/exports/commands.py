@@ -51,6 +51,14 @@ class Begin:
     step: int
 
 
+@dataclass(frozen=True)
+class AtOnce:
+    """Command to begin the next motion at the same instant as other arms, which have this command before theirs."""
+
+    robots: tuple[int, ...]
+    """All of them."""
+
+
 @dataclass(frozen=True, eq=False)
 class Pressing:
     """Command to begin a press, or to end it and stay there."""
@@ -59,7 +67,7 @@ class Pressing:
     begins: bool
 
 
-Command = Wait | Grip | PublishCount | Begin | Pressing | Trajectory
+Command = Wait | Grip | PublishCount | Begin | AtOnce | Pressing | Trajectory
 Task = int | Pressing
 """Node of the schedule, by its index, or the beginning or end of a press."""
 
@@ -97,7 +105,13 @@ def commands_of(plan: RobotPlan, robot: int, presses: Sequence[TimedPress] = ())
     """Yield the commands of one arm in order: motions, gripper actions, presses, waits and counts."""
     graph = schedule_of(plan)
     tasks, order = _tasks(plan, graph, presses)
-    owner = {task: (arm, COUNT_FROM + 1 + k) for arm, own in enumerate(tasks) for k, task in enumerate(own)}
+    # What several arms do at once, the first of them waits for and counts.
+    owner = {
+        task: (arm, COUNT_FROM + 1 + k)
+        for arm, own in enumerate(tasks)
+        for k, task in enumerate(own)
+        if isinstance(task, Pressing) or graph.nodes[task].robot == arm
+    }
     heard, awaited = dict.fromkeys(range(graph.robots), COUNT_FROM), set()
     waits: dict[Task, list[Wait]] = {}
     for former, latter in order:
@@ -122,12 +136,14 @@ def commands_of(plan: RobotPlan, robot: int, presses: Sequence[TimedPress] = ())
                 yield wait
         if isinstance(task, Pressing):
             yield task
+        if node is not None and node.others:
+            yield AtOnce(node.robots)
         while left and node is not None:  # a grip without a node belongs to the motion before or after it
             event = left.pop(0)
             yield event
             if isinstance(event, Grip) == (node.trajectory is None):
                 break
-        if task in awaited:
+        if task in awaited and owner[task][0] == robot:
             yield PublishCount(owner[task][1])
     yield from left
 

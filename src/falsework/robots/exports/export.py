@@ -30,7 +30,7 @@ from falsework.utils.files.output_file import write_whole
 Format = Literal["ros2-json", "ros2-yaml", "ros2-goals", "csv", "rapid", "urscript", "mcap"]
 
 FORMATS: tuple[str, ...] = get_args(Format)
-ONE_CLOCK_EACH = ("ros2-goals", "rapid", "urscript")
+ONE_CLOCK_EACH = ("rapid", "urscript")
 """Formats in which each robot goes by its own clock, and waits for others between motions only."""
 
 

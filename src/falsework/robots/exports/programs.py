@@ -97,7 +97,7 @@ def rapid_modules(
                     targets.append(f"  CONST jointtarget {target} := {_jointtarget(held)};")
                     place = f"RelTool(CalcRobT({target}, {name}_tool), {_shift(offset)})"
                     body += [f"    MoveL {place}, v5, fine, {name}_tool;", "    WaitTime\\InPos, 0.5;"]
-            else:
+            elif isinstance(command, Trajectory):
                 offset = np.zeros(6)
                 now = "" if load is None else rapid_load(in_tool(load, record.tool))
                 if now != carried:
@@ -199,7 +199,7 @@ def ur_scripts(
             elif isinstance(command, Pressing):
                 lines.append(f"  # {_describe_press(plan, command)}")
                 lines += _ur_press(command.press) if command.begins else ["  end_force_mode()"]
-            else:
+            elif isinstance(command, Trajectory):
                 now = own_load if load is None else ur_payload(together(tool, load))
                 if now != carried:
                     lines.append(f"  {now}")

@@ -11,6 +11,7 @@ import numpy as np
 from falsework.errors import DependencyError, InputError
 from falsework.robots.exports.commands import (
     COUNT_FROM,
+    AtOnce,
     Begin,
     Grip,
     Pressing,
@@ -106,12 +107,12 @@ def ros2_goals(plan: RobotPlan, presses: Sequence[TimedPress] = (), prefix: str 
     """Yield one file with what each arm does: goals of `FollowJointTrajectory`, grips, presses, and waits for others.
 
     An arm counts what it has finished; another one waits for its count, which keeps the order of the schedule whatever
-    the delays.
+    the delays. Goals that are `at_once_with` those of other arms are to have one `stamp` at which all of these begin.
     """
     arms = []
     for robot, record in enumerate(plan.robots):
         entries: list[dict[str, Any]] = []
-        step = 0
+        step, beside = 0, list[str]()
         for command in commands_of(plan, robot, presses):
             if isinstance(command, Begin):
                 step = command.step
@@ -120,6 +121,8 @@ def ros2_goals(plan: RobotPlan, presses: Sequence[TimedPress] = (), prefix: str 
                 entries.append({"wait_for": plan.robots[command.robot].name, "count": command.count})
             elif isinstance(command, PublishCount):
                 entries.append({"count": command.count})
+            elif isinstance(command, AtOnce):
+                beside = [plan.robots[other].name for other in command.robots if other != robot]
             elif isinstance(command, Grip):
                 entries.append({"gripper": "close" if command.close else "open", "part": _part(plan, step)})
             elif isinstance(command, Pressing):
@@ -129,6 +132,8 @@ def ros2_goals(plan: RobotPlan, presses: Sequence[TimedPress] = (), prefix: str 
                 message["header"]["frame_id"] = ""
                 goal = {"trajectory": message, "path_tolerance": [], "goal_tolerance": []}
                 entries.append({"goal": {**goal, "goal_time_tolerance": duration(0.0)}})
+                if beside:
+                    entries[-1]["at_once_with"], beside = beside, []
         start = plan.keyframes[0].configurations[robot]
         arms.append(
             {

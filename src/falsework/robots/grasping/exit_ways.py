@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -40,9 +41,9 @@ class _Alone(Clearance):
         """See `Clearance.can_leave`."""
         return self._paths.can_leave(np.where(states == HELD, INSTALLED, states))
 
-    def exit_path(self, state: States, part: int) -> ExitPath | None:
+    def exit_path(self, state: States, leaving: PartSet) -> ExitPath | None:
         """See `Clearance.exit_path`."""
-        return self._paths.exit_path(np.where(state == HELD, INSTALLED, state), part)
+        return self._paths.exit_path(np.where(state == HELD, INSTALLED, state), leaving)
 
     def caveat(self, parts: Mask) -> str:
         """See `Clearance.caveat`."""
@@ -107,8 +108,8 @@ class ExitWays:
         """The same for the rules of a task: a part that can only leave downwards cannot leave."""
         self._sets: tuple[PartSet, ...] = ()
 
-    def allow(self, task: Task) -> None:
-        """Let parts leave in as many moves, and as many at once, as a task allows."""
+    def allow(self, task: Task, check: Callable[[], None] = lambda: None) -> None:
+        """Let parts leave in as many moves, and as many at once, as a task allows; searches for ways call `check`."""
         movable = ~task.boundary & (task.start != REMOVED) & (task.target == REMOVED)
         self._sets = () if task.together is None else task.together.sets(movable)
         self.clearance = self._table
@@ -119,7 +120,7 @@ class ExitWays:
             still = assembly.immovable.copy()
             still[list(task.fixed)] = True
             given = assembly.meshes, assembly.contacts, self._table, assembly.part_motions, still
-            self.clearance = _Alone(ExitPaths(*given, task.moves_out, task.turns))
+            self.clearance = _Alone(ExitPaths(*given, task.moves_out, task.turns).until(check))
 
     def blockers(self, part: int) -> NDArray[np.bool_]:
         """Return the parts that block each straight way of a part, shape (ways, parts)."""
@@ -130,8 +131,8 @@ class ExitWays:
         directions, blockers = self._ways[part]
         free = directions[~(blockers & (state != REMOVED)).any(axis=1)]
         if len(free):
-            return [(straight_move(part, direction),) for direction in free]
-        path = self.clearance.exit_path(state, part)
+            return [(PathMove.straight((part,), direction),) for direction in free]
+        path = self.clearance.exit_path(state, (part,))
         return [] if not path else [self._placed(part, path, state)]
 
     def free_later(self, part: int, state: States) -> tuple[States, list[ExitPath]]:
@@ -166,7 +167,7 @@ class ExitWays:
         level.sort(key=lambda velocities: -round(float(velocities[:, 2].min()), 9))
         return [
             tuple(
-                (straight_move(part, velocity / (speed := float(np.linalg.norm(velocity))), speed),)
+                (PathMove.straight((part,), velocity / (speed := float(np.linalg.norm(velocity))), speed),)
                 for part, velocity in zip(parts, velocities, strict=True)
             )
             for velocities in level
@@ -199,16 +200,10 @@ class ExitWays:
         tangent = apply(poses[part], center) - apply(before, center)
         ways = [*_fan() @ self._placement.pose[:3, :3], tangent / max(np.linalg.norm(tangent), 1e-12)]
         for way in ways:
-            move = straight_move(part, way, size)
+            move = PathMove.straight((part,), way, size)
             if not motions.blockers(move, others, poses, stop=True).any():
                 return replace(move, distance=np.inf)
         return None
-
-
-def straight_move(part: int, direction: Array, distance: float = np.inf) -> PathMove:
-    """Return a straight move along a unit vector, shape (3,), by a distance in metres; by default as far as needed."""
-    x, y, z = direction.tolist()
-    return PathMove((part,), (x, y, z), distance)
 
 
 def _fan() -> Array:

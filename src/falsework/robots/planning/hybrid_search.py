@@ -31,7 +31,7 @@ from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.robots.schedule.solver import schedule_plan
 from falsework.search.planner import MOST_FALLS
-from falsework.search.problem.deadline import Deadline
+from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide, MemoizedGuide
 from falsework.search.problem.result import Outcome, SearchResult
 from falsework.search.problem.task import Direction, Task
@@ -96,7 +96,13 @@ class HybridSearch:
         return self.clock.passed
 
     def run(self, root: Node) -> HybridResult:
-        """Find an abstract plan, then motions for it or for a similar one."""
+        """Find an abstract plan, then motions for it or for a similar one; end at the deadline."""
+        try:
+            return self._search(root)
+        except DeadlineExceeded:  # in a search for a way out
+            return self.failed(root, "interrupted", _LATE)
+
+    def _search(self, root: Node) -> HybridResult:
         self.abstract = self.solvability.prepare(self.deadline_passed)
         if not self.abstract.found:
             if self.solvability.fallen is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,18 +21,20 @@ from falsework.search.problem.task import STAGE, Task
 from falsework.utils.quantity import format_quantity
 
 
-def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitWays) -> Task:
+def task_in_cell(
+    assembly: Assembly, cell: Cell, task: Task | None, exits: ExitWays, check: Callable[[], None] = lambda: None
+) -> Task:
     """Return a task with the number of robots of the cell, and with ways out of which none begins downwards.
 
-    `exits` then know the ways that the task allows. InputError for props or parts that wait half way out, StateError
-    for more held parts than robots.
+    `exits` then know the ways that the task allows, and call `check` while they search. InputError for props or parts
+    that wait half way out, StateError for more held parts than robots.
     """
     given = task or Task.from_rules(assembly.boundary, cell.robot_count, identity=assembly.identity)
     if given.props:
         raise InputError("robot plans have no props; plan for the structure without them")
     if given.waiting:
         raise InputError("arms let go of no part half way out; plan motions for a task without waiting parts")
-    exits.allow(given)
+    exits.allow(given, check)
     freed = np.flatnonzero(STAGE[given.target] < STAGE[given.start])
     if len(freed):
         name = assembly.names[int(freed[0])]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -19,6 +20,7 @@ from falsework.search.plans.steps import PlanStep, holders, inserts_several, ste
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
+from falsework.search.together.exits import exit_path
 from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.holds import Press
@@ -71,9 +73,9 @@ def _exit_paths(route: Route, task: Task, props: tuple[Prop, ...]) -> tuple[Exit
     bare, found = task.part_count - len(task.props), []
     states = np.zeros((len(route.states), task.part_count), dtype=np.uint8)
     states[:, [*range(bare), *(bare + task.props.index(prop.part) for prop in props)]] = route.states
-    for state, action in zip(states[-2::-1], route.actions[::-1].tolist(), strict=True):
-        part = action - route.states.shape[1]
-        found.append((task.clearance.exit_path(state, part) if 0 <= part < bare else ()) or ())
+    for before, state in pairwise(states[::-1]):
+        leaving = tuple(np.flatnonzero((before[:bare] == REMOVED) & (state[:bare] != REMOVED)).tolist())
+        found.append((exit_path(task, state, leaving) if leaving else ()) or ())
     return tuple(found)
 
 

@@ -99,7 +99,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
                         "distance": move.distance,
                         "angle": move.angle or None,
                         "point": move.point if move.turns else None,
-                        "parts": None if move.parts == (step.part,) else move.parts,
+                        "parts": None if set(move.parts) == set(step.parts) else move.parts,
                     }
                     for move in (plan.exit_paths[step.number - 1] if plan.exit_paths else ())
                 ],

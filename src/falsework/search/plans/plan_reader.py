@@ -218,8 +218,8 @@ class PlanReader:
         if not step.exit_path:
             return ()
         place, most = f"step {number}", self._file.rules.moves
-        if step.do != Action.INSERT or step.parts is not None:
-            self._fail(f"{place} has an exit_path", "only a step that inserts one part has one")
+        if step.do != Action.INSERT:
+            self._fail(f"{place} has an exit_path", "only a step that inserts parts has one")
         if len(step.exit_path) > most:
             self._fail(f"{place} has {len(step.exit_path)} moves", f"at most {most} with rules.moves")
         for count, move in enumerate(step.exit_path):
@@ -238,7 +238,11 @@ class PlanReader:
                 self._fail(f"{place}.parts is empty")
         return tuple(
             PathMove(
-                move.parts or (step.part,), move.direction, move.distance, move.angle or 0.0, move.point or (0.0,) * 3
+                move.parts or tuple(sorted(step.parts or (step.part,))),
+                move.direction,
+                move.distance,
+                move.angle or 0.0,
+                move.point or (0.0,) * 3,
             )
             for move in step.exit_path
         )

@@ -7,7 +7,7 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, held_count, undo_actions, undo_mask
 from falsework.errors import AssemblyError
-from falsework.geometry.clearance.locked import LARGEST
+from falsework.geometry.clearance.locked import LARGEST, PartSet
 from falsework.geometry.paths.waiting import hands_free, has_hands, loose_parts, stages
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import moved_parts
@@ -61,32 +61,38 @@ def broken_rule(
         inserts = np.flatnonzero((plan.actions >= parts) & alone)
         clear = assembly.clearance.can_leave(states[inserts + 1])
         for step in inserts[~clear[np.arange(len(inserts)), plan.actions[inserts] - parts]].tolist():
-            wrong = _broken_way(plan, step, assembly, settings)
+            wrong = _broken_way(plan, step, assembly, settings, (int(plan.actions[step]) - parts,))
             if wrong:
                 return step + 1, f"step {step + 1} ({plan.words(step + 1)}) {wrong}"
     return None
 
 
-def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySettings | None) -> str:
-    """Return what is wrong with how a step inserts a part that has no straight way, as the end of a sentence."""
+def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySettings | None, leaving: PartSet) -> str:
+    """Return what is wrong with how a step inserts parts that have no straight way, as the end of a sentence."""
     moves = plan.exit_paths[step] if plan.exit_paths else ()
-    part, state = int(plan.actions[step]) - len(plan.boundary), plan.states[step + 1]
+    state = plan.states[step + 1]
     if not moves:
         return "finds no straight way past the other parts"
     if len(moves) > plan.moves:
         return f"is against the rules: its way has {len(moves)} moves, and {plan.moves} are allowed"
     if any(move.turns for move in moves) and not plan.turns:
         return "is against the rules: its way has a turn, and none is allowed"
-    if moves[-1].parts != (part,):
-        return "is against the rules: the last move of its way is not that of the part alone"
+    if set(moves[-1].parts) != set(leaving):
+        only = "the part alone" if len(leaving) == 1 else "its parts together"
+        return f"is against the rules: the last move of its way is not that of {only}"
+    if len(leaving) > 1 and any(move.turns for move in moves):
+        return "is against the rules: parts that leave together do not turn"
+    carried = [move for move in moves if (state[list(leaving)] != HELD).any() and set(move.parts) & set(leaving)]
+    if len(leaving) > 1 and any(not set(leaving) <= set(move.parts) for move in carried):
+        return "is against the rules: parts that one robot carries do not move as one body"
     moved = sorted({one for move in moves for one in move.parts})
     still = [one for one in moved if plan.immovable[one] or one in plan.fixed]
-    loose = sorted(loose_parts(moves, state, part))
-    if still or (loose and not plan.waiting):
+    loose = sorted(loose_parts(moves, state, leaving))
+    if still or (loose and (not plan.waiting or len(leaving) > 1)):
         name = plan.part_names[(still or loose)[0]]
         return f"is against the rules: its way moves {name}, which no robot holds"
-    spare = hands_free(state, part, plan.robots, plan.immovable)
-    handless = next((move for move in moves if not has_hands(move.parts, state, part, spare)), None)
+    spare = hands_free(state, leaving, plan.robots, plan.immovable)
+    handless = next((move for move in moves if not has_hands(move.parts, state, leaving, spare)), None)
     if handless:
         return (
             f"is against the rules: no robot is free to carry {', '.join(plan.part_names[k] for k in handless.parts)}"
@@ -96,11 +102,11 @@ def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySe
         return f"is against the rules: on its way out, {wrong}"
     if loose and settings is not None:
         posed, oracle = PosedStates(assembly), StabilityOracle(assembly, settings)
-        for stage, poses in stages(moves, state, part, spare, out=True):
+        for stage, poses in stages(moves, state, leaving, spare, out=True):
             if not posed.stands(oracle, stage, poses):
                 names = ", ".join(plan.part_names[one] for one in sorted(poses) if stage[one]) or "no part"
                 return f"is against the rules: on its way, with {names} half way out, the other parts do not stand"
-    elif len(moved) > 1 and settings is not None:
+    elif moved != list(leaving) and settings is not None:
         rest = state.copy()
         rest[moved] = REMOVED
         if not StabilityOracle(assembly, settings).verdicts(rest[None]).stable[0]:
@@ -132,7 +138,12 @@ def broken_together(plan: Plan, step: int, assembly: Assembly | None, settings: 
     if assembly is None:
         return ""
     together = tuple(sorted(moved))
-    if not assembly.clearance_of_sets.leave_together(together, after[None], apart=held == len(moved))[0]:
+    straight = assembly.clearance_of_sets.leave_together(together, after[None], apart=held == len(moved))[0]
+    if not straight and plan.exit_paths and plan.exit_paths[step]:
+        wrong = _broken_way(plan, step, assembly, settings, together)
+        if wrong:
+            return wrong
+    elif not straight:
         alone = "no straight way past the other parts, or fewer of them have one"
         return f"is against the rules: {', '.join(names)} do not leave together: there is {alone}"
     if held < len(moved) and settings is not None:

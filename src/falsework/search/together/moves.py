@@ -13,6 +13,7 @@ from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.regrasp_moves import RegraspMoves
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
+from falsework.search.together.exits import exit_path, sets_of
 from falsework.utils.quantity import listed
 
 
@@ -32,7 +33,7 @@ class TaskMoves:
         """Asked between sets; true ends the search for steps with `DeadlineExceeded`."""
         self.removable = ~task.boundary & (task.start != REMOVED) & (task.target == REMOVED)
         self.removable[list(task.fixed)] = False
-        self.sets = () if task.together is None else task.together.sets(self.removable)
+        self.sets, self._left_out = sets_of(task, self.removable)
         self._bare = task.part_count - len(task.props)
 
     @property
@@ -76,7 +77,7 @@ class TaskMoves:
     @property
     def caveat(self) -> str:
         """Why the absence of a plan would not be proven; empty if it would be."""
-        return self.task.caveat or ("" if self._rule is None else self._rule.caveat(self.sets))
+        return self.task.caveat or ("" if self._rule is None else self._left_out or self._rule.caveat(self.sets))
 
     def first_motions(self, state: States) -> str:
         """Say which parts, and sets of parts that lock each other, can begin to move in a state, shape (parts,)."""
@@ -111,7 +112,7 @@ class TaskMoves:
                 continue
             if len(held) == 1 and held[0] not in self._rule.carriers(parts, self._oracle):
                 continue
-            if self._rule.leave_together(parts, state[None], apart=len(held) == len(parts))[0]:
+            if exit_path(self.task, state, parts) is not None:
                 after = state.copy()
                 after[rows] = REMOVED
                 yield after, len(state) + held[0]
@@ -126,19 +127,17 @@ class TaskMoves:
             rows = list(parts)
             if (state[rows] != REMOVED).any():
                 continue
-            if (
-                self._rule.each_held
-                and free >= len(parts)
-                and self._rule.leave_together(parts, state[None], apart=True)[0]
-            ):
+            if self._rule.each_held and free >= len(parts):
                 after = state.copy()
                 after[rows] = HELD
-                yield after, len(state) + parts[0]
-            carriers = self._rule.carriers(parts, self._oracle)
-            for carrier in carriers if self._rule.leave_together(parts, state[None], apart=False)[0] else ():
+                if exit_path(self.task, after, parts) is not None:
+                    yield after, len(state) + parts[0]
+            for carrier in self._rule.carriers(parts, self._oracle):
                 after = state.copy()
                 after[rows] = INSTALLED
                 after[carrier] = HELD
+                if exit_path(self.task, after, parts) is None:
+                    break  # nor by another part
                 yield after, len(state) + carrier
 
 
