@@ -2,15 +2,16 @@
 
     python benchmarks/general.py make --folder out/general --minutes 9 --processes 15 --device cuda
     python benchmarks/general.py data --folder out/general --minutes 30 --processes 2
-    python benchmarks/general.py reinforce --folder out/general --minutes 9 --total 9 --processes 6 --device cuda
+    python benchmarks/general.py reinforce --folder out/general --minutes 9 --total 8 --processes 15 --device cuda
     python benchmarks/general.py evaluate --folder out/general --processes 15 --minutes 9
     python benchmarks/general.py card --folder out/general --out benchmarks/results/general.jsonl
 
 `make` generates structures on the processor while it trains on the data so far; repeat the same command until it says
 that training is done. Once some training is done, the processes roll the policy out: what succeeds becomes data, and
-states from which it fails come first. `data` does the first half alone. `reinforce` goes on with reinforcement on the
-structures of the data, first on those where rollouts fail. `evaluate` tests on structures that are not trained on, and
-stops in time; repeat it until no case is left. `card` summarises the evaluation by groups.
+states from which it fails come first. `data` does the first half alone. `reinforce` goes on with reinforcement: the
+processes roll out on structures of the data, first on those where rollouts fail, and a process for each GPU learns.
+`evaluate` tests on structures that are not trained on, and stops in time; repeat it until no case is left. `card`
+summarises the evaluation by groups.
 
 The folder holds `data-*.npz`, `validation.npz`, a run that other commands take (`run.json`, `weights.safetensors`), a
 checkpoint, `log.jsonl` and `evaluation.jsonl`.
@@ -24,7 +25,7 @@ import os
 import tempfile
 import threading
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
@@ -65,7 +66,7 @@ AVERAGE_EVERY = 3.0
 """Seconds of reinforcement between two times that processes average their weights."""
 SUMS = ("collections", "moves", "success", "updates", "entropy", "divergence")
 """What reinforcement counts: rollouts with the same weights on one structure, their actions, steps of the optimizer."""
-VALIDATE = 25.0
+VALIDATE = 30.0
 """Seconds for greedy success on validation structures, at most."""
 SAVE_EVERY, RESERVE = 120.0, 40.0
 """Seconds between two times that all data are written, and for the last time at the end of a call."""
@@ -341,14 +342,15 @@ def _reinforce(rank: int, learners: int, options: Options, meeting: str) -> None
             _log(options, {"steps": training.steps, "reinforced": training.reinforced, **numbers})
 
     note({}, validate=True)
-    noted, total, sums = time.perf_counter(), 60 * options.total, Counter[str]()
+    noted, total, sums = time.perf_counter(), 60 * options.total, defaultdict[str, float](float)
     while decided(left := min(total - training.reinforced, end - RESERVE - time.perf_counter()), group, host) > 0:
         begun, span = time.perf_counter(), decided(min(AVERAGE_EVERY, left), group, host)
         done = training.reinforced / total
         found = learner.run(span, (done, min(done + span / total, 1.0)))
         average_states(training, group)
         training.reinforced += decided(time.perf_counter() - begun, group, host)
-        sums.update(dict(zip(SUMS, summed([found[name] for name in SUMS], group, host), strict=True)))
+        for name, one in zip(SUMS, summed([found[name] for name in SUMS], group, host), strict=True):
+            sums[name] += one
         if time.perf_counter() - noted > REPORT_EVERY:
             noted = time.perf_counter()
             note(_means(sums))
@@ -358,7 +360,7 @@ def _reinforce(rank: int, learners: int, options: Options, meeting: str) -> None
     torch.distributed.destroy_process_group()
 
 
-def _means(sums: Counter[str]) -> dict[str, float]:
+def _means(sums: dict[str, float]) -> dict[str, float]:
     """Return means a collection and a step, and the counts themselves."""
     count, steps = max(sums["collections"], 1), max(sums["updates"], 1)
     per = {"success": count, "entropy": steps, "divergence": steps}

@@ -9,7 +9,7 @@ import multiprocessing
 import os
 import queue
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,7 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.learn.algorithms.advantages import normalized
-from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions
+from falsework.learn.algorithms.rollout_storage import collect_transitions
 from falsework.learn.algorithms.start_states import MixedStarts
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.data.solvable_states import SolvableStates
@@ -64,6 +64,7 @@ class Playground:
 
     def __init__(self, assembly: Assembly, labelled: LabelledStructure, network: LocalAttention, rollouts: int) -> None:
         """Begin with the labelled states, which are solvable."""
+        self.name = labelled.name
         equilibrium = labelled.criterion == "equilibrium"
         settings = StabilitySettings(criterion=labelled.criterion, numerics=NumericalSettings(threads=1))
         oracle = StabilityOracle(assembly, settings)
@@ -75,15 +76,17 @@ class Playground:
         self.solved = SolvableStates(self.environment.rules, self.states)
         self.starts = MixedStarts(self.states, self.solved, rollouts)
 
-    def collect(self, rollouts: int, generator: torch.Generator) -> Transitions:
+    def collect(self, rollouts: int, generator: torch.Generator) -> Experience:
         """Sample rollouts, and learn which states are solvable and which are hard."""
         batch = self.starts.sample(rollouts, generator)
-        found = collect_transitions(
+        moves = collect_transitions(
             self.environment, self.policy, batch.states, None, generator, discount=1.0, gae_lambda=_GAE_LAMBDA
         )
-        self.solved.add(found.states[found.success[found.rollout]])
-        self.starts.record(batch, found, torch.zeros(len(batch.states)), generator)
-        return found
+        self.solved.add(moves.states[moves.success[moves.rollout]])
+        self.starts.record(batch, moves, torch.zeros(len(batch.states)), generator)
+        columns = {name: getattr(moves, name).numpy() for name in COLUMNS}
+        columns["advantage"] = normalized(moves.advantage).numpy()
+        return Experience(self.name, float(moves.success.float().mean()), columns)
 
     def greedy(self) -> float:
         """Return the greedy success from some of the labelled states."""
@@ -111,10 +114,10 @@ class Actors:
         self._shared = context.RawArray("f", 2 * size)
         # Rollouts take the weights as they are, greedy ones their average.
         self._weights = torch.frombuffer(self._shared, dtype=torch.float32).view(2, size)
-        self._jobs, self._found = context.Queue(), context.Queue()
+        self._jobs, self._found, self._hurry = context.Queue(), context.Queue(), context.Event()
         self._most = _WAITING * count
         self.send(network, network)
-        options = self._jobs, self._found, self._shared, settings, rollouts, load
+        options = self._jobs, self._found, self._hurry, self._shared, settings, rollouts, load
         self._processes = [context.Process(target=_act, args=(seed, *options), daemon=True) for seed in range(count)]
         for process in self._processes:
             process.start()
@@ -133,8 +136,16 @@ class Actors:
         """Ask for rollouts on a structure, sampled ones to learn from or greedy ones."""
         self._jobs.put((labelled, greedy))
 
-    def drop(self) -> None:
-        """Forget the structures that wait."""
+    @contextmanager
+    def interrupted(self) -> Iterator[None]:
+        """Put off sampled rollouts for what is asked meanwhile; nothing waits before and after."""
+        self._hurry.set()
+        self._drop()
+        yield
+        self._drop()
+        self._hurry.clear()
+
+    def _drop(self) -> None:
         with suppress(queue.Empty):
             while True:
                 self._jobs.get_nowait()
@@ -166,44 +177,30 @@ class Actors:
             one.close()
 
 
-def _act(seed: int, jobs: Any, found: Any, shared: Any, settings: PolicySettings, rollouts: int, load: Load) -> None:
+def _act(
+    seed: int, jobs: Any, found: Any, hurry: Any, shared: Any, settings: PolicySettings, rollouts: int, load: Load
+) -> None:
     """Roll out on one structure after another; what goes wrong is sent as words."""
     os.environ["CUDA_VISIBLE_DEVICES"] = ""
     torch.set_num_threads(1)
     network = LocalAttention(settings).eval()
-    weights = torch.frombuffer(shared, dtype=torch.float32).view(2, -1)
+    current, averaged = torch.frombuffer(shared, dtype=torch.float32).view(2, -1)
     generator = torch.Generator().manual_seed(seed)
     while True:
         labelled, greedy = jobs.get()
         try:
-            for experience in _visit(labelled, greedy, network, weights, rollouts, load, generator):
-                found.put(experience)
+            playground = Playground(load(labelled.name), labelled, network, rollouts)
+            if greedy:
+                vector_to_parameters(averaged.clone(), network.parameters())
+                found.put(Experience(labelled.name, playground.greedy()))
+                continue
+            for _ in range(_VISITS):
+                vector_to_parameters(current.clone(), network.parameters())
+                found.put(one := playground.collect(rollouts, generator))
+                if one.success >= MASTERED or hurry.is_set():
+                    break
         except InputError:  # a structure that this machine draws or judges in another way
             continue
         except Exception as error:
             found.put(f"{labelled.name}: {type(error).__name__}: {error}")
             raise
-
-
-def _visit(
-    labelled: LabelledStructure,
-    greedy: bool,
-    network: LocalAttention,
-    weights: torch.Tensor,
-    rollouts: int,
-    load: Load,
-    generator: torch.Generator,
-) -> Iterator[Experience]:
-    playground = Playground(load(labelled.name), labelled, network, rollouts)
-    if greedy:
-        vector_to_parameters(weights[1].clone(), network.parameters())
-        yield Experience(labelled.name, playground.greedy())
-        return
-    for _ in range(_VISITS):
-        vector_to_parameters(weights[0].clone(), network.parameters())
-        moves = playground.collect(rollouts, generator)
-        success = float(moves.success.float().mean())
-        columns = {name: getattr(moves, name).numpy() for name in COLUMNS}
-        yield Experience(labelled.name, success, {**columns, "advantage": normalized(moves.advantage).numpy()})
-        if success >= MASTERED:
-            return

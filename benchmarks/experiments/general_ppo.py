@@ -8,7 +8,7 @@ allows for; each step of the optimizer is over pieces of the rollouts on several
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -107,7 +107,7 @@ class GeneralPpo:
         self._sent = time.perf_counter()
         self._actors = Actors(training.network, policy, processes, settings.rollouts, load)
 
-    def run(self, seconds: float, progress: tuple[float, float]) -> Counter[str]:
+    def run(self, seconds: float, progress: tuple[float, float]) -> dict[str, float]:
         """Update for a time, with what the processes send.
 
         Args:
@@ -122,7 +122,7 @@ class GeneralPpo:
             RuntimeError: a process that rolls out has failed.
         """
         begun, first = time.perf_counter(), self.settings.learning_rate
-        counts = Counter[str]()
+        counts = defaultdict[str, float](float)
         sums = torch.zeros(5, device=self.training.device)
         while (spent := time.perf_counter() - begun) < seconds:
             self._feed()
@@ -140,15 +140,14 @@ class GeneralPpo:
     def validate(self, structures: Sequence[LabelledStructure], seconds: float) -> list[float]:
         """Return the greedy success of the averaged weights on structures, of those that are done in some time."""
         self._actors.send(self.training.network, self.training.averaged())
-        self._actors.drop()
         self._tried = {}
-        for one in structures:
-            self._actors.visit(one, greedy=True)
-        end, counts = time.perf_counter() + seconds, Counter[str]()
-        while len(self._tried) < len(structures) and time.perf_counter() < end:
-            for one in self._actors.found(_WAIT):
-                self._keep(one, counts)
-        self._actors.drop()
+        with self._actors.interrupted():
+            for one in structures:
+                self._actors.visit(one, greedy=True)
+            end = time.perf_counter() + seconds
+            while len(self._tried) < len(structures) and time.perf_counter() < end:
+                for one in self._actors.found(_WAIT):
+                    self._keep(one, defaultdict(float))
         return list(self._tried.values())
 
     def close(self) -> None:
@@ -166,14 +165,15 @@ class GeneralPpo:
             for name in self._rng.choice(names, 4, p=weight / weight.sum()):
                 self._actors.visit(self._structures[name])
 
-    def _keep(self, found: Experience, counts: Counter[str]) -> None:
+    def _keep(self, found: Experience, counts: dict[str, float]) -> None:
         """Split what a process sent into pieces, and add it to the counts."""
         if found.moves is None:
             self._tried[found.name] = found.success
             return
         self._success[found.name] = found.success
         moves = len(found.moves["actions"])
-        counts.update(collections=1, moves=moves, success=found.success)
+        for name, number in (("collections", 1), ("moves", moves), ("success", found.success)):
+            counts[name] += number
         if moves == 0 or found.success >= MASTERED:
             return
         group, row = self._batches.place(found.name)
@@ -201,15 +201,16 @@ class GeneralPpo:
         for piece in chosen:
             piece.passes -= 1
         waiting[: settings.mix] = [piece for piece in chosen if piece.passes]
-        columns = [np.stack([piece.columns[name] for piece in chosen]) for name in COLUMNS]
-        states, actions, *rest = (torch.from_numpy(column).to(training.device) for column in columns)
+        states, actions, before, advantage, returns = (
+            torch.from_numpy(np.stack([piece.columns[name] for piece in chosen])).to(training.device)
+            for name in COLUMNS
+        )
         batch = self._batches.of(group, [piece.row for piece in chosen], states)
         with torch.autocast(training.device.type, torch.bfloat16, enabled=training.device.type == "cuda"):
             logits, value = training.network(batch.graph, batch.numbers)
-        taken, mask, none = actions.flatten(), batch.legal.flatten(0, 1), actions[0, :0]
-        moves = Transitions(
-            states.flatten(0, 1), None, taken, mask, *(one.flatten() for one in rest), none, none.bool(), none.float()
-        )
+        mask, none = batch.legal.flatten(0, 1), actions[0, :0]
+        rows = (actions.flatten(), mask, before.flatten(), advantage.flatten(), returns.flatten())
+        moves = Transitions(states.flatten(0, 1), None, *rows, none, none.bool(), none.float())
         weight = torch.ones(len(moves), device=training.device)
         loss = ppo_loss(
             logits.flatten(0, 1).float(),
