@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ from experiments.labelled_states import LabelledStructure, LabelSettings, label_
 from falsework import load_structure
 from falsework.errors import InputError
 from falsework.learn import PolicySettings
-from falsework.learn.training.checkpoint import CheckpointFile
 
 NAMES = (("arch:blocks=6", 2), ("stack:blocks=5", 1), ("wall:bricks=2,courses=3", 2))
 SETTINGS = GeneralPpoSettings(rollouts=24, tokens=800, mix=3, learning_rate=5e-3, average=0.9)
@@ -78,17 +77,6 @@ def test_a_process_that_fails_is_reported(labelled: list[LabelledStructure], tmp
         pytest.raises(RuntimeError, match=r"(arch|stack|wall).*: "),
     ):
         learner.run(60.0, (0.0, 0.0))
-
-
-def test_settings_of_older_checkpoints_are_completed(tmp_path: Path) -> None:
-    """A setting of the network that a version did not have yet has its default."""
-    training = GeneralTraining(tmp_path, GENERAL)
-    settings: dict[str, Any] = {
-        name: value for name, value in asdict(GENERAL).items() if name not in ("seconds", "steps")
-    }
-    settings["policy"] = {name: value for name, value in settings["policy"].items() if name != "options"}
-    CheckpointFile(tmp_path).save(training.optimizer.state_dict(), {"settings": settings, "seconds": 3.0})
-    assert GeneralTraining(tmp_path, GENERAL).seconds == 3.0
 
 
 @pytest.mark.parametrize("name", ["rollouts", "tokens", "mix", "passes"])
