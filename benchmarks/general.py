@@ -2,15 +2,16 @@
 
     python benchmarks/general.py make --folder out/general --minutes 9 --processes 15 --device cuda
     python benchmarks/general.py data --folder out/general --minutes 30 --processes 2
-    python benchmarks/general.py reinforce --folder out/general --minutes 9 --total 9 --processes 6 --device cuda
+    python benchmarks/general.py reinforce --folder out/general --minutes 9 --total 8 --processes 15 --device cuda
     python benchmarks/general.py evaluate --folder out/general --processes 15 --minutes 9
     python benchmarks/general.py card --folder out/general --out benchmarks/results/general.jsonl
 
 `make` generates structures on the processor while it trains on the data so far; repeat the same command until it says
 that training is done. Once some training is done, the processes roll the policy out: what succeeds becomes data, and
-states from which it fails come first. `data` does the first half alone. `reinforce` goes on with reinforcement on the
-structures of the data, first on those where rollouts fail. `evaluate` tests on structures that are not trained on, and
-stops in time; repeat it until no case is left. `card` summarises the evaluation by groups.
+states from which it fails come first. `data` does the first half alone. `reinforce` goes on with reinforcement: the
+processes roll out on structures of the data, first on those where rollouts fail, and a process for each GPU learns.
+`evaluate` tests on structures that are not trained on, and stops in time; repeat it until no case is left. `card`
+summarises the evaluation by groups.
 
 The folder holds `data-*.npz`, `validation.npz`, a run that other commands take (`run.json`, `weights.safetensors`), a
 checkpoint, `log.jsonl` and `evaluation.jsonl`.
@@ -24,8 +25,8 @@ import os
 import tempfile
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -35,7 +36,7 @@ import numpy as np
 import torch
 import tyro
 from experiments.general_cases import CASES, evaluate_case
-from experiments.general_ppo import GeneralPpo, GeneralPpoSettings, Playground
+from experiments.general_ppo import GeneralPpo, GeneralPpoSettings
 from experiments.general_training import GeneralSettings, GeneralTraining
 from experiments.labelled_states import (
     LabelledStructure,
@@ -61,12 +62,14 @@ VALIDATION, VALIDATED = 1_000_000, 64
 """First number of the structures to validate on, and how many of them there are."""
 REPORT_EVERY = 30.0
 """Seconds of training between two looks at the data."""
-AVERAGE_EVERY = 10.0
+AVERAGE_EVERY = 3.0
 """Seconds of reinforcement between two times that processes average their weights."""
-SAVE_EVERY, RESERVE = 120.0, 20.0
+SUMS = ("collections", "moves", "success", "updates", "entropy", "divergence")
+"""What reinforcement counts: rollouts with the same weights on one structure, their actions, steps of the optimizer."""
+VALIDATE = 30.0
+"""Seconds for greedy success on validation structures, at most."""
+SAVE_EVERY, RESERVE = 120.0, 40.0
 """Seconds between two times that all data are written, and for the last time at the end of a call."""
-REINFORCED = 16
-"""Validation structures, and states of each, that show what reinforcement does."""
 IMPROVE_AFTER = 0.3
 """Share of the training after which the policy is rolled out."""
 
@@ -84,7 +87,7 @@ class Options:
     total: float = 60.0
     """For `make` and `reinforce`: minutes of training in all calls together, over which the learning rate falls."""
     processes: int = 1
-    """Processes that generate, reinforce or evaluate."""
+    """Processes that generate, roll out or evaluate."""
     structures: int = 4000
     """Structures to generate; from then on, or later in training, known ones are improved."""
     robots: int = 0
@@ -299,61 +302,74 @@ def make(options: Options) -> None:
 
 def reinforce(options: Options) -> None:
     """Improve the policy by its own rollouts, on the structures of the data; greedy success before and after."""
+    learners = max(torch.cuda.device_count(), 1) if choose_device(options.device).type == "cuda" else 1
     with tempfile.TemporaryDirectory() as folder:
-        torch.multiprocessing.spawn(_reinforce, (options, f"file://{folder}/meet"), nprocs=options.processes)
+        torch.multiprocessing.spawn(_reinforce, (learners, options, f"file://{folder}/meet"), nprocs=learners)
 
 
-def _reinforce(rank: int, options: Options, meeting: str) -> None:
-    """Improve the policy in one of several processes, each on structures of its own; weights are averaged in between.
+def _reinforce(rank: int, learners: int, options: Options, meeting: str) -> None:
+    """Improve the policy in one of several processes, one a GPU; weights are averaged in between.
 
     Args:
         rank: number of the process; the first one reports and writes.
+        learners: how many there are, each with its share of the processes that roll out.
         options: of the command.
         meeting: where the processes meet.
     """
     end = time.perf_counter() + 60 * options.minutes
     torch.set_num_threads(1)
     device, host = choose_device(options.device), torch.device("cpu")
-    torch.distributed.init_process_group("gloo", init_method=meeting, rank=rank, world_size=options.processes)
+    if device.type == "cuda":
+        device = torch.device("cuda", rank)
+        torch.cuda.set_device(device)
+    torch.distributed.init_process_group("gloo", init_method=meeting, rank=rank, world_size=learners)
     group = ProcessGroup.from_torch()
     library = Library.load(options.folder)
     training = continued(options, device)
-    rng, numbers = np.random.default_rng([options.seed, training.steps, rank]), sorted(library.structures)
-    success = [library.structures[number].success for number in numbers]
-    weight = np.array([0.5 if share is None else 1.05 - share for share in success])
+    settings = GeneralPpoSettings(**({"tokens": options.tokens} if options.tokens else {}))
+    known, processes = list(library.structures.values()), max(options.processes // learners, 1)
+    learner = GeneralPpo(training, known, settings, structure_of, processes=processes, seed=rank)
 
-    def draw() -> tuple[Assembly, LabelledStructure]:
-        number = int(rng.choice(numbers, p=weight / weight.sum()))
-        return generated(number).assembly, library.structures[number]
-
-    few = {"together": 2, "kept": 2, "rollouts": 16, "tokens": 1024}
-    settings = GeneralPpoSettings(**({} if device.type == "cuda" else few))
-    valid = sorted(library.validation.items())[: REINFORCED if device.type == "cuda" else 2]
+    valid = list(library.validation.values())[rank::learners]
 
     def note(numbers: dict[str, float], *, validate: bool = False) -> None:
         if validate:
-            numbers["validation"] = validated(training.averaged(), valid, device)
-        training.save({"data": _counts(library), "reinforcement": {**asdict(settings), **numbers}})
-        _log(options, {"steps": training.steps, "reinforced": training.reinforced, **numbers})
+            tried = learner.validate(valid, VALIDATE)
+            success, count = summed([sum(tried), len(tried)], group, host)
+            numbers |= {"validation": success / max(count, 1), "validated": count}
+        if rank == 0:
+            training.save({"data": _counts(library), "reinforcement": {**asdict(settings), **numbers}})
+            _log(options, {"steps": training.steps, "reinforced": training.reinforced, **numbers})
 
-    learner = GeneralPpo(training, settings, draw, seed=rank)
-    batches = StructureBatches(list(library.structures.values()), device)
-    if rank == 0:
-        note({}, validate=True)
-    noted, total = time.perf_counter(), 60 * options.total
+    note({}, validate=True)
+    noted, total, sums = time.perf_counter(), 60 * options.total, defaultdict[str, float](float)
     while decided(left := min(total - training.reinforced, end - RESERVE - time.perf_counter()), group, host) > 0:
         begun, span = time.perf_counter(), decided(min(AVERAGE_EVERY, left), group, host)
         done = training.reinforced / total
-        found = learner.run(batches, span, (done, min(done + span / total, 1.0)))
+        found = learner.run(span, (done, min(done + span / total, 1.0)))
         average_states(training, group)
         training.reinforced += decided(time.perf_counter() - begun, group, host)
-        found = dict(zip(found, summed(list(found.values()), group, host), strict=True))
-        if rank == 0 and time.perf_counter() - noted > REPORT_EVERY:
+        for name, one in zip(SUMS, summed([found[name] for name in SUMS], group, host), strict=True):
+            sums[name] += one
+        if time.perf_counter() - noted > REPORT_EVERY:
             noted = time.perf_counter()
-            note({name: value / (1 if name == "updates" else group.size) for name, value in found.items()})
-    if rank == 0:
-        note({}, validate=True)
+            note(_means(sums))
+            sums.clear()
+    note(_means(sums), validate=True)
+    learner.close()
     torch.distributed.destroy_process_group()
+
+
+def _means(sums: dict[str, float]) -> dict[str, float]:
+    """Return means a collection and a step, and the counts themselves."""
+    count, steps = max(sums["collections"], 1), max(sums["updates"], 1)
+    per = {"success": count, "entropy": steps, "divergence": steps}
+    return {name: sums[name] / per.get(name, 1) for name in SUMS}
+
+
+def structure_of(name: str) -> Assembly:
+    """Return a generated structure by its name."""
+    return generated(int(name.rpartition("-")[2])).assembly
 
 
 def average_states(training: GeneralTraining, group: ProcessGroup) -> None:
@@ -365,16 +381,6 @@ def average_states(training: GeneralTraining, group: ProcessGroup) -> None:
     pieces = (flat / group.size).split([one.numel() for one in moved.values()])
     means = {name: mean.view_as(moved[name]).to(moved[name].device) for name, mean in zip(moved, pieces, strict=True)}
     training.optimizer.load_state_dict({**state, **means})
-
-
-def validated(network: Any, structures: list[tuple[int, LabelledStructure]], device: torch.device) -> float:
-    """Return the mean greedy success of a network on validation structures."""
-    found = []
-    for number, labelled in structures:
-        with suppress(InputError):  # a structure that the solver on this device does not take
-            mine = Playground(generated(number).assembly, labelled, network, 1, device)
-            found.append(mine.greedy(4 * REINFORCED))
-    return float(np.mean(found))
 
 
 def continued(options: Options, device: torch.device) -> GeneralTraining:
@@ -410,7 +416,8 @@ def evaluate(options: Options) -> None:
     path = options.folder / "evaluation.jsonl"
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     done = {json.loads(line)["case"] for line in lines}
-    names = [name for name in CASES if name not in done and name.startswith(options.cases or ("",))]
+    # Large structures come last in the list and take longest.
+    names = [name for name in reversed(CASES) if name not in done and name.startswith(options.cases or ("",))]
     with multiprocessing.get_context("spawn").Pool(options.processes, _one_thread) as pool:
         pending = [pool.apply_async(evaluate_case, (name, options.folder)) for name in names]
         while pending and time.perf_counter() < end:

@@ -87,7 +87,7 @@ class GeneralTraining:
         self._file = CheckpointFile(self.folder)
         if self._file.exists():
             tensors, state = self._file.load()
-            if _completed(state.get("settings", {})) != self._fixed():
+            if state.get("settings") != self._fixed():
                 raise InputError(f"{self._file.path} was trained with other settings; give those, or another folder")
             self.optimizer.load_state_dict({name: tensor.to(self.device) for name, tensor in tensors.items()})
             self.seconds, self.reinforced = float(state["seconds"]), float(state.get("reinforced", 0.0))
@@ -198,11 +198,6 @@ class GeneralTraining:
         return rise * (
             _FINAL_LEARNING_RATE + (1 - _FINAL_LEARNING_RATE) * 0.5 * (1 + math.cos(math.pi * self.progress))
         )
-
-
-def _completed(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings of a checkpoint with the defaults of those that older versions did not have."""
-    return {**settings, "policy": {**asdict(PolicySettings("local")), **settings.get("policy", {})}}
 
 
 def policy_loss(logits: torch.Tensor, batch: StructureBatch) -> torch.Tensor:

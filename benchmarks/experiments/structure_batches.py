@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -29,7 +29,7 @@ class StructureBatch:
     legal: Tensor
     """Bool, shape (structures, states, 2 parts)."""
     valid: Tensor
-    """Legal actions to imitate, bool, shape (structures, states, 2 parts)."""
+    """Legal actions to imitate, all of them where no labels are known, bool, shape (structures, states, 2 parts)."""
 
     @property
     def numbers(self) -> Tensor:
@@ -53,8 +53,30 @@ class StructureBatches:
         self._groups = [_Group(group, torch.device(device)) for group in groups if group]
         if not self._groups:
             raise InputError("no structure has states to learn from; generate some first")
+        self._places = {
+            one.name: (number, row)
+            for number, group in enumerate(group for group in groups if group)
+            for row, one in enumerate(group)
+        }
         self._share = np.array([group.count for group in self._groups], dtype=float)
         self.structures, self.states = int(self._share.sum()), sum(group.total for group in self._groups)
+
+    @property
+    def groups(self) -> int:
+        """Number of groups of structures that are filled up to the same size."""
+        return len(self._groups)
+
+    def parts(self, group: int) -> int:
+        """Return the parts that the structures of a group are filled up to."""
+        return self._groups[group].parts
+
+    def place(self, name: str) -> tuple[int, int]:
+        """Return the group of a structure, and its row there."""
+        return self._places[name]
+
+    def of(self, group: int, rows: list[int], states: Tensor) -> StructureBatch:
+        """Return states, filled up, shape (structures, states, parts), of some structures of a group."""
+        return self._groups[group].of(torch.tensor(rows, device=states.device), states)
 
     def draw(self, tokens: int, mix: int, draw: np.random.Generator, generator: torch.Generator) -> StructureBatch:
         """Draw a batch.
@@ -122,6 +144,10 @@ class _Group:
         chosen = torch.randperm(self.count, generator=generator, device=device)[:mix]
         share = torch.rand((mix, states), generator=generator, device=device, dtype=torch.float64)
         rows = self._begin[chosen, None] + (share * self._counts[chosen, None]).long()
-        graph, found = self._graph.take(chosen), self._states[rows]
-        legal = legal_actions(found, graph.fixed[:, None], graph.robots[:, None, None])
-        return StructureBatch(graph, found, legal, self._valid[rows] & legal)
+        batch = self.of(chosen, self._states[rows])
+        return replace(batch, valid=self._valid[rows] & batch.legal)
+
+    def of(self, rows: Tensor, states: Tensor) -> StructureBatch:
+        graph = self._graph.take(rows)
+        legal = legal_actions(states, graph.fixed[:, None], graph.robots[:, None, None])
+        return StructureBatch(graph, states, legal, legal)

@@ -6,7 +6,6 @@ from falsework.learn.algorithms.rollout_storage import collect_transitions as co
 from falsework.learn.config.imitation import ImitationPhase as ImitationPhase
 from falsework.learn.config.policy import PolicySettings as PolicySettings
 from falsework.learn.config.ppo import REINFORCEMENT as REINFORCEMENT
-from falsework.learn.config.ppo import CurriculumSettings as CurriculumSettings
 from falsework.learn.config.ppo import PpoPhase as PpoPhase
 from falsework.learn.config.train import TrainSettings as TrainSettings
 from falsework.learn.env.environment import Environment as Environment

@@ -17,7 +17,6 @@ from falsework.learn import (  # noqa: E402  # noqa: E402
     PPO,
     REINFORCEMENT,
     Curriculum,
-    CurriculumSettings,
     Environment,
     LearnerContext,
     PolicySettings,
@@ -46,8 +45,12 @@ def stored(solved: SolvableStates, states: Any) -> Any:
     return torch.tensor([bytes(row) in known for row in np.asarray(states)])
 
 
-def make(rules: TensorRules, states: Any, **settings) -> Curriculum:
-    return Curriculum(states, rules, CurriculumSettings(**settings))
+def make(rules: TensorRules, states: Any, *, whole: bool = False) -> Curriculum:
+    """Make a curriculum at its beginning, or one that has grown to the complete structure."""
+    curriculum = Curriculum(states, rules)
+    if whole:
+        curriculum.horizon = int(rules.steps_left(states).max())
+    return curriculum
 
 
 @pytest.fixture
@@ -63,7 +66,7 @@ def tell(curriculum: Curriculum, generator: Any, count: int, success: bool, surr
 
 def test_every_state_is_drawn_before_any_is_drawn_again(arch, generator) -> None:
     environment, states = arch
-    curriculum = make(environment.rules, states, growing=False)
+    curriculum = make(environment.rules, states, whole=True)
     rows = torch.cat([tell(curriculum, generator, 25, success=False).rows for _ in range(len(curriculum) // 25)])
     assert len(rows.unique()) == len(rows)
     rest = len(curriculum) - len(rows)
@@ -75,7 +78,7 @@ def test_every_state_is_drawn_before_any_is_drawn_again(arch, generator) -> None
 
 def test_states_of_high_surrogate_loss_are_drawn_by_their_rank(arch, generator) -> None:
     environment, states = arch
-    curriculum = make(environment.rules, states, growing=False, rank_power=0.8, correction=0.0)
+    curriculum = make(environment.rules, states, whole=True)
     count = len(curriculum)
     everything: Any = curriculum.sample(count, generator)
     curriculum.record_outcomes(
@@ -96,21 +99,20 @@ def test_states_of_high_surrogate_loss_are_drawn_by_their_rank(arch, generator) 
 
 def test_entropy_rises_where_rollouts_keep_failing(arch, generator) -> None:
     environment, states = arch
-    settings = {"growing": False, "entropy": 0.005, "entropy_rise": 0.002, "entropy_most": 0.01}
-    curriculum = make(environment.rules, states, **settings)
+    curriculum = make(environment.rules, states, whole=True)
     count = len(curriculum)
     seen = []
-    for success in (False, False, False, False, True):
+    for success in (*[False] * 6, True):
         draw: Any = curriculum.sample(count, generator)
         curriculum.record_outcomes(draw.rows, torch.full((count,), success), torch.ones(count))
         seen.append(float(curriculum.entropy[draw.rows[0]]))
         curriculum.visited.zero_()
-    assert seen == pytest.approx([0.007, 0.009, 0.01, 0.01, 0.005])
+    assert seen == pytest.approx([0.006, 0.007, 0.008, 0.009, 0.01, 0.01, 0.005])
 
 
 def test_it_grows_back_to_the_complete_structure_as_rollouts_succeed(arch, generator) -> None:
     environment, states = arch
-    curriculum = make(environment.rules, states, growing=True, stages=5, pass_mark=0.6)
+    curriculum = make(environment.rules, states)
     left = environment.rules.steps_left(curriculum.starts)
     horizons = [curriculum.horizon]
     for _ in range(10):
@@ -175,10 +177,10 @@ def test_starts_are_those_of_the_curriculum_and_any_solvable_states_within_its_h
     near = states[left == left[left > 0].min()]
     solved = SolvableStates(environment.rules, states)
     exploration = Exploration(environment, solved, states)
-    settings = CurriculumSettings(stages=4)
     curriculum = Curriculum(
-        states, environment.rules, settings, solved=solved, anywhere=0.25, exploration=exploration, explored=0.0
+        states, environment.rules, solved=solved, anywhere=0.25, exploration=exploration, explored=0.0
     )
+    curriculum.horizon *= 2  # so near the end there are hardly any states
     assert curriculum.widening
     batch: Any = curriculum.sample(40, generator)
     assert len(batch.states) == 40
@@ -193,4 +195,4 @@ def test_starts_are_those_of_the_curriculum_and_any_solvable_states_within_its_h
     assert curriculum.visited.sum() == len(batch.rows.unique())
     assert curriculum.far[1] == curriculum.far[0]  # of its own, all succeeded
     assert len(SolvableStates(environment.rules, near).within(0, 5, generator)) == 0
-    assert not make(environment.rules, states, growing=False).widening
+    assert not make(environment.rules, states, whole=True).widening

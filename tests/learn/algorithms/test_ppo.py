@@ -19,7 +19,6 @@ from falsework.learn import (  # noqa: E402
     PPO,
     REINFORCEMENT,
     Curriculum,
-    CurriculumSettings,
     Environment,
     LearnerContext,
     Policy,
@@ -67,7 +66,7 @@ SCRATCH = REINFORCEMENT.resolved("cpu")
 def learner(environment: Environment, settings: PpoPhase = SCRATCH, seed: int = 0, **options: Any) -> PPO:
     """From the complete structure, as the paper trains."""
     policy = options.pop("policy", None) or make_policy(environment.assembly, MLP, "cpu", seed)
-    complete = Curriculum(environment.rules.complete(), environment.rules, settings.curriculum)
+    complete = Curriculum(environment.rules.complete(), environment.rules)
     return PPO(LearnerContext(environment, policy, complete, settings, seed=seed, **options))
 
 
@@ -479,9 +478,6 @@ def test_illegal_actions_have_probability_zero_in_every_rollout(stack: Environme
         (lambda: PpoPhase(gae_lambda=1.5), "gae_lambda is 1.5"),
         (lambda: PpoPhase(average=1.0), "average is 1; give 0 or more"),
         (lambda: PpoPhase(starts="middle"), "unknown starts 'middle'; choose mixed, curriculum, complete"),  # type: ignore[arg-type]
-        (lambda: CurriculumSettings(pass_mark=0.0), "pass_mark is 0"),
-        (lambda: CurriculumSettings(stages=0), "stages is 0; give at least 1"),
-        (lambda: CurriculumSettings(entropy=-1.0), "entropy is -1; give 0 or more"),
     ],
 )
 def test_settings_out_of_range(settings: Callable[[], Any], message: str) -> None:

@@ -8,7 +8,6 @@ from falsework.errors import InputError
 from falsework.learn.algorithms.exploration import Exploration
 from falsework.learn.algorithms.rollout_storage import Transitions
 from falsework.learn.algorithms.start_states import StartBatch, StartSampler
-from falsework.learn.config.ppo import CurriculumSettings
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.search.device.rules import TensorRules
 from falsework.utils.collectives import gather_rows
@@ -18,6 +17,17 @@ _FAR = 0.75
 """Share of the horizon beyond which rollouts decide whether the horizon moves on."""
 _FAR_ROLLOUTS = 32
 """Rollouts from there that decide it."""
+_PASS_MARK = 0.6
+"""Share of them that must succeed before states farther away follow."""
+_STAGES = 10
+"""Stages in which the distance to the complete structure is covered."""
+_RANK_POWER = 0.8
+"""States are drawn with probability `rank ** -0.8`, the one of highest surrogate loss first."""
+_CORRECTION = 0.1
+"""Initial exponent of the importance weights of prioritised replay; grows to 1."""
+_ENTROPY, _ENTROPY_RISE, _ENTROPY_MOST = 0.005, 0.001, 0.01
+"""Weight of the entropy of the policy in the loss; what is added to that for a state each time its rollout fails, until
+one succeeds; and the upper bound of that weight."""
 CORRECTED_AFTER = 500
 """Updates until importance weights correct completely for how often states are drawn."""
 
@@ -27,15 +37,14 @@ class Curriculum(StartSampler):
 
     Every state is drawn once before any is drawn again; then those whose last rollout had a high surrogate loss, from
     which there is most to learn, are drawn more often. Where rollouts fail again and again, the policy is made to
-    explore more. With `growing` settings, only states near the end take part at first. A share of the starts are other
-    states within the horizon: any solvable ones, and those that are explored for this.
+    explore more. Only states near the end take part at first. A share of the starts are other states within the
+    horizon: any solvable ones, and those that are explored for this.
     """
 
     def __init__(
         self,
         starts: torch.Tensor,
         rules: TensorRules,
-        settings: CurriculumSettings = CurriculumSettings(),
         *,
         solved: SolvableStates | None = None,
         anywhere: float = 0.0,
@@ -48,7 +57,6 @@ class Curriculum(StartSampler):
         Args:
             starts: stable states with a path to the end, shape (count, parts); those that are the end are left out.
             rules: of the structure.
-            settings: how to draw.
             solved: states known to be solvable, which grow, those that rollouts passed included.
             anywhere: share of the starts that is drawn from `solved`.
             exploration: finds solvable states far from those of the searches.
@@ -58,7 +66,6 @@ class Curriculum(StartSampler):
         Raises:
             InputError: no start states.
         """
-        self.settings = settings
         self.updates = 0
         self._rules, self._shards = rules, shards
         self._solved, self._anywhere = solved, anywhere if solved is not None else 0.0
@@ -69,12 +76,12 @@ class Curriculum(StartSampler):
             raise InputError("a curriculum needs start states that are not the end; give at least one")
         self.visited = torch.zeros_like(self._left, dtype=torch.bool)
         self.surrogate = torch.zeros_like(self._left, dtype=torch.float32)
-        self.entropy = torch.full_like(self.surrogate, settings.entropy)
+        self.entropy = torch.full_like(self.surrogate, _ENTROPY)
         self.far = self.surrogate.new_zeros(2)
         """Rollouts from the far end of what is drawn, and successes among them, since the horizon moved."""
         self.horizon = 0
         """Steps to the end that states may be away to be drawn."""
-        self.horizon = self._next_horizon() if settings.growing else self._longest()
+        self.horizon = self._next_horizon()
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -95,7 +102,7 @@ class Curriculum(StartSampler):
         return StartBatch(
             torch.cat([self.starts[rows], *others]),
             None,
-            torch.cat([self.entropy[rows], self.entropy.new_full((more,), self.settings.entropy)]),
+            torch.cat([self.entropy[rows], self.entropy.new_full((more,), _ENTROPY)]),
             torch.cat([weight, weight.new_full((more,), float(weight.mean()))]),
             rows,
         )
@@ -132,14 +139,13 @@ class Curriculum(StartSampler):
         total = torch.zeros_like(times).index_add_(0, rows, surrogate)
         solved = torch.zeros_like(times).index_add_(0, rows, success.float()) > 0
         self.surrogate = torch.where(drawn, total / times.clamp(min=1), self.surrogate)
-        risen = (self.entropy + self.settings.entropy_rise).clamp(max=self.settings.entropy_most)
-        entropy = torch.where(solved, self.settings.entropy, torch.maximum(risen, self.entropy))
+        risen = (self.entropy + _ENTROPY_RISE).clamp(max=_ENTROPY_MOST)
+        entropy = torch.where(solved, _ENTROPY, torch.maximum(risen, self.entropy))
         self.entropy = torch.where(drawn, entropy, self.entropy)
         self.updates += 1
-        if self.settings.growing:
-            far = self._left[rows] > _FAR * self.horizon
-            self.far += torch.stack([far.sum(), (far & success).sum()])
-            self._grow()
+        far = self._left[rows] > _FAR * self.horizon
+        self.far += torch.stack([far.sum(), (far & success).sum()])
+        self._grow()
 
     def report(self) -> dict[str, float]:
         """Report the horizon as a share of the distance, the share of states drawn so far, and what is explored."""
@@ -178,17 +184,14 @@ class Curriculum(StartSampler):
         surrogate = torch.where(inside, self.surrogate, -1.0)
         order = torch.argsort(surrogate, descending=True, stable=True)
         rank = torch.arange(1, len(order) + 1, device=order.device, dtype=torch.float32)
-        probability = torch.empty_like(rank).scatter_(0, order, rank.pow(-self.settings.rank_power))
+        probability = torch.empty_like(rank).scatter_(0, order, rank.pow(-_RANK_POWER))
         probability = probability * inside
         return probability / probability.sum()
 
     def _correction(self, probability: torch.Tensor) -> torch.Tensor:
         """Return the weights of samples drawn with these probabilities (Schaul et al. 2016), at most 1."""
         done = min(self.updates / CORRECTED_AFTER, 1.0)
-        power = min(self.settings.correction + (1.0 - self.settings.correction) * done, 1.0)
-        if power == 0 or self.settings.rank_power == 0:
-            return torch.ones_like(probability)
-        weight = probability.pow(-power)
+        weight = probability.pow(-(_CORRECTION + (1.0 - _CORRECTION) * done))
         return weight / weight.max()
 
     def _longest(self) -> int:
@@ -197,14 +200,14 @@ class Curriculum(StartSampler):
     def _next_horizon(self) -> int:
         """Return the least horizon a stage farther away that includes more states."""
         longest = self._longest()
-        stage = max(-(-longest // self.settings.stages), 1)
+        stage = max(-(-longest // _STAGES), 1)
         farther = self._left[self._left > self.horizon]
         nearest = int(farther.min()) if len(farther) else longest
         return min(max(self.horizon + stage, nearest), longest)
 
     def _grow(self) -> None:
         seen, solved = self.far.tolist()
-        if seen >= _FAR_ROLLOUTS and solved >= self.settings.pass_mark * seen:
+        if seen >= _FAR_ROLLOUTS and solved >= _PASS_MARK * seen:
             self.horizon = max(self._next_horizon(), self.horizon)
             self.far.zero_()
         elif seen >= 8 * _FAR_ROLLOUTS:  # outdated results say nothing about the present policy

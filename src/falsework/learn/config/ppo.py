@@ -1,4 +1,4 @@
-"""Settings of proximal policy optimisation and its curriculum; read without torch."""
+"""Settings of proximal policy optimisation; read without torch."""
 
 from __future__ import annotations
 
@@ -8,39 +8,6 @@ from typing import Literal, get_args
 from falsework.errors import InputError
 
 Starts = Literal["mixed", "curriculum", "complete"]
-
-
-@dataclass(frozen=True)
-class CurriculumSettings:
-    """Start states of rollouts, and the exploration from each (paper, section 5.2)."""
-
-    growing: bool = True
-    """Begin with states close to the target and move back to the complete structure as the policy improves; without,
-    all states are drawn from the beginning."""
-    pass_mark: float = 0.6
-    """Share of the rollouts from the farthest states that must succeed before states farther away follow."""
-    stages: int = 10
-    """Stages in which the distance to the complete structure is covered, if `growing`."""
-    rank_power: float = 0.8
-    """States are drawn with probability `rank ** -rank_power`, the one of highest surrogate loss first; 0 draws evenly.
-    States never drawn go before all others."""
-    correction: float = 0.1
-    """Initial exponent of the importance weights of prioritised replay; grows to 1."""
-    entropy: float = 0.005
-    """Weight of the entropy of the policy in the loss."""
-    entropy_rise: float = 0.001
-    """Added to that for a state each time its rollout fails, until one succeeds."""
-    entropy_most: float = 0.01
-    """Upper bound of that weight."""
-
-    def __post_init__(self) -> None:
-        if not 0 < self.pass_mark <= 1:
-            raise InputError(f"pass_mark is {self.pass_mark:g}; give a share above 0 and up to 1")
-        if self.stages < 1:
-            raise InputError(f"stages is {self.stages}; give at least 1")
-        for name in ("rank_power", "correction", "entropy", "entropy_rise", "entropy_most"):
-            if not getattr(self, name) >= 0:
-                raise InputError(f"{name} is {getattr(self, name):g}; give 0 or more")
 
 
 @dataclass(frozen=True)
@@ -82,8 +49,6 @@ class PpoPhase:
     searches, which moves in the direction of assembly find during the training."""
     imitation: float = 0.1
     """Weight of imitating states known to be solvable, or paths to goals, which preserves what imitation learned."""
-    curriculum: CurriculumSettings = CurriculumSettings()
-    """Of `starts="curriculum"`."""
 
     def __post_init__(self) -> None:
         if self.starts not in get_args(Starts):

@@ -36,7 +36,7 @@ _EVALUATE_EVERY = 25.0
 """Seconds between two evaluations."""
 
 _FORMER = {
-    "PpoPhase": ("hindsight", "target_divergence", "betas", "epsilon", "weight_decay"),
+    "PpoPhase": ("hindsight", "curriculum", "target_divergence", "betas", "epsilon", "weight_decay"),
     "TrainSettings": ("pairs",),
 }
 """Settings in the files of earlier versions that are none any more."""

@@ -75,7 +75,6 @@ def learner_of(
         sampler = Curriculum(
             starts,
             rules,
-            phase.curriculum,
             solved=solved,
             anywhere=phase.anywhere,
             exploration=Exploration(environment, solved, starts) if phase.explored else None,

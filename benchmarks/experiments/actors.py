@@ -1,0 +1,206 @@
+"""Processes that roll one policy out on many structures on the processor, while others learn from what they send.
+
+Weights go one way, through shared memory; transitions come back through a queue. Neither side waits for the other.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import queue
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from experiments.labelled_states import LabelledStructure
+from numpy.typing import NDArray
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
+
+from falsework.assembly.model import Assembly
+from falsework.errors import InputError
+from falsework.learn.algorithms.advantages import normalized
+from falsework.learn.algorithms.rollout_storage import collect_transitions
+from falsework.learn.algorithms.start_states import MixedStarts
+from falsework.learn.config.policy import PolicySettings
+from falsework.learn.data.solvable_states import SolvableStates
+from falsework.learn.env.environment import Environment
+from falsework.learn.networks.local_attention import LocalAttention, LocalAttentionPolicy
+from falsework.learn.training.evaluate import greedy_success
+from falsework.stability.oracle import StabilityOracle
+from falsework.stability.settings import NumericalSettings, StabilitySettings
+
+COLUMNS = ("states", "actions", "log_probability", "advantage", "returns")
+"""What a process tells of each action."""
+MASTERED = 0.99
+"""Share of successful rollouts of a structure from which on nothing is learned from it: advantages are noise there."""
+_GAE_LAMBDA = 0.95
+"""Decay of generalised advantages."""
+_VISITS = 4
+"""Collections of a structure, one after another: its verdicts are in memory then."""
+_TRIED = 64
+"""States that greedy success is measured from, at most."""
+_WAITING = 2
+"""Structures that wait to be taken, for each process."""
+
+Load = Callable[[str], Assembly]
+"""Returns the structure of a name; a function of a module, which processes import."""
+
+
+@dataclass(frozen=True, eq=False)
+class Experience:
+    """What one process found on one structure."""
+
+    name: str
+    success: float
+    """Share of the rollouts that reached the end."""
+    moves: dict[str, NDArray[Any]] | None = None
+    """`COLUMNS` of `Transitions`, advantages by their deviation; None of greedy rollouts, which teach nothing."""
+
+
+class Playground:
+    """Environment of one structure on one core, and a shared network as a policy for it."""
+
+    def __init__(self, assembly: Assembly, labelled: LabelledStructure, network: LocalAttention, rollouts: int) -> None:
+        """Begin with the labelled states, which are solvable."""
+        self.name = labelled.name
+        equilibrium = labelled.criterion == "equilibrium"
+        settings = StabilitySettings(criterion=labelled.criterion, numerics=NumericalSettings(threads=1))
+        oracle = StabilityOracle(assembly, settings)
+        self.environment = Environment(assembly, labelled.robots, oracle=oracle, device="cpu")
+        self.policy = LocalAttentionPolicy(assembly, PolicySettings("local"))
+        self.policy.of_task(labelled.robots, equilibrium=equilibrium)
+        self.policy.network = network
+        self.states = torch.from_numpy(labelled.states)
+        self.solved = SolvableStates(self.environment.rules, self.states)
+        self.starts = MixedStarts(self.states, self.solved, rollouts)
+
+    def collect(self, rollouts: int, generator: torch.Generator) -> Experience:
+        """Sample rollouts, and learn which states are solvable and which are hard."""
+        batch = self.starts.sample(rollouts, generator)
+        moves = collect_transitions(
+            self.environment, self.policy, batch.states, None, generator, discount=1.0, gae_lambda=_GAE_LAMBDA
+        )
+        self.solved.add(moves.states[moves.success[moves.rollout]])
+        self.starts.record(batch, moves, torch.zeros(len(batch.states)), generator)
+        columns = {name: getattr(moves, name).numpy() for name in COLUMNS}
+        columns["advantage"] = normalized(moves.advantage).numpy()
+        return Experience(self.name, float(moves.success.float().mean()), columns)
+
+    def greedy(self) -> float:
+        """Return the greedy success from some of the labelled states."""
+        some = self.states[:: -(-len(self.states) // _TRIED)]
+        return greedy_success(self.environment, self.policy, some)[0].share
+
+
+class Actors:
+    """Processes that roll out, and the two ways to them."""
+
+    def __init__(
+        self, network: LocalAttention, settings: PolicySettings, count: int, rollouts: int, load: Load
+    ) -> None:
+        """Start the processes.
+
+        Args:
+            network: whose weights they begin with.
+            settings: of the network, resolved.
+            count: processes.
+            rollouts: of each collection.
+            load: the structure of a name.
+        """
+        context = multiprocessing.get_context("spawn")
+        size = len(parameters_to_vector(network.parameters()))
+        self._shared = context.RawArray("f", 2 * size)
+        # Rollouts take the weights as they are, greedy ones their average.
+        self._weights = torch.frombuffer(self._shared, dtype=torch.float32).view(2, size)
+        self._jobs, self._found, self._hurry = context.Queue(), context.Queue(), context.Event()
+        self._most = _WAITING * count
+        self.send(network, network)
+        options = self._jobs, self._found, self._hurry, self._shared, settings, rollouts, load
+        self._processes = [context.Process(target=_act, args=(seed, *options), daemon=True) for seed in range(count)]
+        for process in self._processes:
+            process.start()
+
+    @property
+    def hungry(self) -> bool:
+        """Whether there is room for another structure."""
+        return self._jobs.qsize() < self._most
+
+    def send(self, network: LocalAttention, averaged: LocalAttention) -> None:
+        """Let the next rollouts take new weights."""
+        for row, one in zip(self._weights, (network, averaged), strict=True):
+            row.copy_(parameters_to_vector(one.parameters()).detach())
+
+    def visit(self, labelled: LabelledStructure, *, greedy: bool = False) -> None:
+        """Ask for rollouts on a structure, sampled ones to learn from or greedy ones."""
+        self._jobs.put((labelled, greedy))
+
+    @contextmanager
+    def interrupted(self) -> Iterator[None]:
+        """Put off sampled rollouts for what is asked meanwhile; nothing waits before and after."""
+        self._hurry.set()
+        self._drop()
+        yield
+        self._drop()
+        self._hurry.clear()
+
+    def _drop(self) -> None:
+        with suppress(queue.Empty):
+            while True:
+                self._jobs.get_nowait()
+
+    def found(self, wait: float = 0.0) -> Iterator[Experience]:
+        """Yield what has come; of nothing, wait some seconds for the first.
+
+        Raises:
+            RuntimeError: a process has failed.
+        """
+        while True:
+            try:
+                answer = self._found.get(timeout=wait) if wait else self._found.get_nowait()
+            except queue.Empty:
+                return
+            if isinstance(answer, str):
+                raise RuntimeError(answer)
+            yield answer
+            wait = 0.0
+
+    def close(self) -> None:
+        """End the processes, whatever they are at."""
+        for process in self._processes:
+            process.terminate()
+        for process in self._processes:
+            process.join()
+        for one in (self._jobs, self._found):
+            one.cancel_join_thread()
+            one.close()
+
+
+def _act(
+    seed: int, jobs: Any, found: Any, hurry: Any, shared: Any, settings: PolicySettings, rollouts: int, load: Load
+) -> None:
+    """Roll out on one structure after another; what goes wrong is sent as words."""
+    os.environ["CUDA_VISIBLE_DEVICES"] = ""
+    torch.set_num_threads(1)
+    network = LocalAttention(settings).eval()
+    current, averaged = torch.frombuffer(shared, dtype=torch.float32).view(2, -1)
+    generator = torch.Generator().manual_seed(seed)
+    while True:
+        labelled, greedy = jobs.get()
+        try:
+            playground = Playground(load(labelled.name), labelled, network, rollouts)
+            if greedy:
+                vector_to_parameters(averaged.clone(), network.parameters())
+                found.put(Experience(labelled.name, playground.greedy()))
+                continue
+            for _ in range(_VISITS):
+                vector_to_parameters(current.clone(), network.parameters())
+                found.put(one := playground.collect(rollouts, generator))
+                if one.success >= MASTERED or hurry.is_set():
+                    break
+        except InputError:  # a structure that this machine draws or judges in another way
+            continue
+        except Exception as error:
+            found.put(f"{labelled.name}: {type(error).__name__}: {error}")
+            raise
