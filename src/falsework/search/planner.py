@@ -249,11 +249,13 @@ class Planner:
             rules = self.task.postpone(self._trial), self._oracle, portfolio, self.settings.seed
             self._beams[name] = start(name, *rules, self.beam_guide, self._make_beam)
         beam, turn, paused = self._beams[name], self._turns.setdefault(name, Turn()), False
+        others = [self._beams[other].work for other in self._left if other in self._beams and other != name]
+        least = min(filter(None, others), default=np.inf)
 
         def halt() -> bool:
             nonlocal paused
             turn.note(beam, portfolio.narrowest)
-            paused = portfolio.is_over(self._round, turn)
+            paused = portfolio.is_over(self._round, turn, beam.work, least)
             return paused or (stop is not None and stop())
 
         result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)

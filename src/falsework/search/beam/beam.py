@@ -65,9 +65,14 @@ class BeamSearch(LevelSearch):
         return self._before.asked + self.judge.asked
 
     @property
+    def work(self) -> int:
+        """See `Search.work`."""
+        return self._before.work + self.judge.work
+
+    @property
     def counters(self) -> SearchCounters:
         """See `Search.counters`."""
-        now = SearchCounters(0, self._candidates, self.judge.asked, self.judge.rejected)
+        now = SearchCounters(0, self._candidates, self.judge.asked, self.judge.rejected, self.judge.work)
         return self._before + now + SearchCounters(states=sum(len(level.parent) for level in self.levels))
 
     def _advance(self) -> bool:

@@ -191,6 +191,8 @@ class SearchCounters:
     """Number of verdicts requested from the oracle."""
     rejected: int = 0
     """Of these, not stable."""
+    work: int = 0
+    """Work of verdicts, see `CountingOracle.work`."""
 
     def __add__(self, other: SearchCounters) -> SearchCounters:
         return SearchCounters(
@@ -198,6 +200,7 @@ class SearchCounters:
             self.candidates + other.candidates,
             self.asked + other.asked,
             self.rejected + other.rejected,
+            self.work + other.work,
         )
 
 
