@@ -10,7 +10,6 @@ import numpy as np
 from falsework.assembly.state import held_count
 from falsework.errors import InputError
 from falsework.search.beam.beam import BeamSearch
-from falsework.search.beam.level_search import Beams
 from falsework.search.beam.regrasp_beam import RegraspBeam
 from falsework.search.beam.settings import WIDENING, BeamSettings
 from falsework.search.beam.state_beam import StateBeam
@@ -95,7 +94,7 @@ class Portfolio:
             stage: `plan`, `postpone` or `alternatives`.
             task: the rules.
             edges: in stage `plan`, a beam that closes free edges first takes turns too.
-            wide: beams are as wide as they may be from the beginning, which costs little on tensors.
+            wide: beams are as wide as they may be from the beginning, so that verdicts are asked for in batches.
         """
         if wide:
             narrow = cls.from_settings(settings, stage, task, edges=edges)
@@ -153,9 +152,8 @@ def start(
     portfolio: Portfolio,
     seed: int,
     guide_of: Callable[[str], Guide | None],
-    beams: Beams = BeamSearch,
 ) -> Search:
-    """Return a strategy at its beginning, with beams of some backend; `guide_of` returns the guide of each."""
+    """Return a strategy at its beginning; `guide_of` returns the guide of each."""
     direction, guide = direction_of(name), guide_of(name)
     if name == EVERYWHERE:
         return StateBeam(task, oracle)
@@ -166,4 +164,4 @@ def start(
         once = replace(task, allow_regrasp=False)
         return StateBeam(once, oracle, direction, guide=guide, width=portfolio.narrowest)
     settings = BeamSettings.from_width(portfolio.narrowest, direction, seed=seed)
-    return beams(replace(task, allow_regrasp=False, together=None), oracle, settings, guide=guide)
+    return BeamSearch(replace(task, allow_regrasp=False, together=None), oracle, settings, guide=guide)

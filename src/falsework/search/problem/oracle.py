@@ -91,7 +91,8 @@ class CountingOracle:
         decide there is none."""
         self.replayed = False
         """Whether replays decide, so that `Oracle.plausible`, which rejects what falls by a cheap proof, is enough."""
-        self._batch = batch
+        self.batch = batch
+        """States asked for at once at most."""
 
     def stable(self, states: States, parents: States) -> Mask:
         """Return whether each state is stable; sliding and undecided states count as not stable.
@@ -105,8 +106,8 @@ class CountingOracle:
         """
         begun = time.perf_counter()
         stable = np.zeros(len(states), dtype=bool)
-        for begin in range(0, len(states), self._batch):
-            rows = slice(begin, begin + self._batch)
+        for begin in range(0, len(states), self.batch):
+            rows = slice(begin, begin + self.batch)
             if self.replayed:
                 stable[rows] = self.oracle.plausible(states[rows], parents[rows])
             else:
@@ -128,8 +129,8 @@ class CountingOracle:
 
     def unstable(self, states: States, parents: States) -> bool:
         """Return whether all of some states are proven unstable, however they are reached."""
-        for begin in range(0, len(states), self._batch):
-            rows = slice(begin, begin + self._batch)
+        for begin in range(0, len(states), self.batch):
+            rows = slice(begin, begin + self.batch)
             found = self.oracle.verdicts(states[rows], near=parents[rows])
             self.asked += len(found)
             if not found.unstable.all():

@@ -26,8 +26,8 @@ from falsework.utils.tensors import import_torch, mix, place_in_group, uniform
 if TYPE_CHECKING:
     import torch
 
-SPARE = 4
-"""Candidates looked at for each state that is kept: for verdicts, since some are unstable, and for clusters."""
+_SPARE = 4
+"""Candidates looked at for each state that is kept, since some are unstable."""
 _OWNER_BITS = 20
 """Of a key that orders candidates by search and then at random."""
 
@@ -177,7 +177,7 @@ class _Beams:
         while len(levels) <= self._steps and not self._dead:
             level = levels[-1]
             candidates = self._candidates(level, len(levels))
-            level = next_level(self._rules, level, candidates, self._stable, self._width, SPARE)
+            level = next_level(self._rules, level, candidates, self._stable, self._width, _SPARE)
             level = level.take((~self._rules.dead_ends(level.states)).nonzero()[:, 0])
             if len(level.states) == 0:
                 break
