@@ -20,7 +20,6 @@ from falsework.search.device.oracle import BatchedTensorOracle, TensorOracle
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
-from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import import_torch, mix, place_in_group, uniform
 
 if TYPE_CHECKING:
@@ -167,7 +166,7 @@ class _Beams:
         self.device = device
         self._width, self._seed, self._steps = width, seed, task.steps
         self._rules = TensorRules(task, device, direction)
-        self._judge = BatchedTensorOracle(oracle, ProcessGroup())
+        self._judge = BatchedTensorOracle(oracle)
         self._dead = not task.contains(task.origin(direction)[None])[0]
 
     def run(self, owners: torch.Tensor) -> list[ParallelLevel]:
@@ -214,7 +213,7 @@ class _Beams:
         asks = self._rules.needs_verdict(actions)
         stable, rows = ~asks, asks.nonzero()[:, 0]
         if len(rows):
-            stable[rows] = self._judge.verdicts(states[rows], parents[rows], len(rows)) == Verdict.STABLE
+            stable[rows] = self._judge(states[rows], parents[rows]) == Verdict.STABLE
         return stable
 
     def _words(self, hashes: torch.Tensor, owner: torch.Tensor, salt: int) -> torch.Tensor:

@@ -34,13 +34,12 @@ class SharedOracle(Oracle):
     """Oracle on arrays whose verdicts come from one on tensors, divided between processes that search alike."""
 
     def __init__(self, oracle: TensorOracle, device: torch.device, shards: ProcessGroup = ProcessGroup()) -> None:
-        self._device, self._shards, self._keep = device, shards, oracle.holds_keep_stable
-        self._judge = BatchedTensorOracle(oracle, shards)
+        self._device, self._shards, self._oracle = device, shards, BatchedTensorOracle(oracle)
 
     @property
     def holds_keep_stable(self) -> bool:
         """As of the oracle."""
-        return self._keep
+        return self._oracle.holds_keep_stable
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """Return verdicts, without certificates; see `falsework.search.problem.oracle.Oracle`."""
@@ -48,7 +47,9 @@ class SharedOracle(Oracle):
         near = states if near is None else near
         share, before = (put(np.ascontiguousarray(some[own]), self._device) for some in (states, near))
         found = Verdicts.all_undecided(len(states))
-        found.verdict[:] = self._judge.verdicts(share, before, len(states)).cpu().numpy()
+        verdicts = put(found.verdict, self._device)
+        verdicts[own] = self._oracle(share, before)
+        found.verdict[:] = self._shards.add(verdicts).cpu().numpy()
         return found
 
 

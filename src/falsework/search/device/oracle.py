@@ -6,7 +6,6 @@ from copy import copy
 from typing import TYPE_CHECKING, Protocol
 
 from falsework.search.problem.oracle import Criterion, Oracle
-from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import import_torch, put
 
 if TYPE_CHECKING:
@@ -101,34 +100,26 @@ def tensor_oracle(oracle: StabilityOracle, device: torch.device) -> TensorOracle
     return DeviceOracle(oracle, device) if device.type == "cuda" else HostOracle(oracle)
 
 
-class BatchedTensorOracle:
-    """Oracle that splits batches between the processes of a search and into pieces that fit into memory."""
+class BatchedTensorOracle(TensorOracle):
+    """Oracle that splits batches into pieces that fit into memory."""
 
-    def __init__(self, oracle: TensorOracle, shards: ProcessGroup, *, batch: int = 1 << 20) -> None:
-        """Begin with pieces of `batch` states; they are halved whenever memory runs out."""
-        self._oracle = oracle
-        self._shards = shards
-        self._batch = batch
+    def __init__(self, oracle: TensorOracle) -> None:
+        """Begin with large pieces; they are halved whenever memory runs out."""
+        self._oracle, self._batch = oracle, 1 << 20
 
-    def verdicts(self, states: torch.Tensor, parents: torch.Tensor, count: int) -> torch.Tensor:
-        """Return verdicts of all states from the share of each process.
+    @property
+    def holds_keep_stable(self) -> bool:
+        """As of the oracle."""
+        return self._oracle.holds_keep_stable
 
-        Args:
-            states: this process's share, `ProcessGroup.interleaved`, shape (share, parts).
-            parents: stable states one move away, shape (share, parts).
-            count: number of states of all shares.
-
-        Returns:
-            `int8`, in every process, shape (count,).
-        """
+    def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
+        """See `TensorOracle`."""
         torch = import_torch()
-        verdicts = torch.zeros(count, dtype=torch.int8, device=states.device)
-        own = verdicts[self._shards.interleaved()]
-        begin = 0
+        verdicts, begin = torch.zeros(len(states), dtype=torch.int8, device=states.device), 0
         while begin < len(states):
             rows = slice(begin, begin + self._batch)
             try:
-                own[rows] = self._oracle(states[rows], parents[rows])
+                verdicts[rows] = self._oracle(states[rows], parents[rows])
             except torch.OutOfMemoryError:
                 if len(states[rows]) < 2:
                     raise
@@ -136,4 +127,4 @@ class BatchedTensorOracle:
                 torch.cuda.empty_cache()
                 continue
             begin += self._batch
-        return self._shards.add(verdicts) if count else verdicts
+        return verdicts
