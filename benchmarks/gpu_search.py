@@ -5,22 +5,19 @@
     python benchmarks/gpu_search.py --criteria equilibrium contact
     torchrun --nproc-per-node 4 benchmarks/gpu_search.py --cases vault-62:4096
 
-A case is a structure, by the name of a real one (FALSEWORK_DATA, else the folder `shared` beside the repository), of a
-built-in one, or by its path, and a width. `seconds` is the whole search from the origin to plan and levels on the
+A case is a structure, by the name of a real one (FALSEWORK_DATA, else the folder `shared` beside the repository), of
+a built-in one, or by its path, and a width. `seconds` is the whole search from the origin to plan and levels on the
 host: median and range of `repeats`, after a narrow search that compiles the kernels (`warm_up_seconds`) and a first
-search of the same width that takes memory from the device (`first_seconds`); `phases` is from another run of the same
-search that waits after each phase, so its sum may exceed `seconds`; the seconds of `cluster`, which runs beside the
-verdicts, are part of `verdicts`. `levels` is a hash over all states kept: equal
-hashes, equal searches, on any number of processes. `disagree` counts states kept, out of `checked` drawn at random,
-that the CPU solver does not call stable. With `--host`, the CPU beam runs as well, at widths
-up to the one given.
+search of the same width that takes memory from the device (`first_seconds`); `verdict_seconds` are those of its
+verdicts. `levels` is a hash over all states kept: equal hashes, equal searches, on any number of processes.
+`disagree` counts states kept, out of `checked` drawn at random, that the CPU solver does not call stable. With
+`--host`, the CPU beam runs as well, at widths up to the one given.
 """
 
 from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -34,7 +31,7 @@ from states import find
 
 from falsework import Assembly, StabilityOracle, StabilitySettings, StateGraph, Task, load_structure
 from falsework.search import BeamSearch, BeamSettings
-from falsework.search.device.beam import DeviceBeam
+from falsework.search.device.beam import device_beam
 from falsework.search.device.oracle import tensor_oracle
 from falsework.stability.settings import Criterion
 from falsework.utils.cores import core_count
@@ -61,8 +58,6 @@ class Options:
     """Seeds of the searches, each with a record of its own."""
     repeats: int = 5
     """Number of timed searches."""
-    phases: bool = True
-    """Run each search a second time to time its phases."""
     graph: bool = False
     """Build the state graph too, and count the states from which it leads to the goal."""
     out: Path | None = None
@@ -73,28 +68,6 @@ def wait(device: torch.device) -> None:
     """Wait until all queued work on a device is done."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
-
-
-def time_phases(search: DeviceBeam) -> dict[str, float]:
-    """Run a search that waits after each phase, and return the seconds in each."""
-    seconds = {"expand": 0.0, "verdicts": 0.0, "cluster": 0.0}
-
-    def timed(phase: str, work: Callable[..., Any]) -> Callable[..., Any]:
-        def run(*arguments: Any) -> Any:
-            wait(search.device)
-            begin = time.perf_counter()
-            answer = work(*arguments)
-            wait(search.device)
-            seconds[phase] += time.perf_counter() - begin
-            return answer
-
-        return run
-
-    search._expand = timed("expand", search._expand)
-    search._cluster = timed("cluster", search._cluster)
-    search._judge.verdicts = timed("verdicts", search._judge.verdicts)
-    search.run()
-    return {phase: round(spent, 3) for phase, spent in seconds.items()}
 
 
 def disagreements(states: np.ndarray, count: int, oracle: StabilityOracle) -> int:
@@ -114,8 +87,8 @@ def measure(
     oracle = StabilityOracle(assembly, settings)
     on_device = tensor_oracle(oracle, device)
 
-    def search(width: int) -> DeviceBeam:
-        return DeviceBeam(task, on_device, BeamSettings(width=width, seed=seed), device=device, shards=shards)
+    def search(width: int) -> BeamSearch:
+        return device_beam(task, on_device, BeamSettings(width=width, seed=seed), device, shards)
 
     begin = time.perf_counter()
     search(min(8, int(width))).run()
@@ -128,6 +101,7 @@ def measure(
         result = beam.run()
         states = beam.states()
         seconds.append(time.perf_counter() - begin)
+    verdicts = beam.judge.seconds
     first, *timed = seconds
     measured = spread(timed or seconds)
     row: dict[str, Any] = {
@@ -139,6 +113,7 @@ def measure(
         "seconds": round(measured["median"], 3),
         "seconds_range": [round(measured["least"], 3), round(measured["most"], 3)],
         "first_seconds": round(first, 3),
+        "verdict_seconds": round(verdicts, 3),
         "warm_up_seconds": round(warm_up, 2),
         "found": result.found,
         "states": result.counters.states,
@@ -147,12 +122,9 @@ def measure(
         "rejected": result.counters.rejected,
         "undecided": result.undecided,
         "levels": hashlib.sha256(states.tobytes()).hexdigest()[:16],
-        "notes": result.notes,
     }
     if device.type == "cuda":
         row["peak_bytes"] = torch.cuda.max_memory_allocated(device)
-    if options.phases:
-        row["phases"] = time_phases(search(int(width)))
     if shards.is_main_process and options.checked:
         row["checked"] = min(options.checked, len(states))
         row["disagree"] = disagreements(states, options.checked, StabilityOracle(assembly, settings))

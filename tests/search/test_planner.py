@@ -14,6 +14,7 @@ from falsework import (
     Outcome,
     PlannerSettings,
     StabilityOracle,
+    StabilitySettings,
     Task,
     find_plans,
     load_structure,
@@ -23,6 +24,7 @@ from falsework.errors import InputError
 from falsework.search import BeamSearch, BeamSettings, SearchProgress, SupportGuide
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_check import validate_plan
+from falsework.search.problem.oracle import CountingOracle
 from falsework.search.problem.result import insertion_steps
 from falsework.search.strategies import EDGES, EVERYWHERE, Portfolio, Turn
 
@@ -126,12 +128,14 @@ def test_turns_end_where_a_search_gets_no_farther_for_twice_as_many_verdicts_in_
         most = 200 * 2**number
         assert [both.is_over(number, Turn(owed=owed)) for owed in (most - 1, most)] == [False, True]
         assert not portfolio(parts=200).is_over(number, Turn(owed=most))
+    assert [both.is_over(0, Turn(), work, 100) for work in (200, 201)] == [False, True]
     assert portfolio(edges=True).names == (EDGES, *both.names)
     backwards = {"directions": (Direction.DISASSEMBLY,)}
     assert portfolio(edges=True, **backwards) == portfolio(**backwards)
     others = portfolio("alternatives", edges=True)
     assert others.names == (Direction.DISASSEMBLY, Direction.ASSEMBLY)
     assert not others.is_over(0, Turn(owed=1e9))
+    assert not others.is_over(0, Turn(), 201, 100)
     search = BeamSearch(Task.from_rules(rules.ground(4), 2), rules.blocks(4), BeamSettings.from_width())
     turn = Turn(asked=-10)
     turn.note(search, 1)
@@ -142,6 +146,21 @@ def test_turns_end_where_a_search_gets_no_farther_for_twice_as_many_verdicts_in_
     assert turn.level == 1
     assert portfolio("postpone", width=2).widest == 2
     assert EVERYWHERE in portfolio(allow_regrasp=True).names
+
+
+def test_work_tells_dear_verdicts_from_cheap_ones_and_is_always_the_same(small_arch: Assembly) -> None:
+    task = make_task(small_arch, 2)
+    whole, few = task.start[None], task.target[None].copy()
+    few[0, np.flatnonzero(~small_arch.boundary)[0]] = 1
+
+    def work(states: Any, *, replayed: bool = False) -> int:
+        judge = CountingOracle(StabilityOracle(small_arch, StabilitySettings(criterion="equilibrium")))
+        judge.replayed = replayed
+        judge.stable(states, states)
+        return judge.work
+
+    assert work(few) == work(few) < work(whole) == work(whole)
+    assert work(whole, replayed=True) == 0
 
 
 def test_a_checkpoint_of_another_search_is_refused(rules: Any, tmp_path: Path) -> None:

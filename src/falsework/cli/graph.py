@@ -66,8 +66,8 @@ class MakeGraph(JudgingCommand):
     def run(self, output: Output) -> Exit:
         """Search, connect and save."""
         from falsework.cli.failure import explain
-        from falsework.search.backend import beam_search
         from falsework.search.beam.settings import BeamSettings
+        from falsework.search.device.beam import beam_search
         from falsework.search.find import make_task
         from falsework.search.problem.deadline import Deadline
         from falsework.search.problem.state_graph import StateGraph, save_state_graph

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,6 @@ from falsework.assembly.props import keep_props, without_props
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
 from falsework.geometry.clearance.protocol import Clearance
-from falsework.search.backend import Backend, beams_on
 from falsework.search.margins.demands import MarginOracle
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
@@ -59,6 +58,8 @@ FIRST_SHARE = 0.5
 """Share of a deadline for plans with the reserve; the rest is for plans without, where there are none."""
 PLANS = StabilitySettings(reserve=1.1)
 """Stability of plans by default: parts come to rest with friction divided by 1.1, and with the true one."""
+Backend = Literal["cpu", "cuda"]
+"""Who answers the verdicts of a search: the processor, or a GPU those that are asked for together."""
 _CHOICE_SECONDS = 1.0
 """Seconds in which to choose among plans where the deadline leaves less."""
 
@@ -99,9 +100,8 @@ def find_plans(
         checkpoint: file to which the search is saved regularly, and from which it resumes if it exists; removed at the
             end.
         forces: keep the contact forces that prove each state in the plans.
-        backend: where beams search: `cpu`; `cuda`, with wide beams and verdicts on a GPU; or `torch`, the same on the
-            processor. The last two know neither robots that press, nor repeated holds and props, nor steps of several
-            parts, nor margins, nor checkpoints.
+        backend: `cpu`; or `cuda`: beams are as wide as they may be from the beginning, and a GPU answers verdicts that
+            are asked for together. Replays, and few verdicts at a time, stay on the processor.
         rules: see `TaskRules`. Without them the complete structure is disassembled.
 
     Returns:
@@ -109,7 +109,7 @@ def find_plans(
 
     Raises:
         InputError: a checkpoint of another task, a task and rules together, rules that the structure cannot keep, a
-            deadline of zero or less, or what the backend does not know.
+            deadline of zero or less, no such backend, or no GPU.
         DependencyError: a package that the backend needs is not installed.
     """
     named = [*rules, *(["robots"] if robots is not None else [])]
@@ -119,6 +119,8 @@ def find_plans(
     if odd is not None:
         meant = get_close_matches(odd, ["robots", "stability", "settings", "deadline", *TaskRules.__annotations__], n=1)
         raise InputError(f"find_plans takes no {odd!r}" + (f"; did you mean {meant[0]!r}?" if meant else ""))
+    if backend not in get_args(Backend):
+        raise InputError(f"there is no backend {backend!r}; give {' or '.join(get_args(Backend))}")
     assembly = as_assembly(assembly)
     progress = or_notebook(progress, "searching")
     if oracle is None:
@@ -129,8 +131,8 @@ def find_plans(
             "progress": progress,
             "stop": stop,
             "forces": forces,
+            "backend": backend,
         }
-        more["backend"] = backend
         weaker = replace(stability, reserve=1.0)
         first, begun = StabilityOracle(assembly, stability), time.perf_counter()
         again = stability.reserve > 1.0 and first.replayer is not None
@@ -142,15 +144,18 @@ def find_plans(
             return found
         other = find_plans(assembly, task, oracle=StabilityOracle(assembly, weaker), deadline=left, **more)
         return found if found.found and not other.accepted else other
+    if backend == "cuda":
+        oracle.use_gpu()
     clock = Deadline(deadline)
     task = task or make_task(assembly, 2 if robots is None else robots, **rules)
     guide = guide or SupportGuide(assembly)
     searched = task.until(clock.check)
-    planner = Planner(searched, timed(oracle, clock), settings, guide=guide, beams=beams_on(backend, task, oracle))
+    how: dict[str, Any] = {"guide": guide, "wide": backend == "cuda"}
+    planner = Planner(searched, timed(oracle, clock), settings, **how)
     if checkpoint is not None:
         planner.check_saved()
         if Path(checkpoint).exists():
-            planner = Planner.load(checkpoint, searched, timed(oracle, clock), settings, guide=guide)
+            planner = Planner.load(checkpoint, searched, timed(oracle, clock), settings, **how)
     result = _run(
         planner,
         lambda: HoldBound(

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.search.beam.beam import BeamSearch
-from falsework.search.beam.level_search import Beams
 from falsework.search.plans.route_tests import RouteTests
 from falsework.search.problem.guide import Guide, NoveltyGuide, SupportGuide
 from falsework.search.problem.oracle import Oracle
@@ -57,7 +56,7 @@ class Planner:
         settings: PlannerSettings = PlannerSettings(),
         *,
         guide: Guide | None = None,
-        beams: Beams = BeamSearch,
+        wide: bool = False,
     ) -> None:
         """Begin with nothing.
 
@@ -66,7 +65,7 @@ class Planner:
             oracle: decides stability.
             settings: effort of the search.
             guide: scores actions; `SupportGuide` is a good one. Repeated holds need one.
-            beams: of the backend to search with, see `falsework.search.backend.beams_on`.
+            wide: beams are as wide as they may be from the beginning, see `Portfolio.from_settings`.
 
         Raises:
             InputError: a judge or alternatives, where parts are held again.
@@ -79,7 +78,7 @@ class Planner:
         """Plans found so far; the first keeps missing parts out longest."""
         self.states = np.empty((0, task.part_count), dtype=np.uint8)
         """States found by the searches for alternative plans, shape (count, parts)."""
-        self._oracle, self._make_beam, self._falls = oracle, beams, 0
+        self._oracle, self._wide, self._falls = oracle, wide, 0
         self.tests = RouteTests(oracle, settings, task.part_count)
         """Of complete routes, with their replays and the one that falls last."""
         self._guide, self._edge_guide = guide, None
@@ -166,10 +165,9 @@ class Planner:
         """Raise unless the search can be saved.
 
         Raises:
-            InputError: plans may hold parts again, steps may move several, or beams are on tensors.
+            InputError: plans may hold parts again, or steps may move several.
         """
-        what = "repeated holds" if self.task.allow_regrasp else "beams on tensors" if self._wide else ""
-        what = what or "several parts in one step" * self.together
+        what = "repeated holds" if self.task.allow_regrasp else "several parts in one step" * self.together
         if what:
             raise InputError(f"a search with {what} cannot be saved; leave out the checkpoint")
 
@@ -210,6 +208,7 @@ class Planner:
         settings: PlannerSettings = PlannerSettings(),
         *,
         guide: Guide | None = None,
+        wide: bool = False,
     ) -> Planner:
         """Read a search that `save` wrote, to continue it.
 
@@ -220,7 +219,7 @@ class Planner:
         expected = task.judged_by(oracle).to_dict(), _settings_header(settings)
         if (header.get("task"), header.get("settings")) != expected:
             raise InputError(f"{path} belongs to another structure, task or settings; remove it to begin a new search")
-        planner = cls(task, oracle, settings, guide=guide)
+        planner = cls(task, oracle, settings, guide=guide, wide=wide)
         with blamed_on(path, "remove it to begin a new search"):
             planner._restore(header, arrays)
         return planner
@@ -247,13 +246,15 @@ class Planner:
         portfolio, name = self._portfolio, self._left[self._turn]
         if name not in self._beams:
             rules = self.task.postpone(self._trial), self._oracle, portfolio, self.settings.seed
-            self._beams[name] = start(name, *rules, self.beam_guide, self._make_beam)
+            self._beams[name] = start(name, *rules, self.beam_guide)
         beam, turn, paused = self._beams[name], self._turns.setdefault(name, Turn()), False
+        others = [self._beams[other].work for other in self._left if other in self._beams and other != name]
+        least = min(filter(None, others), default=np.inf)
 
         def halt() -> bool:
             nonlocal paused
             turn.note(beam, portfolio.narrowest)
-            paused = portfolio.is_over(self._round, turn)
+            paused = portfolio.is_over(self._round, turn, beam.work, least)
             return paused or (stop is not None and stop())
 
         result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
@@ -337,10 +338,6 @@ class Planner:
     def _portfolio(self) -> Portfolio:
         edges = self._edge_guide is not None
         return Portfolio.from_settings(self.settings, self._stage, self.task, edges=edges, wide=self._wide)
-
-    @property
-    def _wide(self) -> bool:
-        return self._make_beam is not BeamSearch
 
     def _finish(self) -> None:
         self._drop_beams()

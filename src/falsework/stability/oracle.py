@@ -12,21 +12,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import States, as_states
-from falsework.errors import InputError, StateError
+from falsework.errors import StateError
 from falsework.stability.cache import VerdictCache, unique_rows
 from falsework.stability.certificate import chunks, verify_certificates
 from falsework.stability.cpu.solver import TASK, CpuSolver
 from falsework.stability.criteria import CRITERIA
-from falsework.stability.gpu.solver import GpuSolver
+from falsework.stability.gpu.solver import GpuSolver, gpu_solver
 from falsework.stability.margins.margins import QUICK, MarginFinder
 from falsework.stability.margins.state_margins import StateMargins
-from falsework.stability.problem import Problem, build_problem
+from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_memory import Guesses
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
 
 if TYPE_CHECKING:
-    from falsework.assembly.model import Assembly
     from falsework.stability.contact.history import History
     from falsework.stability.contact.replay import Replayer
     from falsework.stability.exact_solver import ExactSolver
@@ -82,6 +81,16 @@ class StabilityOracle:
         keep = self._criterion.holds_keep_stable
         self._cache = VerdictCache(holds_keep_stable=keep)
         self.guesses = Guesses(self._criterion.no_guess(1)[0], assembly.boundary, holds_keep_stable=keep)
+
+    def use_gpu(self) -> None:
+        """Have a GPU answer batches of verdicts from now on, whatever the settings.
+
+        Raises:
+            DependencyError: a package that its solver needs is not installed.
+            InputError: no GPU.
+        """
+        if self._gpu is None:
+            self._gpu = gpu_solver(self.assembly, replace(self.settings, solver="gpu"), self.problem)
 
     @cached_property
     def exact(self) -> ExactSolver:
@@ -386,15 +395,3 @@ def _roots(states: States, near: States, rows: NDArray[np.intp]) -> NDArray[np.i
     asked = {states[row].tobytes(): row for row in rows}
     first = [row for row in rows if asked.get(near[row].tobytes(), row) == row]
     return np.array(first, dtype=np.intp) if first else rows
-
-
-def gpu_solver(assembly: Assembly, settings: StabilitySettings, problem: Problem) -> GpuSolver | None:
-    """Return the GPU solver if the settings ask for it; with `auto`, only where there is a GPU."""
-    if settings.solver not in ("auto", "gpu"):
-        return None
-    try:
-        return GpuSolver(assembly, problem, settings)
-    except InputError:  # no torch, no bindings or no device
-        if settings.solver == "gpu":
-            raise
-        return None

@@ -16,8 +16,8 @@ from falsework.errors import InputError  # noqa: E402
 from falsework.learn import Environment, roll_out  # noqa: E402
 from falsework.learn.data.dataset import training_task  # noqa: E402
 from falsework.learn.data.goal_dataset import GoalDataSettings, SearchStates, build_goal_dataset  # noqa: E402
+from falsework.learn.data.parallel_beams import parallel_beam_search  # noqa: E402
 from falsework.search.device.oracle import tensor_oracle  # noqa: E402
-from falsework.search.device.parallel_beams import parallel_beam_search  # noqa: E402
 from falsework.search.problem.hashing import StateIndex  # noqa: E402
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from falsework import Direction, Task
 from falsework.search import BeamSettings
-from falsework.search.device.beam import DeviceBeam
+from falsework.search.device.beam import device_beam
 from falsework.search.device.oracle import TensorOracle
 from falsework.utils.distributed import ProcessGroup, init_distributed
 
@@ -39,7 +39,7 @@ def search_all(device: str, shards: ProcessGroup) -> dict[str, Any]:
     task = Task.from_rules(np.arange(PARTS) == 0, 3)
     arrays: dict[str, Any] = {}
     for index, settings in enumerate(SEARCHES):
-        search = DeviceBeam(task, NeighboursStand(), settings, device=device, shards=shards)
+        search = device_beam(task, NeighboursStand(), settings, device, shards)
         result = search.run()
         arrays[f"states {index}"] = search.states()
         arrays[f"parent {index}"] = np.concatenate([level.parent for level in search.levels])

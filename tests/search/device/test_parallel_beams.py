@@ -13,7 +13,7 @@ from falsework.search.device.oracle import HostOracle, TensorOracle
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install 'falsework[gpu]'")
 
-from falsework.search.device.parallel_beams import ParallelBeamResult, parallel_beam_search  # noqa: E402
+from falsework.learn.data.parallel_beams import ParallelBeamResult, parallel_beam_search  # noqa: E402
 
 BOTH = pytest.mark.parametrize("direction", list(Direction))
 BOTTLE = load_structure("bottle")

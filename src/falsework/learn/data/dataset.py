@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
+from falsework.learn.data.parallel_beams import parallel_beam_search
 from falsework.search.beam.settings import BeamSettings
-from falsework.search.device.beam import DeviceBeam
+from falsework.search.device.beam import device_beam
 from falsework.search.device.oracle import TensorOracle, tensor_oracle, without_fallback
-from falsework.search.device.parallel_beams import parallel_beam_search
 from falsework.search.problem.hashing import StateIndex
 from falsework.search.problem.result import Stop
 from falsework.search.problem.state_graph import criterion_of, read_criterion
@@ -213,7 +213,7 @@ def search_states(
     Returns:
         Shape (count, parts), and a truth value.
     """
-    search = DeviceBeam(task, oracle, BeamSettings(width, direction, seed=seed), device=device, shards=shards)
+    search = device_beam(task, oracle, BeamSettings(width, direction, seed=seed), device, shards)
 
     def show(now: Any) -> None:
         if report is not None:

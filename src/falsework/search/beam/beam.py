@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from falsework.assembly.state import States
 from falsework.search.beam.failed_moves import FailedMoves
 from falsework.search.beam.frontier import Level, expand, pack
+from falsework.search.beam.k_means import k_means
 from falsework.search.beam.level_search import LevelSearch
 from falsework.search.beam.nogoods import Jumps
 from falsework.search.beam.paths import BeamPaths
 from falsework.search.beam.scores import Scores
-from falsework.search.beam.selection import Selector
+from falsework.search.beam.selection import Clustering, Selector
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.hashing import StateHash
@@ -46,11 +47,11 @@ class BeamSearch(LevelSearch):
         if replayer is not None:
             task = replace(task, holds_keep_stable=True)  # with a history, a part that is fixed changes no force
         super().__init__(task, settings, guide)
-        self.levels = self._levels
         self.judge = CountingOracle(oracle)
         self.judge.replayed = replayer is not None  # see `PathVerifier`
         self._paths = BeamPaths(self.levels, self.judge, replayer, settings.history_bytes)
         self._failures = None if task.neighbours is None else FailedMoves(task.neighbours)
+        self.cluster: Clustering = k_means
         self._hash = StateHash.for_parts(task.part_count)
         self._candidates = 0
         self._before = SearchCounters()
@@ -65,9 +66,14 @@ class BeamSearch(LevelSearch):
         return self._before.asked + self.judge.asked
 
     @property
+    def work(self) -> int:
+        """See `Search.work`."""
+        return self._before.work + self.judge.work
+
+    @property
     def counters(self) -> SearchCounters:
         """See `Search.counters`."""
-        now = SearchCounters(0, self._candidates, self.judge.asked, self.judge.rejected)
+        now = SearchCounters(0, self._candidates, self.judge.asked, self.judge.rejected, self.judge.work)
         return self._before + now + SearchCounters(states=sum(len(level.parent) for level in self.levels))
 
     def _advance(self) -> bool:
@@ -76,7 +82,7 @@ class BeamSearch(LevelSearch):
         refuted = frontier.without(*self.conflicts.barred(level.states)) if settings.lookahead > 0 else False
         scores = Scores(frontier, level.score, self._guided(frontier.level, frontier.legal))
         rng = np.random.default_rng((settings.seed, settings.number, len(self.levels)))
-        how = settings.diversity == "k-means", settings.pool, rng
+        how = self.cluster if settings.diversity == "k-means" else None, settings.pool, rng
         selector = Selector(frontier, scores, *how, self._paths.stable_ancestors(), self.judge, self._failures)
         self._paths.refused, sliding = False, self.judge.sliding
         if settings.lookahead > 0:

@@ -1,4 +1,4 @@
-"""Level search: what beams of arrays and of tensors have in common, with jumps back from dead ends and restarts."""
+"""Level search: levels, jumps back from dead ends and restarts of a beam."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,6 @@ from falsework.search.beam.frontier import Level, PackedLevel
 from falsework.search.beam.nogoods import Jumps, Nogoods
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
-from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import REPORTED_STATES, Outcome, Route, beam_failure
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
@@ -34,9 +32,6 @@ class LevelSearch(Search):
     little.
     """
 
-    levels: list[Level | PackedLevel]
-    """Levels so far, from the origin on."""
-
     def __init__(self, task: Task, settings: BeamSettings, guide: Guide | None) -> None:
         """Begin without a level.
 
@@ -52,8 +47,8 @@ class LevelSearch(Search):
         self.conflicts = Nogoods()
         """Dead ends."""
         self._jumps = Jumps()
-        self._levels: list[Any] = []
-        """The same where the search keeps them; entries have `states`."""
+        self.levels: list[Level | PackedLevel] = []
+        """Levels so far, from the origin on."""
         self._whole: list[bool] = []
         """For each level after the first, and for the attempt at the next if dead: no stable state was left out."""
         self._dead = not task.contains(task.origin(settings.direction)[None])[0]
@@ -63,7 +58,7 @@ class LevelSearch(Search):
     @property
     def found(self) -> bool:
         """Whether the goal is reached."""
-        return len(self._levels) == self.task.steps + 1
+        return len(self.levels) == self.task.steps + 1
 
     @property
     def done(self) -> bool:
@@ -93,7 +88,7 @@ class LevelSearch(Search):
 
     def jump_back(self) -> bool:
         """Learn from the dead end and jump back; False where that would be beyond the origin."""
-        distance = self._jumps.distance(len(self._levels) - 1)
+        distance = self._jumps.distance(len(self.levels) - 1)
         choice = next(islice(self.choices(), distance - 1, None), None)
         if choice is None:
             return False
@@ -140,8 +135,8 @@ class LevelSearch(Search):
         return max(self._farthest, 1) - 1, self._deepest, self._rejected
 
     def _place(self) -> tuple[int, int, int]:
-        level = len(self._levels) - 1
-        return level, len(self._levels[-1].states) if self._levels else 0, self.settings.width
+        level = len(self.levels) - 1
+        return level, len(self.levels[-1].states) if self.levels else 0, self.settings.width
 
     def choices(self) -> Iterator[tuple[int, int]]:
         """Yield the choices on the path to the best state of the last level that led to a dead end, latest first.
@@ -173,20 +168,20 @@ class LevelSearch(Search):
         Raises:
             InputError: settings for the other direction, or a level that was not reached.
         """
-        if settings.direction is not self.settings.direction or not 0 <= level < len(self._levels):
-            raise InputError(f"cannot rewind a beam search of {len(self._levels)} levels to level {level}")
-        del self._levels[level + 1 :], self._whole[level:]
+        if settings.direction is not self.settings.direction or not 0 <= level < len(self.levels):
+            raise InputError(f"cannot rewind a beam search of {len(self.levels)} levels to level {level}")
+        del self.levels[level + 1 :], self._whole[level:]
         self.settings, self._dead = settings, False
 
     def _go_back(self, level: int) -> None:
         """Go back to before a level in which states were ruled out."""
-        self._whole = [*self._whole[:level], *([False] * (len(self._levels) - level))]
+        self._whole = [*self._whole[:level], *([False] * (len(self.levels) - level))]
         self.rewind(max(level - 1, 0), self.settings)
 
     @property
     def _whole_before(self) -> bool:
         """Whether no stable state was left out up to the last level."""
-        return all(self._whole[: len(self._levels) - 1])
+        return all(self._whole[: len(self.levels) - 1])
 
     def _guided(self, states: States, legal: Mask) -> NDArray[np.floating] | None:
         """Return the guide's scores of legal actions, shapes (level, parts) and (level, 2 parts).
@@ -204,8 +199,8 @@ class LevelSearch(Search):
     def _died(self, rejected: States) -> None:
         """Note that there is no next level, and some of the states that might have been in it."""
         self._dead = True
-        if len(self._levels) > self._farthest:
-            self._farthest = len(self._levels)
+        if len(self.levels) > self._farthest:
+            self._farthest = len(self.levels)
             self._deepest, self._rejected = self.levels[-1].states[:REPORTED_STATES], rejected
 
     def _backtrace(self) -> Iterator[tuple[int, int]]:
@@ -214,13 +209,3 @@ class LevelSearch(Search):
         for number in range(len(levels) - 1, -1, -1):
             yield number, row
             row = int(levels[number].parent[row])
-
-
-class Beams(Protocol):
-    """Constructor of the beams of one backend, such as `BeamSearch`."""
-
-    def __call__(
-        self, task: Task, oracle: Oracle, settings: BeamSettings = ..., *, guide: Guide | None = None
-    ) -> LevelSearch:
-        """Return a beam at the origin of its direction."""
-        ...

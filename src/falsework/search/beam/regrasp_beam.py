@@ -76,7 +76,9 @@ class RegraspBeam(StateSearch):
     @property
     def counters(self) -> SearchCounters:
         """See `Search.counters`."""
-        return SearchCounters(len(self.parent), len(self._stable), self.judge.asked, self.judge.rejected)
+        return SearchCounters(
+            len(self.parent), len(self._stable), self.judge.asked, self.judge.rejected, self.judge.work
+        )
 
     def step(self) -> bool:
         """Find the next level, or go to the goal from the last; where neither succeeds, jump back, or restart wider."""

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from falsework.assembly.state import INSTALLED, REMOVED, States
 from falsework.search.beam.failed_moves import FailedMoves
 from falsework.search.beam.frontier import Frontier, Rows
-from falsework.search.beam.k_means import k_means
 from falsework.search.beam.paths import BeamPaths
 from falsework.search.beam.scores import Priorities, Scores
 from falsework.search.beam.settings import AHEAD
 from falsework.search.problem.oracle import CountingOracle
 from falsework.search.problem.task import Direction
+
+Clustering = Callable[[States, int, np.random.Generator], tuple[NDArray[np.integer], NDArray[np.number]]]
+"""Method that puts points in a number of clusters, such as `k_means`: cluster and squared distance from its centre."""
 
 _CHOICE = 4
 """Times as many states ahead are compared as are kept."""
@@ -43,7 +45,7 @@ class Selector:
 
     frontier: Frontier
     scores: Scores
-    clustered: bool
+    cluster: Clustering | None
     """Take one state of each cluster, then the next of each, and so on; else simply the best scored first."""
     pool: int
     """Bound on candidates times parts that are clustered at once; beyond it, of a random sample only."""
@@ -65,12 +67,12 @@ class Selector:
             count: number of clusters.
         """
         rows = self.rng.permutation(rows)
-        if len(rows) <= count or not self.clustered:
+        if len(rows) <= count or self.cluster is None:
             return rows[np.argsort(-score(rows), kind="stable")]
         room = max(self.pool // self.frontier.task.part_count, 2 * count)
         # Rows are in random order, so the first ones are a fair sample.
         sample = rows[:room]
-        labels, distance = k_means(self.frontier.states(sample), count, self.rng)
+        labels, distance = self.cluster(self.frontier.states(sample), count, self.rng)
         order = np.lexsort((distance, -score(sample), labels))
         begin = np.flatnonzero(np.diff(labels[order], prepend=-1))
         rank = np.arange(len(sample)) - np.repeat(begin, np.diff(np.append(begin, len(sample))))
@@ -104,7 +106,7 @@ class Selector:
         most_held = np.inf
         if commit and len(proven) >= width:
             most_held = float(frontier.held(proven).max())
-        if self.clustered:
+        if self.cluster is not None:
             fixed = self.order(np.flatnonzero(frontier.fixing), promise.of, lookahead)
             fixed = fixed[frontier.held(fixed) <= most_held][:lookahead]
         else:

@@ -105,7 +105,7 @@ class StateBeam(StateSearch):
     @property
     def counters(self) -> SearchCounters:
         """See `Search.counters`."""
-        return SearchCounters(self._kept, self._seen, self.judge.asked, self.judge.rejected)
+        return SearchCounters(self._kept, self._seen, self.judge.asked, self.judge.rejected, self.judge.work)
 
     @property
     def done(self) -> bool:

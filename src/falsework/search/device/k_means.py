@@ -13,6 +13,8 @@ from falsework.utils.tensors import import_torch, mix, uniform
 if TYPE_CHECKING:
     import torch
 
+SAMPLE = 4
+"""Points for each cluster from which centres are found."""
 _LLOYD_ITERATIONS = 3
 _EXACT_FLOAT32 = 2**24
 """Whole numbers up to this are exact in float32."""

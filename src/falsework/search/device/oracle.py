@@ -6,12 +6,9 @@ from copy import copy
 from typing import TYPE_CHECKING, Protocol
 
 from falsework.search.problem.oracle import Criterion, Oracle
-from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import import_torch, put
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import torch
 
     from falsework.stability.oracle import StabilityOracle
@@ -73,22 +70,14 @@ class DeviceOracle:
 
     def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
         """See `TensorOracle`."""
-        return self.begin(states, parents)()
-
-    def begin(self, states: torch.Tensor, parents: torch.Tensor) -> Callable[[], torch.Tensor]:
-        """Queue the kernels for some states; what comes back waits for them and gives the verdicts."""
         verdict, _ = self.solver.check_tensor(states)
-
-        def finish() -> torch.Tensor:
-            if self.fallback is None:
-                return verdict
-            rest = (verdict == 0).nonzero()[:, 0]
-            if len(rest):
-                left, near = (given[rest].cpu().numpy() for given in (states, parents))
-                verdict[rest] = put(self.fallback.verdicts(left, near=near).verdict, states.device)
+        if self.fallback is None:
             return verdict
-
-        return finish
+        rest = (verdict == 0).nonzero()[:, 0]
+        if len(rest):
+            left, near = (given[rest].cpu().numpy() for given in (states, parents))
+            verdict[rest] = put(self.fallback.verdicts(left, near=near).verdict, states.device)
+        return verdict
 
     def without_fallback(self) -> DeviceOracle:
         """Return the same solver alone: no waiting, and the few undecided states remain undecided."""
@@ -111,52 +100,31 @@ def tensor_oracle(oracle: StabilityOracle, device: torch.device) -> TensorOracle
     return DeviceOracle(oracle, device) if device.type == "cuda" else HostOracle(oracle)
 
 
-class BatchedTensorOracle:
-    """Oracle that splits batches between the processes of a search and into pieces that fit into memory."""
+class BatchedTensorOracle(TensorOracle):
+    """Oracle that splits batches into pieces that fit into memory."""
 
-    def __init__(self, oracle: TensorOracle, shards: ProcessGroup, *, batch: int = 1 << 20) -> None:
-        """Begin with pieces of `batch` states; they are halved whenever memory runs out."""
-        self.notes: list[str] = []
-        self._oracle = oracle
-        self._shards = shards
-        self._batch = batch
+    def __init__(self, oracle: TensorOracle) -> None:
+        """Begin with large pieces; they are halved whenever memory runs out."""
+        self._oracle, self._batch = oracle, 1 << 20
 
-    def verdicts(
-        self, states: torch.Tensor, parents: torch.Tensor, count: int, meanwhile: Callable[[], object] | None = None
-    ) -> torch.Tensor:
-        """Return verdicts of all states from the share of each process.
+    @property
+    def holds_keep_stable(self) -> bool:
+        """As of the oracle."""
+        return self._oracle.holds_keep_stable
 
-        Args:
-            states: this process's share, `ProcessGroup.interleaved`, shape (share, parts).
-            parents: stable states one move away, shape (share, parts).
-            count: number of states of all shares.
-            meanwhile: called once, between launch and end of the kernels where a GPU gives the verdicts.
-
-        Returns:
-            `int8`, in every process, shape (count,).
-        """
+    def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
+        """See `TensorOracle`."""
         torch = import_torch()
-        verdicts = torch.zeros(count, dtype=torch.int8, device=states.device)
-        own = verdicts[self._shards.interleaved()]
-        begin = 0
+        verdicts, begin = torch.zeros(len(states), dtype=torch.int8, device=states.device), 0
         while begin < len(states):
             rows = slice(begin, begin + self._batch)
             try:
-                if meanwhile is not None and isinstance(self._oracle, DeviceOracle):
-                    finish = self._oracle.begin(states[rows], parents[rows])
-                    meanwhile()
-                    meanwhile = None
-                    own[rows] = finish()
-                else:
-                    own[rows] = self._oracle(states[rows], parents[rows])
+                verdicts[rows] = self._oracle(states[rows], parents[rows])
             except torch.OutOfMemoryError:
                 if len(states[rows]) < 2:
                     raise
                 self._batch = len(states[rows]) // 2
                 torch.cuda.empty_cache()
-                self.notes.append(f"memory ran out; went on with {self._batch} states at a time")
                 continue
             begin += self._batch
-        if meanwhile is not None:
-            meanwhile()
-        return self._shards.add(verdicts) if count else verdicts
+        return verdicts

@@ -196,6 +196,8 @@ class SearchCounters:
     """Number of verdicts requested from the oracle."""
     rejected: int = 0
     """Of these, not stable."""
+    work: int = 0
+    """Work of verdicts, see `CountingOracle.work`."""
 
     def __add__(self, other: SearchCounters) -> SearchCounters:
         return SearchCounters(
@@ -203,6 +205,7 @@ class SearchCounters:
             self.candidates + other.candidates,
             self.asked + other.asked,
             self.rejected + other.rejected,
+            self.work + other.work,
         )
 
 

@@ -60,6 +60,11 @@ class Search(ABC):
         return self.judge.asked
 
     @property
+    def work(self) -> int:
+        """Work of verdicts so far, earlier runs included, see `CountingOracle.work`; 0 where replays decide."""
+        return self.judge.work
+
+    @property
     def level(self) -> int:
         """Step at which the search is."""
         return self._place()[0]

@@ -372,3 +372,15 @@ class GpuSolver:
 
 def _aligned(size: int) -> int:
     return -(-size // 16) * 16
+
+
+def gpu_solver(assembly: Assembly, settings: StabilitySettings, problem: Problem) -> GpuSolver | None:
+    """Return the GPU solver if the settings ask for it; with `auto`, only where there is a GPU."""
+    if settings.solver not in ("auto", "gpu"):
+        return None
+    try:
+        return GpuSolver(assembly, problem, settings)
+    except InputError:  # no torch, no bindings or no device
+        if settings.solver == "gpu":
+            raise
+        return None

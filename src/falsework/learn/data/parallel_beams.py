@@ -20,14 +20,13 @@ from falsework.search.device.oracle import BatchedTensorOracle, TensorOracle
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
-from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import import_torch, mix, place_in_group, uniform
 
 if TYPE_CHECKING:
     import torch
 
-SPARE = 4
-"""Candidates looked at for each state that is kept: for verdicts, since some are unstable, and for clusters."""
+_SPARE = 4
+"""Candidates looked at for each state that is kept, since some are unstable."""
 _OWNER_BITS = 20
 """Of a key that orders candidates by search and then at random."""
 
@@ -167,7 +166,7 @@ class _Beams:
         self.device = device
         self._width, self._seed, self._steps = width, seed, task.steps
         self._rules = TensorRules(task, device, direction)
-        self._judge = BatchedTensorOracle(oracle, ProcessGroup())
+        self._judge = BatchedTensorOracle(oracle)
         self._dead = not task.contains(task.origin(direction)[None])[0]
 
     def run(self, owners: torch.Tensor) -> list[ParallelLevel]:
@@ -177,7 +176,7 @@ class _Beams:
         while len(levels) <= self._steps and not self._dead:
             level = levels[-1]
             candidates = self._candidates(level, len(levels))
-            level = next_level(self._rules, level, candidates, self._stable, self._width, SPARE)
+            level = next_level(self._rules, level, candidates, self._stable, self._width, _SPARE)
             level = level.take((~self._rules.dead_ends(level.states)).nonzero()[:, 0])
             if len(level.states) == 0:
                 break
@@ -214,7 +213,7 @@ class _Beams:
         asks = self._rules.needs_verdict(actions)
         stable, rows = ~asks, asks.nonzero()[:, 0]
         if len(rows):
-            stable[rows] = self._judge.verdicts(states[rows], parents[rows], len(rows)) == Verdict.STABLE
+            stable[rows] = self._judge(states[rows], parents[rows]) == Verdict.STABLE
         return stable
 
     def _words(self, hashes: torch.Tensor, owner: torch.Tensor, salt: int) -> torch.Tensor:
