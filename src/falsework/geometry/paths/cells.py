@@ -142,9 +142,9 @@ class CellGrid:
 
     def compares(self, movable: Parts, rest: Mask) -> bool:
         """Return whether parts that may move are not too many cells to compare with each other and those at rest."""
-        own = max(len(self.cells(part)[0]) for part in movable)
         others = (*movable, *np.flatnonzero(rest).tolist())
-        return own * max(len(self.cells(part)[0]) for part in others) <= _MOST
+        pairs = ((self.cells(one)[0], self.cells(other)[0]) for one in movable for other in others if one != other)
+        return all(len(own) * len(theirs) <= _MOST for own, theirs in pairs)
 
 
 class CellShifts:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -25,6 +25,21 @@ class Found:
     """Without a way, parts at rest that suffice to close every one that was tried, shape (parts,)."""
     exact: bool
     """Without a way, whether it is proven that no straight moves, however many, take the parts out past these."""
+
+
+class _Poses(Protocol):
+    """Poses of one kind, see `RigidPoses`; what they are, and what `begun` yields, only they know."""
+
+    home: Any
+    most: int
+    exact: bool
+    walls: Mask
+
+    def key(self, at: Any) -> Any: ...
+    def begun(self, at: Any, last: PathMove | None) -> Iterator[Any]: ...
+    def out(self, at: Any, begun: Any) -> PathMove | None: ...
+    def ends(self, at: Any, begun: Any) -> Iterator[tuple[Any, PathMove, bool]]: ...
+    def turned(self, at: Any, last: PathMove | None) -> Iterator[tuple[Any, PathMove, bool]]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +114,7 @@ class PathSearch:
                 return found
         return self._search(RigidPoses(self._motions, departure, turns=turns), moves)
 
-    def _search(self, poses: CellShifts | RigidPoses, moves: int) -> Found:
+    def _search(self, poses: _Poses, moves: int) -> Found:
         """Search over poses of one kind; what `begun` yields their other methods take."""
         front, tried, seen = [_Node(poses.home)], 0, {poses.key(poses.home)}
         for number in range(moves):
