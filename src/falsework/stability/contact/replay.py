@@ -25,7 +25,7 @@ from falsework.stability.contact.build_verifier import StepCertificate
 from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings, joined
 from falsework.stability.contact.hold_loads import Loads, loads_of_build
 from falsework.stability.contact.layout import ContactOptions
-from falsework.stability.contact.newton import MOVES_AWAY, OPEN, RESTS
+from falsework.stability.contact.newton import OPEN, RESTS
 from falsework.stability.contact.press import PressPlanner
 from falsework.stability.contact.replay_kernel import replay_range
 from falsework.stability.contact.solver import ContactSolver
@@ -159,19 +159,16 @@ class Replayer:
         for row, (state, history) in enumerate(zip(states, histories, strict=True)):
             if row < known or (row and not ((state != states[row - 1]) & (state != HELD)).any()):
                 continue  # a part that is held or placed changes no force, and only hinders others
-            local = self._fixed_afar(state, state != states[row - 1] if row else np.ones(len(state), dtype=bool))
+            changed = state != states[row - 1] if row else np.ones(len(state), dtype=bool)
+            near = np.asarray(changed, dtype=np.float64)
+            for _ in range(REACH):
+                near = near + self._touches @ near
+            local = np.where((state == INSTALLED) & (near == 0), HELD, state).astype(np.uint8)
             forces = (history.springs * self.problem.force_scale[:, None])[None]
             springs = springs_at(self.assembly, local[None], forces, self.settings.claim)
             if self._second_order.growing_motion(local, history.displacement, springs) is not None:
                 return row
         return None
-
-    def _fixed_afar(self, states: States, changed: NDArray[np.bool_]) -> States:
-        """Return states with all parts fixed that are over `REACH` contacts from changed ones, shape (..., parts)."""
-        near = np.asarray(changed, dtype=np.float64)
-        for _ in range(REACH):
-            near = near + self._touches @ near
-        return np.where((states == INSTALLED) & (near == 0), HELD, states).astype(np.uint8)
 
     def loads(self, states: States, histories: Sequence[History]) -> Loads:
         """Return what robots bear in states in assembly order, after which the histories are these."""
@@ -198,26 +195,13 @@ class Replayer:
             return None
         shares, pair = self._set_shares(history.age[None])[0], np.stack([before, after])
         for presses in self._presses.proposals(before, after, history.springs, history.torn, shares):
-            inexact = inexact_presses(presses)
-            if any(self._gives_way(before, after, history, some) for some in (presses, *inexact)):
-                continue
             found = self._replay_all(pair, history, [(), presses])
             if found.good:
                 guess = self._guess(found.histories)
-                if all(self._replay(pair, history, [(), varied], guess).good for varied in inexact):
+                inexact = ([(), varied] for varied in inexact_presses(presses))
+                if all(self._replay(pair, history, varied, guess).good for varied in inexact):
                     return found.histories[-1]
         return None
-
-    def _gives_way(self, before: States, after: States, history: History, presses: Sequence[Press]) -> bool:
-        """Return whether parts near a release do not come to rest under some presses while all others stay in place.
-
-        In most of these cases, but not in all, the whole does not come to rest either; the work is that of a few parts.
-        """
-        pair = self._fixed_afar(np.stack([before, after]), before != after)
-        held_gives_way = np.isfinite(self.settings.holds.stiffness)
-        if held_gives_way or 2 * (pair[1] == INSTALLED).sum() > (after == INSTALLED).sum():
-            return False  # nothing would stay in place, or little
-        return int(self._replay(pair, history, [(), presses]).stands[1]) in (MOVES_AWAY, OPEN)
 
     def _set_shares(self, ages: NDArray[np.int32]) -> Array:
         """Return shares of the strength that contact points have reached, shape (states, points) or (states, 0)."""
