@@ -270,7 +270,7 @@ def test_oracle_without_a_gpu_says_so_or_takes_the_processor(monkeypatch):
     def missing(assembly, problem, settings):
         raise DependencyError("no torch here; pip install 'falsework[gpu]'")
 
-    monkeypatch.setattr("falsework.stability.oracle.GpuSolver", missing)
+    monkeypatch.setattr("falsework.stability.gpu.solver.GpuSolver", missing)
     assembly = library.build("arch:blocks=5")
     state = np.where(assembly.boundary, 2, 1).astype(np.uint8)[None].repeat(9, axis=0)
     auto = StabilityOracle(assembly, StabilitySettings(solver="auto"))
