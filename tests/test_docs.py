@@ -53,7 +53,8 @@ def in_few_steps(words: list[str]) -> list[str]:
 
 def of_few_parts(words: list[str]) -> list[str]:
     """Return a command about a small structure of the same family."""
-    return [{"arch": "arch:blocks=7", "vault": "vault:parts=30"}.get(word, word) for word in words]
+    small = {"arch": "arch:blocks=7", "vault": "vault:parts=30", "plan.json:31": "plan.json:3"}
+    return [small.get(word, word) for word in words]
 
 
 @pytest.fixture

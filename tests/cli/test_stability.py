@@ -171,7 +171,7 @@ def test_a_gpu_that_is_not_there_gets_one_line(falsework: Run, monkeypatch: pyte
     def missing(*_: Any) -> None:
         raise DependencyError("no GPU here")
 
-    monkeypatch.setattr("falsework.stability.oracle.GpuSolver", missing)
+    monkeypatch.setattr("falsework.stability.gpu.solver.GpuSolver", missing)
     result = falsework("stability", "arch", "--solver", "gpu")
     assert result.code == 2
     assert "no GPU here" in result.error

@@ -31,7 +31,7 @@ from falsework.search import BeamSearch, BeamSettings
 from falsework.utils.distributed import ProcessGroup, init_distributed
 
 PHASES = {
-    "default": (ImitationPhase(until=0.5, batch=16), PpoPhase(rollouts=64, batch=16, epochs=1)),
+    "default": (ImitationPhase(until=0.5, batch=16), PpoPhase(rollouts=512, batch=64, epochs=1)),
     "reinforcement": (replace(REINFORCEMENT, rollouts=16, batch=16),),
 }
 

@@ -33,6 +33,7 @@ from falsework import sheet as make_sheet
 from falsework.assembly.library import shelf as built_in_shelf
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.library.voxels import grow_pieces, surface
+from falsework.assembly.state import INSTALLED
 from falsework.errors import InputError, PlanError, StateError
 from falsework.geometry import TriangleMesh
 from falsework.geometry.clearance.moves import PathMove, apply
@@ -42,7 +43,7 @@ from falsework.search.planner import Planner
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.deadline import DeadlineExceeded
-from falsework.search.together.moves import TaskMoves
+from falsework.search.together.exits import sets_of
 from falsework.viewer import Timeline
 from falsework.viewer.appearance import TRAVEL, appearance_at, diagonal
 
@@ -316,12 +317,13 @@ def test_two_parts_leave_together_in_several_moves(robots: int, tmp_path: Path) 
         assert why in validate_plan(bare, assembly, SETTINGS).reason
 
 
-def test_more_sets_than_can_be_examined_are_no_proof(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_sets_than_can_be_examined_are_no_proof() -> None:
     """Then those are tried that lock each other in place."""
-    monkeypatch.setattr("falsework.search.together.exits.MOST_SETS", 0)
     task = make_task(hooked(), 1, moves=2, parts_at_once=2)
-    moves = TaskMoves(task, StabilityOracle(hooked(), SETTINGS))
-    assert moves.caveat == "of 1 sets of parts those were tried that lock each other in place"
+    assert sets_of(task, task.start == INSTALLED)[1] == ""
+    few, why = sets_of(task, task.start == INSTALLED, most=0)
+    assert set(few) <= set(sets_of(task, task.start == INSTALLED)[0])
+    assert "sets of parts those were tried that lock each other in place" in why
 
 
 def test_a_search_for_a_way_ends_at_the_deadline() -> None:

@@ -91,7 +91,7 @@ def test_a_gpu_is_no_exception(on_host: Any, simplex: Any, monkeypatch: pytest.M
     def driven(assembly: Assembly, problem: Any, settings: StabilitySettings) -> GpuSolver:
         return on_host(assembly, settings)
 
-    monkeypatch.setattr("falsework.stability.oracle.GpuSolver", driven)
+    monkeypatch.setattr("falsework.stability.gpu.solver.GpuSolver", driven)
     critical = critical_thickness(simplex)
     for thickness, verdict in ((critical - 2e-5, Verdict.UNSTABLE), (critical + 1e-3, Verdict.STABLE)):
         verdicts = checked(arch(thickness), criterion, solver="gpu")

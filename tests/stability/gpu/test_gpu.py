@@ -243,7 +243,7 @@ def test_compiles_for_a_gpu(kernel: str, tmp_path: Path, monkeypatch: pytest.Mon
 def test_oracle_sends_large_batches_to_the_gpu_and_small_ones_to_the_processor(monkeypatch, host_driver, criterion):
     assembly = library.build("arch:blocks=7")
     monkeypatch.setattr(
-        "falsework.stability.oracle.GpuSolver",
+        "falsework.stability.gpu.solver.GpuSolver",
         lambda assembly, problem, settings: GpuSolver(
             assembly, problem, settings, make_driver=lambda defines, _: host_driver(defines)
         ),

@@ -163,7 +163,7 @@ class _Reader:
                 remedy = f"motions are numbered from 0 to {len(expected) - 1}"
                 self._fail(f"schedule.precedences[{k}] is between motions {edge.before} and {edge.after}", remedy)
         try:
-            graph = TemporalPlanGraph(expected, data.precedences, len(plan.robots), data.lower_bound)
+            graph = TemporalPlanGraph(expected, tuple(data.precedences), len(plan.robots), data.lower_bound)
         except PlanError as error:
             self._fail(f"its schedule is invalid: {str(error).removesuffix('; plan again')}", "schedule it again")
         starts = [entry.start for entry in data.motions]

@@ -122,7 +122,7 @@ class ScheduleEntry(FileModel, frozen=True):
     """No order of these motions takes less."""
     motions: list[MotionEntry]
     """In the order of the steps."""
-    precedences: tuple[Precedence, ...]
+    precedences: list[Precedence]
 
 
 class RobotPlanFile(FileModel, frozen=True):

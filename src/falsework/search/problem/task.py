@@ -107,7 +107,7 @@ class Task:
         prop_limit: int = 0,
         together: InterlockedSets | None = None,
     ) -> Task:
-        """Validate a task and fill in defaults.
+        """Validate a task and fill in defaults; arguments that are not described are fields.
 
         Args:
             boundary: which parts are boundary, shape (parts,).
@@ -115,14 +115,9 @@ class Task:
             start: state to disassemble from, shape (parts,); the complete structure if not given.
             target: state to end in, shape (parts,); by default nothing is left but the boundary and `fixed`.
             fixed: parts that must be neither held nor removed.
-            missing: parts not delivered yet; see `postponed`.
-            clearance: where given, a part is removed only if it has a free exit direction.
             contacts: pairs of parts in contact, shape (pairs, 2).
-            identity: hash of the structure.
-            allow_regrasp: let parts be held again.
             props: part above each prop; the last parts of the structure are props, absent from a start or target that
                 is not given.
-            prop_limit: props that may be in place at a time.
             together: rule on several parts in one step; needs `clearance`.
 
         Raises:

@@ -13,8 +13,10 @@ from falsework.geometry.clearance.moves import ExitPath
 from falsework.search.problem.task import Task
 
 
-def sets_of(task: Task, movable: Mask) -> tuple[tuple[PartSet, ...], str]:
+def sets_of(task: Task, movable: Mask, most: int = MOST_SETS) -> tuple[tuple[PartSet, ...], str]:
     """Return the sets of two parts and more, among parts of shape (parts,), that may leave together in a task.
+
+    With several moves those are all sets, since moves of others may open any; as long as there are at most `most`.
 
     Returns:
         The sets; and why others may, which is empty if none can.
@@ -28,7 +30,7 @@ def sets_of(task: Task, movable: Mask) -> tuple[tuple[PartSet, ...], str]:
     count = sum(comb(len(every), size) for size in range(2, largest + 1))
     if task.moves_out == 1:
         return task.together.sets(movable), ""
-    if count > MOST_SETS:  # what moves of others open may be any set
+    if count > most:
         return task.together.sets(movable), f"of {count} sets of parts those were tried that lock each other in place"
     return tuple(some for size in range(2, largest + 1) for some in combinations(every, size)), ""
 
