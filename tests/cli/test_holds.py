@@ -227,7 +227,6 @@ def test_a_graph_knows_presses_if_it_is_asked_to(falsework: Run, tmp_path: Path)
         assert record["presses"] == (name == "pressing")
         found[name] = record["states"]
     assert found["pressing"] >= found["plain"]
-    refused(falsework("graph", "arch:blocks=5", "--presses", "--device", "cuda"), "presses are chosen on the CPU")
     refused(falsework("graph", "arch:blocks=5", "--presses", "--criterion", "equilibrium"), "criterion contact alone")
 
 

@@ -80,8 +80,6 @@ class MakeGraph(JudgingCommand):
         if clock.limited and int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError("processes that share a search cannot end it at a deadline; leave --deadline out")
         widths = None if self.sets is None else self._widths(self.sets)
-        if self.presses and self.device == "cuda":
-            raise InputError("presses are chosen on the CPU; leave out --presses or --device cuda")
         if self.presses and int(os.environ.get("WORLD_SIZE", "1")) > 1:
             raise InputError("processes that share a search choose no presses; leave out --presses")
         if self.presses and widths is not None:
@@ -89,6 +87,8 @@ class MakeGraph(JudgingCommand):
         assembly = self.structure.load()
         oracle = StabilityOracle(assembly, StabilitySettings(criterion=self.criterion))
         judge, device = (PressOracle(oracle), "cpu") if self.presses else (oracle, self.device)
+        if self.presses and self.device == "cuda":
+            oracle.use_gpu()  # which answers what stands without presses; these are chosen on the processor
         task = make_task(assembly, self.robots, **self.task.rules(assembly))
         if refuse_unstable(assembly, oracle, task, output):
             return Exit.NO

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +10,13 @@ import numpy as np
 import pytest
 
 from falsework import Assembly, Direction, PlannerSettings, StabilityOracle, StabilitySettings, find_plans
+from falsework.assembly.library.blocks import box, gather
 from falsework.errors import InputError
 from falsework.search import Demands
 from falsework.search.margins.demands import MarginOracle
 from falsework.search.plans.plan_check import validate_plan
-from falsework.stability import oracle as oracles
+from falsework.stability import PressOracle, Proof
+from falsework.stability import oracle as oracle_module
 from falsework.stability.criteria import CRITERIA
 from falsework.stability.verdict import Solver
 
@@ -48,7 +51,7 @@ def stand_ins(monkeypatch: pytest.MonkeyPatch) -> list[StandIn]:
         made.append(StandIn(assembly, settings, problem))
         return made[-1]
 
-    monkeypatch.setattr(oracles, "gpu_solver", gpu_solver)
+    monkeypatch.setattr(oracle_module, "gpu_solver", gpu_solver)
     return made
 
 
@@ -65,6 +68,20 @@ def test_plans_are_found_and_good(
     replayed = stability.criterion == "contact" and direction is Direction.ASSEMBLY
     assert replayed or stand_in.batches
     assert all(size >= stability.numerics.gpu_states for size in stand_in.batches)
+
+
+def test_robots_press_where_a_gpu_answers_the_rest(stand_ins: list[StandIn]) -> None:
+    """What slides without presses in a batch may stand with them; they are chosen on the processor."""
+    plates = [box("plate", [0.2 * k, 0, 0], [0.2 * k + 0.2, 1, 1]) for k in range(3)]
+    blocks = gather([*plates, box("wall", [-1, -1, -1], [0, 2, 2], fixed=True)])
+    beside_wall = Assembly.from_meshes(blocks.meshes, boundary=blocks.boundary, friction=0.5)
+    states = np.array([[*some, 2] for some in product(range(3), repeat=3)], np.uint8)
+    ours, gpus = (StabilityOracle(beside_wall, StabilitySettings()) for _ in range(2))
+    gpus.use_gpu()
+    expected, found = (PressOracle(oracle).verdicts(states) for oracle in (ours, gpus))
+    np.testing.assert_array_equal(found.stable, expected.stable)
+    assert (found.proof == Proof.HISTORY).any()
+    assert stand_ins[0].batches == [len(states)]
 
 
 @pytest.mark.usefixtures("stand_ins")
