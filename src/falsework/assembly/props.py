@@ -55,7 +55,7 @@ def prop_places(assembly: Assembly) -> tuple[Prop, ...]:
     found = tuple(head.prop for head in heads if head is not None)
     if not found:
         raise AssemblyError(
-            "no part has a place for a prop: below none is a fixed part and nothing else; "
+            "no part has a place for a prop: a prop stands upright on a fixed part, with nothing in between; "
             "put a floor under the structure (--ground)"
         )
     return found

@@ -175,3 +175,14 @@ def test_a_run_without_a_step_says_so(arch: Assembly) -> None:
     assert result.steps == 0
     (note,) = (note for note in result.notes if "nothing was trained" in note)
     assert note.endswith("give more minutes")
+
+
+def test_a_resumed_run_without_another_step_says_so(arch: Assembly, tmp_path: Path) -> None:
+    options: dict[str, Any] = {"folder": tmp_path / "run", "device": "cpu", "logs": ()}
+    first = train(arch, SETTINGS, **options)
+    assert not any("was trained" in note for note in first.notes)
+    again = train(arch, TrainSettings(), resume=True, **options)
+    assert again.steps == first.steps
+    (note,) = (note for note in again.notes if "nothing more was trained" in note)
+    assert note.startswith(f"nothing more was trained: {first.steps} steps in ")
+    assert note.endswith("give more steps")

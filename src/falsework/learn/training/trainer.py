@@ -170,7 +170,7 @@ class Trainer:
         success = {name: Success(0, 0) for name in (*self.data.curve, *self.data.test)}
         numbers: dict[str, float] = {}
         blocks = interrupted = 0
-        here, prepared = time.perf_counter(), self.budget.seconds
+        here, prepared, begun = time.perf_counter(), self.budget.seconds, self.steps
         lines = ProgressLines(journal, self.environment, self.budget, every=settings.progress_every)
         while not self._over():
             if self.budget.stop_requested():
@@ -202,6 +202,11 @@ class Trainer:
                 f"nothing was trained: the start took {prepared:.1f} s, the search for data "
                 f"{self.data_seconds:.1f} s of them, and the run has "
                 f"{format_quantity(60 * settings.minutes, 'duration')}; give more minutes"
+            )
+        elif self.steps == begun and self.budget.progress(begun) >= 1.0:
+            self.notes.append(
+                f"nothing more was trained: {begun} steps in {format_quantity(prepared, 'duration')} are all that "
+                f"was asked for, in all sessions together; give more {'steps' if settings.steps else 'minutes'}"
             )
         self._best.write(self.exported)
         success |= self.succeeded({"train": self.data.curve["train"], **self.data.test})
