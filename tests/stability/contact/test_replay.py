@@ -106,7 +106,7 @@ def test_a_replay_goes_on_from_any_step(dome: Assembly, dome_states: NDArray) ->
 
 
 def test_steps_one_by_one_leave_the_history_of_all_together(dome: Assembly, dome_states: NDArray) -> None:
-    """A step that holds parts has its history without the kernel when it is taken alone."""
+    """A step that is taken alone continues the history before it, whether it releases or holds parts."""
     replayer = Replayer(dome, replay=ReplaySettings(friction_noise=1.0))
     whole = replayer.replay(dome_states).histories
     for row in range(2, len(dome_states)):

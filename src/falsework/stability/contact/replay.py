@@ -223,8 +223,6 @@ class Replayer:
 
     def _replay(self, batch: States, history: History | None, presses: Presses, guess: Array | None = None) -> Replay:
         """Replay checked states with given presses; `guess` as in `replay_range`."""
-        if len(batch) == 2 and history is not None and not ((batch[1] != batch[0]) & (batch[1] != HELD)).any():
-            return self._hold(batch, history, tuple(presses[1]))
         count, problem = len(batch), self.problem
         track = np.zeros((count, self.replay_settings.increments, problem.parts, 6))
         guess = np.zeros((1, 0, problem.parts, 6)) if guess is None else guess
@@ -254,31 +252,6 @@ class Replayer:
         histories = tuple(History(*row) for row in islice(rows, reached))
         done = tuple(history.presses for history in histories)
         return Replay(result, moved, part, residual, self._size, histories, done)
-
-    def _hold(self, batch: States, history: History, presses: tuple[Press, ...]) -> Replay:
-        """Return the replay of a step that holds parts, which changes no force: as `place_new`, without the kernel."""
-        before, after = self.problem.geometry.present(batch)
-        stay = before & after
-        unloaded = np.column_stack([np.zeros(len(stay)), self._noise])
-        placed = (batch[0] > 0) & (batch[1] > 0)
-        kept = History(
-            np.where(placed[:, None], history.displacement, 0.0),
-            np.where(stay[:, None], history.springs, unloaded),
-            history.torn & stay,
-            self._ages(batch, history.age)[1],
-            history.moved,
-            history.part,
-            presses,
-            self._still,
-        )
-        count, moved = len(batch), np.full(len(batch), history.moved)
-        result, part = np.full(count, RESTS, np.int8), np.full(count, history.part, np.int32)
-        return Replay(result, moved, part, np.zeros(count), self._size, (history, kept), (history.presses, presses))
-
-    @cached_property
-    def _still(self) -> Array:
-        """Displacement in each increment of a step in which nothing moves."""
-        return np.zeros((self.replay_settings.increments, self.problem.parts, 6))
 
     def _ages(self, states: States, age: NDArray[np.int32] | None) -> NDArray[np.int32]:
         """Return for how many steps both parts of each contact point have been present, shape (states, points).
