@@ -59,7 +59,7 @@ FIRST_SHARE = 0.5
 PLANS = StabilitySettings(reserve=1.1)
 """Stability of plans by default: parts come to rest with friction divided by 1.1, and with the true one."""
 Backend = Literal["cpu", "cuda"]
-"""Who answers the verdicts of a search: the processor, or a GPU those that are asked for together."""
+"""Device that solves for the verdicts of a search: the processor, or a GPU for those asked for in batches."""
 _CHOICE_SECONDS = 1.0
 """Seconds in which to choose among plans where the deadline leaves less."""
 

@@ -1,4 +1,4 @@
-"""What viewers draw of a bag: joint states, frames, and meshes of arms, grippers and parts.
+"""Joint states, frames, and meshes of arms, grippers and parts in a bag, for viewers to draw.
 
 Topics: `/joint_states` (`sensor_msgs/JointState`) and `/tf` (`tf2_msgs/TFMessage`), `RATE` times a second, and
 `/markers` (`visualization_msgs/MarkerArray`), a mesh in its frame for each link, gripper and part that is there. RViz

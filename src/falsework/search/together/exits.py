@@ -26,10 +26,10 @@ def sets_of(task: Task, movable: Mask, most: int = MOST_SETS) -> tuple[tuple[Par
     """
     if task.together is None:
         return (), ""
-    every, largest = np.flatnonzero(movable).tolist(), min(task.together.largest, int(movable.sum()))
-    count = sum(comb(len(every), size) for size in range(2, largest + 1))
     if task.moves_out == 1:
         return task.together.sets(movable), ""
+    every, largest = np.flatnonzero(movable).tolist(), min(task.together.largest, int(movable.sum()))
+    count = sum(comb(len(every), size) for size in range(2, largest + 1))
     if count > most:
         return task.together.sets(movable), f"of {count} sets of parts those were tried that lock each other in place"
     return tuple(some for size in range(2, largest + 1) for some in combinations(every, size)), ""

@@ -132,12 +132,15 @@ class TaskMoves:
                 after[rows] = HELD
                 if exit_path(self.task, after, parts) is not None:
                     yield after, len(state) + parts[0]
+            leaves = None  # the same by whichever part they are carried
             for carrier in self._rule.carriers(parts, self._oracle):
                 after = state.copy()
                 after[rows] = INSTALLED
                 after[carrier] = HELD
-                if exit_path(self.task, after, parts) is None:
-                    break  # nor by another part
+                if leaves is None:
+                    leaves = exit_path(self.task, after, parts) is not None
+                if not leaves:
+                    break
                 yield after, len(state) + carrier
 
 
