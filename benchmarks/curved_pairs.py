@@ -84,7 +84,7 @@ def least_residual(body: Array, points: Array, normals: Array, friction: float) 
     """
     columns = _columns(body, points, normals)
     gravity = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
-    cuts = columns[:, :, 0]
+    cuts = columns[:0, :, 0]
     while True:
         both = np.concatenate([cuts, -cuts], axis=1)
         found = linprog(
@@ -104,7 +104,7 @@ def least_residual(body: Array, points: Array, normals: Array, friction: float) 
         violation = friction * speed - normal
         worst = np.argsort(-violation)[:_CUTS]
         worst = worst[violation[worst] > _FEASIBLE]
-        if not len(worst) or friction == 0.0 or -found.fun < _FEASIBLE:
+        if not len(worst) or -found.fun < _FEASIBLE:
             return float(-found.fun)
         ways = along[worst] / np.maximum(speed[worst], 1e-300)[:, None]
         pushes = columns[worst, :, 0] - friction * np.einsum("pik,pk->pi", columns[worst][:, :, 1:], ways)

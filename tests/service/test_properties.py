@@ -16,7 +16,7 @@ openapi_checks = pytest.importorskip("schemathesis.specs.openapi.checks")
 LONGEST_DEADLINE = 60_000
 """Milliseconds, as described."""
 FEW = settings(
-    max_examples=40,
+    max_examples=20,
     deadline=None,
     database=None,
     derandomize=True,

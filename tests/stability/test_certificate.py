@@ -148,7 +148,8 @@ def test_a_force_changed_anywhere_along_a_plan_is_rejected(
     active = build_problem(assembly).active(states) & (forces[:, :, 0] > 0.02 * np.median(forces[:, :, 0].max(axis=1)))
     random = np.random.default_rng(0)
     places = np.argwhere(active)
-    for row, point in places[random.permutation(len(places))[:40]]:
+    before = residual_of_forces(assembly, states, forces, EQUILIBRIUM.claim)
+    for row, point in places[random.permutation(len(places))[:20]]:
         rows = slice(row, None if until_the_end else row + 1)
         tampered = forces.copy()
         force = forces[row, point]
@@ -166,9 +167,7 @@ def test_a_force_changed_anywhere_along_a_plan_is_rejected(
         assert residual[row] > EQUILIBRIUM.claim.tolerance
         untouched = np.ones(len(states), dtype=bool)
         untouched[rows] = False
-        np.testing.assert_array_equal(
-            residual[untouched], residual_of_forces(assembly, states, forces, EQUILIBRIUM.claim)[untouched]
-        )
+        np.testing.assert_array_equal(residual[untouched], before[untouched])
 
 
 def test_a_part_that_is_gone_or_let_go_of_along_a_plan_is_rejected(along_a_plan: tuple, residual_along: Any) -> None:

@@ -145,11 +145,16 @@ def shown(value: Any) -> str:
     return text if len(text) <= _SHOWN else f"{text[: _SHOWN - 3]}..."
 
 
+@cache
+def _type_info(kind: Any) -> Any:
+    return inspect.type_info(kind)
+
+
 def _message(kind: Any, data: Any, text: str, where: str, remedy: str) -> str:
     """Return the message of msgspec with the value that was found, and what is expected there."""
     what, _, path = text.partition(" - at `")
     steps = re.findall(r"\.(\w+)|\[(\d+)\]", path.partition("[...]")[0])
-    place, value, known, purpose = where, data, inspect.type_info(kind), ""
+    place, value, known, purpose = where, data, _type_info(kind), ""
     for name, number in steps:
         purpose = _purpose(known, name)
         place = f"{place}[{number}]" if number else _join(place, name)
@@ -165,7 +170,7 @@ def _message(kind: Any, data: Any, text: str, where: str, remedy: str) -> str:
     expected = what.removeprefix("Expected ").partition(", got")[0]
     if what.startswith("Invalid value"):  # of the key that tells which of several objects it is
         known = None
-        options = [entry.tag for entry in _kinds(inspect.type_info(kind))]
+        options = [entry.tag for entry in _kinds(_type_info(kind))]
     else:
         options = [str(option) for entry in _kinds(known) for option in _options(entry)]
     expected = f"one of {', '.join(options)}" if options else _in_words(expected) + purpose

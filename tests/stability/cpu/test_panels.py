@@ -39,7 +39,7 @@ def test_rows_below_supernodes_are_the_fill(name: str) -> None:
     assert sum(map(len, touches)) <= stored <= 1.3 * sum(map(len, touches))
 
 
-@pytest.fixture(scope="module", params=["vault:parts=62", "wall:bricks=3,courses=3", "stack"])
+@pytest.fixture(scope="module", params=["vault:parts=30", "wall:bricks=3,courses=3", "stack"])
 def structure(request: pytest.FixtureRequest) -> KernelArrays:
     assembly = load_structure(request.param)
     return build_structure(build_problem(assembly))
