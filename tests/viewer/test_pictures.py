@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from falsework import StateGraph, load_structure
+from falsework import StateGraph, load_structure, picture
 from falsework.assembly.store import save_assembly
 from falsework.cli.main import main
 from falsework.search.plans.plan_file import load_plan, save_plan
@@ -227,6 +227,15 @@ def test_picture_of_a_graph(graph: StateGraph, run: Run, tmp_path: Path) -> None
         assert run("picture", tmp_path / "graph.npz", "--out", tmp_path / name) == (0, "")
         assert (tmp_path / name).stat().st_size > 1000
     assert graph_figure(graph, visited=graph.states[:5]).axes
+
+
+def test_texts_count_one_and_name_what_has_no_steps(plan_file: Path, tmp_path: Path) -> None:
+    """One part is no parts, and a structure without a plan has no steps that are done."""
+    words = {picture(plan_file, step=step, verdicts=True).shows for step in range(len(load_plan(plan_file)) + 1)}
+    assert any("balance 1 free part" in text for text in words)
+    assert not any("1 free parts" in text for text in words)
+    arch = load_structure("arch:blocks=3")
+    assert picture(arch.boundary.astype(int) + 1, structure=arch).shows.startswith("arch")
 
 
 def test_a_graph_names_its_structure_and_the_options_of_it(run: Run, tmp_path: Path) -> None:

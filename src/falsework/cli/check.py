@@ -200,7 +200,7 @@ class CheckPlan(JudgingCommand):
         if borne := load_text(plan, found.loads):
             output.say(borne)
         if found.certified:
-            output.say(f"certificates in the plan prove {found.certified} states")
+            output.say(f"certificates in the plan prove {counted(found.certified, 'state')}")
         if found.good and unverified:
             output.say(f"not verified: {', '.join(unverified)}")
         if not found.good:
