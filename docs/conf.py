@@ -24,7 +24,7 @@ author = "The falsework authors"
 project_copyright = "The falsework authors, Apache-2.0"
 version = release = __version__
 
-extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "myst_parser"]
+extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "myst_parser", "sphinx_copybutton"]
 exclude_patterns = ["_build", "pictures"]
 nitpicky = False
 

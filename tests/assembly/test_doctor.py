@@ -78,6 +78,19 @@ def test_faces_that_touch_without_being_parallel(column: Path, capsys: pytest.Ca
         load_structure(column, friction=0.01)
 
 
+def test_equal_findings_share_a_line(column: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of parts that lie apart each finding is its own; open ones are alike."""
+    for number in range(3, 11):
+        write_box(column, f"{number}", (3, 3 * number, 0), (4, 3 * number + 1, 1), faces=7)
+    write_box(column, "11", (9, 0, 0), (10, 1, 1), faces=9)
+    assert main(["doctor", str(column)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    alike = [line for line in lines if line.startswith("  8 parts (3, 4, 5, 6, 7 and 3 more): is not closed")]
+    assert len(alike) == 1
+    assert "doubtful: 9 parts" in lines
+    assert any(line.startswith("  part 11 ") for line in lines)
+
+
 def test_all_faults_at_once(column: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_box(column, "3", (3, 0, 0), (4, 1, 1), faces=7)
     write_box(column, "4", (0, 0, 2), (1, 1, 3))

@@ -266,6 +266,13 @@ def test_archives_are_not_written_under_names_of_other_files(
     )
 
 
+def test_a_run_or_a_cell_is_no_structure(falsework: Run, tmp_path: Path) -> None:
+    (tmp_path / "cell.toml").write_text("")
+    expect(falsework("plan", tmp_path / "cell.toml"), 2, "cell.toml is no structure; a cell is given by --cell")
+    (tmp_path / "run.json").write_text("{}")
+    expect(falsework("stability", tmp_path), 2, "is a run of falsework train, and no structure; name the one")
+
+
 def test_export_does_not_replace_what_is_there(falsework: Run, stack: Path) -> None:
     before = {path: path.read_bytes() for path in stack.iterdir()}
     expect(falsework("export", stack, "--out", stack), 2, "exists and is not empty; choose a new folder")

@@ -120,6 +120,9 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
             "unrecognized options: --robot, 2; perhaps you meant: --robots NUMBER, --robust; "
             "for help, run falsework plan --help",
         ),
+        ("cell new ur5e ur5e --out c.toml", "too many values: ur5e; for help, run falsework cell new --help"),
+        ("doctor gone.toml", "there is no cell file gone.toml; `falsework cell new` writes one"),
+        ("robots plan arch --cell gone.toml", "there is no cell file gone.toml; `falsework cell new` writes one"),
         ("plan arch --friction x", "--friction is 'x'; give a number; for help, see falsework plan --help"),
         ("plan arch --props 1.5", "--props is '1.5'; give a whole number"),
         ("plan arch --robots", "--robots has no value; give one"),

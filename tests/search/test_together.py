@@ -361,7 +361,7 @@ def test_parts_leave_along_different_directions() -> None:
     assert str(two.plans[0][0]) == "insert a-0 and b-1 (R1, R2)"
     assert validate_plan(two.plans[0], assembly, SETTINGS).good
     with_one = validate_plan(without(two.plans[0], robots=1), assembly, SETTINGS)
-    assert with_one.reason.endswith("is against the rules: it needs 2 robots, and there are 1")
+    assert with_one.reason.endswith("is against the rules: it needs 2 robots, and the plan has 1")
     assert one.result.outcome is Outcome.PROVED_IMPOSSIBLE
     alone = find_plans(assembly, robots=2, removable_only_if_clear=True, stability=SETTINGS)
     assert alone.result.outcome is Outcome.PROVED_IMPOSSIBLE

@@ -93,6 +93,25 @@ def test_meshes_and_bounds(robot_plan: RobotPlan, cell: Cell, arch: tuple[Assemb
     assert arms.clock.makespan == pytest.approx(robot_plan.seconds)
 
 
+def test_contact_sheets_have_the_arms(robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]) -> None:
+    """As many pictures as those of single steps, of the same poses."""
+    pytest.importorskip("PIL", reason="pictures need Pillow; pip install 'falsework[picture]'")
+    from falsework.viewer.pictures.contact_sheet import CELL, contact_sheet, draw
+
+    arms = Arms(robot_plan, cell, Direction.ASSEMBLY)
+    timeline = Timeline.from_plan(robot_plan.plan, arch[0], who=arms.holders())
+    box = bounds_with_arms(arms, bounds_of(arch[0]))
+    for place in (0, len(timeline)):
+        extra = solids_of_arms(arms, arms.at(place), arch[0])
+        look = appearance_with_arms(appearance_at(timeline, place, travelling=False), arms.at(place))
+        alone = draw(arch[0], look, CELL, bounds=box, extra=extra)
+        there = (alone < 0.6).any(axis=2)
+        sheet = contact_sheet(timeline, places=[place], arms=arms)[26:326]
+        plain = contact_sheet(timeline, places=[place])[26:326]
+        np.testing.assert_array_equal(sheet[there], np.rint(np.clip(alone, 0, 1) * 255).astype(np.uint8)[there])
+        assert (sheet != plain).any()
+
+
 def test_a_new_plan_has_no_arms_until_one_goes_back(
     robot_plan: RobotPlan, cell: Cell, arch: tuple[Assembly, Plan]
 ) -> None:

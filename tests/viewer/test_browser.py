@@ -456,6 +456,24 @@ def test_bars_of_the_chart_are_clicked_and_arms_hidden(
     assert complaints_of(now) == []
 
 
+def test_joints_and_clearance_are_plotted(opened: Callable[..., Open], scheduled: Any, cell: Any, arch: Any) -> None:
+    from falsework.viewer.viewable import viewable_of
+
+    shown = viewable_of(scheduled, arch[0], cell=cell)
+    now = opened(ViewerState(shown.timeline, plan=shown.plan, arms=shown.arms))
+    now.tab.get_by_role("tab", name="Plots").click()
+    plots = now.tab.locator("svg.falsework-plot")
+    now.until(lambda: plots.count() == 4, "position and speed of the joints of both arms")
+    assert plots.first.locator("polyline").count() == len(scheduled.robots[0].joint_names)
+    now.tab.get_by_role("button", name="Clearance").click()
+    now.until(lambda: plots.count() == 5, "the clearance of the arms")
+    link = now.tab.get_by_text("least:").first.locator("a")
+    goal = float(re.findall(r"seconds=([\d.]+)", link.get_attribute("href") or "")[0])
+    link.click(force=True)
+    now.until(lambda: abs(now.model.seconds - goal) < 0.01, "the second of the least clearance")
+    assert complaints_of(now) == []
+
+
 def test_a_phone_shows_the_structure_above_the_controls(opened: Callable[..., Open], arch: Any) -> None:
     assembly, plan = arch
     model = ViewerState(Timeline.from_plan(plan, assembly), plan=plan)

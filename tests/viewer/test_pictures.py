@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -12,15 +13,20 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from falsework import StateGraph, load_structure
+from falsework import StateGraph, load_structure, picture
+from falsework.assembly.store import save_assembly
 from falsework.cli.main import main
 from falsework.search.plans.plan_file import load_plan, save_plan
 from falsework.search.problem.state_graph import save_state_graph
+from falsework.utils.archive import read_archive, write_archive
 from falsework.viewer import Timeline
+from falsework.viewer.appearance import appearance_at, bounds_of
 from falsework.viewer.palette import BOUNDARY, RAMP, ROBOTS, SELECTED
+from falsework.viewer.pictures.contact_sheet import CELL, contact_sheet, draw, outline_of
 from falsework.viewer.pictures.drawing import drawing, flat_axis, outlines
 from falsework.viewer.pictures.graph_picture import covered, graph_figure, places_of
 from falsework.viewer.pictures.video import frame_places
+from falsework.viewer.viewable import open_file
 
 pil = pytest.importorskip("PIL.Image", reason="pictures need Pillow; pip install 'falsework[picture]'")
 pytest.importorskip("matplotlib", reason="pictures need Matplotlib; pip install 'falsework[picture]'")
@@ -31,8 +37,6 @@ Run = Callable[..., tuple[int, str]]
 @pytest.fixture
 def plan_file(arch, tmp_path: Path) -> Path:
     """A plan of the arch as `falsework plan` writes it."""
-    from dataclasses import replace
-
     path = tmp_path / "plan.json"
     save_plan(replace(arch[1], source={"built_in": "arch:blocks=5"}), path)
     return path
@@ -74,6 +78,23 @@ def test_contact_sheet(plan_file: Path, run: Run, tmp_path: Path) -> None:
     assert has(picture, BOUNDARY)
     assert has(picture, ROBOTS[0])
     assert not has(picture, SELECTED)
+
+
+def test_the_first_picture_shows_where_everything_comes(arch: Any) -> None:
+    """All that is not white in a picture of the whole is not white at the beginning; its parts alone cover less."""
+    timeline = Timeline.from_plan(arch[1], arch[0])
+
+    def covered_at(place: int) -> np.ndarray:
+        return np.any(contact_sheet(timeline, places=[place])[26:326] < 255, axis=2)
+
+    whole = outline_of(timeline, CELL, bounds_of(arch[0]))
+    outline = (np.rint(whole * 255) < 255).any(axis=2)
+    assert covered_at(0)[outline].all()
+    first, camera = appearance_at(timeline, 0, travelling=False), replace(CELL)
+    alone = (draw(arch[0], first, camera) < 0.999).any(axis=2)
+    assert alone.mean() < 0.5 * covered_at(0).mean()
+    complete = draw(arch[0], appearance_at(timeline, len(timeline), travelling=False), camera)
+    np.testing.assert_array_equal(np.minimum(complete, whole), complete)  # what is installed hides its outline
 
 
 def test_one_step_and_its_forces(plan_file: Path, run: Run, tmp_path: Path) -> None:
@@ -130,8 +151,6 @@ def test_a_name_that_promises_another_format(plan_file: Path, run: Run, tmp_path
 
 
 def test_names_are_escaped(arch) -> None:
-    from dataclasses import replace
-
     assembly = arch[0]
     odd = replace(assembly, meshes=tuple(replace(mesh, name=f"<{mesh.name}>") for mesh in assembly.meshes))
     still = Timeline.from_state(odd, arch[1].states[-1])
@@ -208,6 +227,34 @@ def test_picture_of_a_graph(graph: StateGraph, run: Run, tmp_path: Path) -> None
         assert run("picture", tmp_path / "graph.npz", "--out", tmp_path / name) == (0, "")
         assert (tmp_path / name).stat().st_size > 1000
     assert graph_figure(graph, visited=graph.states[:5]).axes
+
+
+def test_texts_count_one_and_name_what_has_no_steps(plan_file: Path, tmp_path: Path) -> None:
+    """One part is no parts, and a structure without a plan has no steps that are done."""
+    words = {picture(plan_file, step=step, verdicts=True).shows for step in range(len(load_plan(plan_file)) + 1)}
+    assert any("balance 1 free part" in text for text in words)
+    assert not any("1 free parts" in text for text in words)
+    arch = load_structure("arch:blocks=3")
+    assert picture(arch.boundary.astype(int) + 1, structure=arch).shows.startswith("arch")
+
+
+def test_a_graph_names_its_structure_and_the_options_of_it(run: Run, tmp_path: Path) -> None:
+    save_assembly(load_structure("arch:blocks=3"), tmp_path / "bricks")
+    out = tmp_path / "graphs" / "graph.npz"
+    out.parent.mkdir()
+    assert run("graph", tmp_path / "bricks", "--friction", 0.8, "--width", 8, "--out", out)[0] == 0
+    assert run("picture", out, "--out", tmp_path / "graph.png") == (0, "")
+    shown = open_file(out)
+    assert shown.assembly.friction == 0.8
+    assert shown.graph is not None
+    both = {"path": "x", "built_in": "y"}
+    for origin, hint in (({"path": "../gone"}, "is gone"), ([], "origin is []"), (both, "origin must have either")):
+        save_state_graph(replace(shown.graph, origin=None), out)
+        header, arrays = read_archive(out, "falsework.graph/1")
+        write_archive(out, "falsework.graph/1", {**header, "origin": origin}, arrays)
+        code, error = run("picture", out, "--out", tmp_path / "graph.png")
+        assert code == 2
+        assert hint in error
 
 
 def test_what_a_policy_thinks_and_covers(

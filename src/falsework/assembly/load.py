@@ -172,6 +172,8 @@ def check_meshes_path(path: Path) -> None:
     form = read_format(path) if path.suffix.lower() == ".json" else ""
     if form.startswith("falsework."):
         raise InputError(f"{path} is a file of format {form}, not a structure; give the structure that it belongs to")
+    if path.suffix.lower() == ".toml":
+        raise InputError(f"{path} is no structure; a cell is given by --cell, beside the structure in it")
     others = [
         f"{name} ({', '.join(reader.suffixes)})"
         for name, reader in formats(READERS).items()

@@ -72,6 +72,7 @@ def _say(output: Output, assembly: Assembly, cell: Cell, parts: PartShapes, tabl
     """Print one row per part."""
     from falsework.robots.cells.validate import missing_homes
     from falsework.robots.grasping.reachability import Reachability
+    from falsework.robots.model.cell_holds import boundless
 
     shown: list[tuple[str, ...]] = []
     for row, part in enumerate(table.parts.tolist()):
@@ -93,9 +94,8 @@ def _say(output: Output, assembly: Assembly, cell: Cell, parts: PartShapes, tabl
     output.say(f"{cell.name}: of {counted(len(table.parts), 'part')} within reach: {counts}")
     for text in missing_homes(cell, parts):
         output.say(text)
-    if boundless := sorted({robot.gripper.name for robot in cell.robots if not robot.gripper.has_limits}):
-        names = ", ".join(boundless)
-        output.say(f"grippers without force and moment bear fifty weights of the heaviest part in planning: {names}")
+    if text := boundless(cell):
+        output.say(text)
 
 
 def _propose(output: Output, proposal: BaseProposal | None) -> None:

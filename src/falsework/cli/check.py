@@ -12,7 +12,6 @@ from tyro.conf import Positional, arg
 from falsework.cli.arguments import parse_limits, spell_options
 from falsework.cli.command import UNSET, ConeOption, JudgingCommand, LoadOptions
 from falsework.cli.exit_code import Exit
-from falsework.cli.output import exit_of_good
 from falsework.cli.planning import judge_text, load_record, load_text
 from falsework.errors import InputError
 from falsework.utils.quantity import counted, format_quantity
@@ -49,9 +48,9 @@ class CheckPlan(JudgingCommand):
     The options, not the file, set the criterion; a plan that claims less is refused. A checker that shares no code with
     the solvers evaluates the certificates that the plan carries (`plan --proofs`). Other states are solved: under
     `contact` by displacements from rest, or from those of neighbouring states, which the checker verifies; under
-    `equilibrium` by the exact solver. The structure is the one that the plan names; a plan for another structure is
-    refused. Options of the structure that the plan records, such as its friction, count only if they are given here
-    too. Exit code 1 at the first step that fails; 3 if all is well, but only with such options of the plan.
+    `equilibrium` by the exact solver. The structure is the one that the plan names, with the options that the plan
+    records, such as its unit, boundary or friction, which are printed; with --structure nothing of it is taken from the
+    plan. A plan for another structure is refused. Exit code 1 at the first step that fails.
     """
 
     rare: ClassVar[tuple[str, ...]] = (
@@ -67,8 +66,7 @@ class CheckPlan(JudgingCommand):
     examples: ClassVar[tuple[str, ...]] = (
         "falsework check plan.json",
         "falsework check plan.json --replay",
-        "falsework check plan.json --structure my-folder --steps",
-        "falsework check plan.json --accept-overrides",
+        "falsework check plan.json --structure my-folder --unit mm",
     )
 
     outcomes: ClassVar[tuple[str, str]] = ("verified", "refuted")
@@ -76,10 +74,8 @@ class CheckPlan(JudgingCommand):
     plan: Annotated[Positional[Path], arg(metavar="PLAN")]
     """Plan to check, as `falsework plan` wrote it."""
     structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
-    """Structure to check it on, instead of the one that the plan names."""
+    """Structure to check it on, instead of the one that the plan names with its options."""
     reading: LoadOptions
-    accept_overrides: bool = False
-    """Accept the options of the structure that the plan records, as if all were given."""
     cone: ConeOption = None
     tolerance: float = 1e-4
     """Largest acceleration of a part in a stable state, as a share of gravity."""
@@ -111,7 +107,7 @@ class CheckPlan(JudgingCommand):
         from falsework.search.margins.demands import Demands
         from falsework.search.plans.plan_check import validate_plan
         from falsework.search.plans.plan_file import load_plan
-        from falsework.search.plans.plan_source import structure_to_check
+        from falsework.search.plans.plan_source import recorded_options, structure_of_plan
         from falsework.stability.holds import HoldSettings
         from falsework.stability.settings import StabilitySettings
 
@@ -128,7 +124,9 @@ class CheckPlan(JudgingCommand):
         )
         demands = None if self.margin is None else Demands.from_text(self.margin)
         plan = load_plan(self.plan)
-        assembly, overrides = structure_to_check(plan, self.plan, self.structure, **self.reading.given())
+        given = self.reading.given()
+        assembly = structure_of_plan(plan, self.plan, self.structure, **given)
+        overrides = recorded_options(plan, self.structure, **given)
         with output.bar("checking") as show:
             found = validate_plan(
                 plan,
@@ -144,7 +142,7 @@ class CheckPlan(JudgingCommand):
             return Exit.NO
         if self.judge and not self._build(plan, assembly, output):
             return Exit.NO
-        return exit_of_good(self.plan, overrides, output, accepted=self.accept_overrides)
+        return Exit.DONE
 
     def _report(
         self, plan: Plan, assembly: Assembly, found: PlanReport, overrides: dict[str, Any], output: Output
@@ -187,7 +185,8 @@ class CheckPlan(JudgingCommand):
                 f"({claim.cone} cone, tolerance {format_quantity(claim.tolerance, 'share')}, "
                 f"gravity {claim.gravity:g} m/s2, "
                 f"force bound "
-                f"{claim.force_bound:g}); largest residual {format_quantity(found.residual, 'share')} of gravity"
+                f"{claim.force_bound:g}); no part is out of balance by more than "
+                f"{format_quantity(found.residual, 'share')} of its weight"
             )
             demanded = self.margin or (plan.margins and str(plan.margins.demands))
             if demanded:
@@ -197,11 +196,11 @@ class CheckPlan(JudgingCommand):
         if found.checked and found.about is not None:
             output.say(self._about(found.about, plan, assembly))
             if overrides:
-                output.say(f"options of the structure that the plan sets: {spell_options(overrides)}")
+                output.say(f"options of the structure that the plan records: {spell_options(overrides)}")
         if borne := load_text(plan, found.loads):
             output.say(borne)
         if found.certified:
-            output.say(f"certificates in the plan prove {found.certified} states")
+            output.say(f"certificates in the plan prove {counted(found.certified, 'state')}")
         if found.good and unverified:
             output.say(f"not verified: {', '.join(unverified)}")
         if not found.good:

@@ -14,7 +14,7 @@ from falsework.cli.cell_reach import examine_cell, report_reach
 from falsework.cli.command import UNSET, Command, LoadOptions
 from falsework.cli.exit_code import Exit
 from falsework.errors import InputError
-from falsework.utils.quantity import counted, format_quantity
+from falsework.utils.quantity import counted, format_quantity, listed
 
 if TYPE_CHECKING:
     from falsework.assembly.doctor import Diagnosis
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
 
 _LISTED = 20
-"""Parts that are listed; --json has all."""
+"""Findings that are listed; --json has all."""
 _REPAIRED = "#e69f00"
 _DOUBTFUL = "#b2182b"
 
@@ -159,15 +159,17 @@ def _lines(found: Diagnosis) -> list[str]:
         lines.append(f"stored interfaces: {found.stored}")
     lines += list(found.remarks)
     repaired = [report for report in found.parts if report.repairs]
-    for title, listed in (("repaired", repaired), ("doubtful", found.doubtful)):
-        if listed:
-            lines.append(f"{title}: {counted(len(listed), 'part')}")
-        for report in listed[:_LISTED]:
-            lines.append(
-                f"  part {report.name} {report.repairs if title == 'repaired' else '; '.join(report.findings)}"
-            )
-        if len(listed) > _LISTED:
-            lines.append(f"  and {len(listed) - _LISTED} more")
+    for title, reports in (("repaired", repaired), ("doubtful", found.doubtful)):
+        alike: dict[str, list[str]] = {}
+        for report in reports:
+            what = report.repairs if title == "repaired" else "; ".join(report.findings)
+            alike.setdefault(what, []).append(report.name)
+        lines += [f"{title}: {counted(len(reports), 'part')}"] * bool(reports)
+        for what, names in list(alike.items())[:_LISTED]:
+            several = f"{counted(len(names), 'part')} ({listed(names)}): {what}"
+            lines.append(f"  {several if len(names) > 1 else f'part {names[0]} {what}'}")
+        if rest := sum(map(len, list(alike.values())[_LISTED:])):
+            lines.append(f"  and {counted(rest, 'part')} more")
     lines.append("it loads" if found.loads else f"it does not load: {found.error}")
     if found.additions:
         lines.append(f"add to assembly.json: {found.line()}")

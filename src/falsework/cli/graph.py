@@ -104,7 +104,8 @@ class MakeGraph(JudgingCommand):
                 result = search.run(progress=report, stop=lambda: clock.passed)
         for note in result.notes:
             output.note(note)
-        graph = StateGraph.from_states(task, search.states(), name=assembly.name)
+        origin = self.structure.source(self.out)
+        graph = StateGraph.from_states(task, search.states(), name=assembly.name, origin=origin)
         save_state_graph(graph, self.out)
         output.file(self.out)
         output.record(

@@ -123,6 +123,7 @@ _PLAIN_WORDS = (
     (r"error parsing (\S+): no type matching INT .* from \[(.*?)\].*?(?=;|$)", r"\1 is \2; give a whole number"),
     (r"error parsing (\S+): invalid literal for int\(\) with base 10: ('.*?')", r"\1 is \2; give a whole number"),
     (r"missing value for argument '(--\S+)'\. Expected 1 values", r"\1 has no value; give one"),
+    (r"unrecognized options: (?=[^-])", "too many values: "),
     (r"missing value for argument '\S+'\. Expected 1 values", "an argument is missing, or an option does not exist"),
 )
 """Messages of tyro that name types of Python, and what they say to a user."""

@@ -169,7 +169,7 @@ class PlanRobots(Command):
 
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
-        from falsework.robots.model.cell_holds import CellScale
+        from falsework.robots.model.cell_holds import CellScale, boundless
         from falsework.robots.planning.hybrid_planner import plan_robots
         from falsework.robots.planning.hybrid_result import HybridSettings
         from falsework.search.problem.task import Direction
@@ -210,6 +210,8 @@ class PlanRobots(Command):
         }
         if not building or begun is not None or {self.state, self.joints, self.holding, self.grips} != {None}:
             given |= {"configurations": joints, "held": held, "gripped": grips}
+        if text := boundless(cell):
+            output.say(text)
         with output.bar("planning motions") as show:
             given["progress"] = lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}")
             result = plan_robots(assembly, cell, **given)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from tyro.conf import arg
 
+from falsework.cli.arguments import spell_options
 from falsework.cli.command import UNSET, DeviceOption, JudgingCommand, StructureOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.planning import refuse_unstable
@@ -142,7 +144,8 @@ class Train(JudgingCommand):
 
     @property
     def _interrupted(self) -> str:
-        return f"interrupted; falsework train ... --out {self.out} --resume continues"
+        structure = " ".join(filter(None, (shlex.quote(self.structure.spec), spell_options(self.structure.given()))))
+        return f"interrupted; falsework train {structure} --out {shlex.quote(str(self.out))} --resume continues"
 
     def _tell(self, result: TrainResult, output: Output) -> Exit:
         if not result.first:

@@ -66,7 +66,7 @@ _SCALES: dict[str, tuple[tuple[float, str], ...]] = {
     "angle": ((math.pi / 180, "deg"),),
     "duration": ((1.0, "s"),),
     "share of gravity": ((1.0, "g"),),
-    "share": ((1e-6, "ppm"), (1e-2, "%")),
+    "share": ((1e-2, "%"),),
     "factor": ((1.0, ""),),
 }
 """Units in which each kind of quantity is written, and their size in SI units, the smallest first."""

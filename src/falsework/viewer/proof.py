@@ -22,7 +22,7 @@ from falsework.stability.motion import motion_of
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Verdicts
-from falsework.utils.quantity import format_quantity, listed
+from falsework.utils.quantity import counted, format_quantity, listed
 from falsework.viewer.arrows import Arrows, arrows_of_forces, arrows_of_motion, moved_parts
 from falsework.viewer.palette import MOTION, SLIDING
 
@@ -177,7 +177,7 @@ def _stable(
     assembly: Assembly, state: States, forces: NDArray[np.float64], how: str, presses: Sequence[Press] = ()
 ) -> StateProof:
     free = int((state == INSTALLED).sum())
-    words = f"stable: contact forces balance {free} free parts" if free else "stable: every part is held"
+    words = f"stable: contact forces balance {counted(free, 'free part')}" if free else "stable: every part is held"
     arrows = arrows_of_forces(assembly, state, forces, presses)
     return StateProof(True, True, words + _said(how), arrows, forces=forces)
 

@@ -217,11 +217,11 @@ def picture(
         content = png_of(image)
     else:
         view_of_all = camera(480, 5 / 8)
-        sheet = contact_sheet(timeline, places=places, columns=columns, camera=view_of_all, title=title, proofs=proofs)
-        content = png_of(sheet)
+        look = {"camera": view_of_all, "title": title, "arms": shown.arms, "proofs": proofs}
+        content = png_of(contact_sheet(timeline, places=places, columns=columns, **look))
     shows = f"{len(places)} of {len(timeline) + 1} states" if len(timeline) else f"{shown.assembly.name}"
     if single is not None:
-        shows = "; ".join(filter(None, (timeline.label(single), timeline.loads_text(single))))
+        shows = "; ".join(filter(None, (caption(timeline, single), timeline.loads_text(single))))
     fallen = _unstable(proofs) if proofs else None
     if fallen is not None:
         shows += f"; {proofs[single].words if single is not None else f'{len(fallen)} of them are not stable'}"

@@ -127,7 +127,7 @@ def viewable_of(
         )
         return Viewable("robot plan", assembly, timeline, known.plan, arms=arms)
     if isinstance(known, StateGraph):
-        return _graph(known, str(file or "the graph"), structure, direction, options)
+        return _graph(known, file, structure, direction, options)
     if isinstance(known, Assembly):
         return Viewable("structure", known, still(known, complete_state(known.boundary)))
     if file is not None:  # a run; a policy disassembles: its next actions are shown for the complete structure
@@ -178,20 +178,16 @@ def _load_run(folder: Path | str, assembly: Assembly | None) -> Any:
 
 def _graph(
     graph: StateGraph,
-    name: str,
+    file: Path | None,
     structure: AnyStructure | None,
     direction: Direction,
     options: dict[str, Any],
 ) -> Viewable:
-    from falsework.assembly.library import built_in, is_built_in
-
-    if structure is None:
-        if not is_built_in(graph.name):
-            raise InputError(f"{name} does not say where {graph.name or 'its structure'} is; name it (--structure)")
-        structure = built_in(graph.name)
-    assembly = as_assembly(structure, **options)
+    assembly = structure_of_plan(graph, file, structure, **options)
     if assembly.identity != graph.task.identity:
-        raise InputError(f"{name} is of another structure than {assembly.name}; name the right one (--structure)")
+        raise InputError(
+            f"{file or 'the graph'} is of another structure than {assembly.name}; name the right one (--structure)"
+        )
     route = graph.sample_route(np.random.default_rng(0))
     if route is None:
         still = Timeline.from_state(assembly, graph.task.start, graph.task.robots).turned(direction)

@@ -98,7 +98,7 @@ def test_an_interruption_before_the_first_step_says_how_to_go_on(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("falsework.learn.training.train.train", interrupted)
-    assert main(["train", "arch:blocks=5", "--out", str(run)]) == 130
+    assert main(["train", "arch:blocks=5", "--friction", "0.7", "--out", str(run)]) == 130
     error = capsys.readouterr().err
-    assert (f"--out {run} --resume continues" in error) == begun
+    assert (f"falsework train arch:blocks=5 --friction 0.7 --out {run} --resume continues" in error) == begun
     assert error.count("\n") == 1

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from falsework import load_cell, load_structure
-from falsework.errors import CellError
+from falsework.errors import CellError, InputError
 from falsework.robots import Cell, CellRobot, Gripper, builtin_cells, check_cell, load_urdf
 from falsework.robots.cells import cell_file
 from falsework.robots.cells.cell_file import parse_cell
@@ -103,7 +103,7 @@ def test_a_cell_needs_robots_and_names() -> None:
         read(GOOD + robot)
     with pytest.raises(CellError, match="unknown cell dome; give a TOML file, or one of the built-in cells bottle-12"):
         load_cell("dome")
-    with pytest.raises(CellError, match=r"cell file nowhere\.toml cannot be read: No such file"):
+    with pytest.raises(InputError, match=r"there is no cell file nowhere\.toml; `falsework cell new` writes one"):
         load_cell("nowhere.toml")
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from falsework import Assembly, Direction, StabilityOracle, Task, load_structure, plan_robots
 from falsework.assembly import HELD, complete_state
-from falsework.errors import InputError, StateError
+from falsework.errors import CellError, InputError, StateError
 from falsework.robots import Cell, HybridSettings, KeyframeGraph, Obstacle, Placement
 from falsework.robots.keyframes.keyframe_graph import KeyframeSettings
 from falsework.robots.keyframes.keyframes import Edge, Node
@@ -138,6 +138,24 @@ def test_a_target_and_missing_parts(column: Assembly, cell: Cell, oracle: Stabil
     )
     assert guided.value is not None
     assert guided.value.plan.inserted_parts[-1] == 2
+
+
+def test_what_no_gripper_can_carry_is_named_before_the_search(column: Assembly, cell_of: Callable[..., Cell]) -> None:
+    """The message has all parts, and what of the gripper and of the part does not agree."""
+    strong = cell_of(2)
+    wide = [replace(robot, gripper=replace(robot.gripper, cup=0.12)) for robot in strong.robots]
+    started: list[object] = []
+    for cell, why in (
+        (cell_of(2, payload=0.01), "more than the payload of 0.01 kg"),
+        (replace(strong, robots=tuple(wide)), "its cup has a radius of 120 mm, the largest face takes one of 100 mm"),
+    ):
+        with pytest.raises(CellError, match=r"can carry 3 parts: block-0 \(.*\), block-1 \(.*\), block-2") as caught:
+            plan_robots(column, cell, settings=APART, progress=started.append)
+        assert why in str(caught.value)
+    assert not started
+    # One arm that can carry them is enough.
+    mixed = replace(strong, robots=(strong.robots[0], wide[1]))
+    assert plan_robots(column, mixed, settings=APART).found
 
 
 def test_what_is_out_of_reach_is_named(column: Assembly, cell_of: Callable[..., Cell]) -> None:

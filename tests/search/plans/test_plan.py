@@ -364,7 +364,7 @@ def test_a_release_without_support_is_found_where_it_happens(small_arch: Assembl
 
 def test_broken_rules_are_found(plan: Plan, small_arch: Assembly) -> None:
     one = replace(plan, robots=1)
-    assert "all 1 robots are holding" in validate_plan(one, small_arch).reason
+    assert "every robot is holding" in validate_plan(one, small_arch).reason
     fixed = replace(plan, fixed=(plan[0].part,))
     assert "touches a fixed part" in validate_plan(fixed, small_arch).reason
     early = replace(plan, actions=np.array([plan[0].part, *plan.actions[1:]]))

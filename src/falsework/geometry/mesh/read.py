@@ -126,6 +126,8 @@ def _files(folder: Path) -> list[Path]:
             what = "a folder" if entry.is_dir() else "a link that leads nowhere" if entry.is_symlink() else "no file"
             raise InputError(f"{entry} is {what}, not the mesh of a part; replace it or take it out of {folder}")
     if not named:
+        if (folder / "run.json").is_file():
+            raise InputError(f"{folder} is a run of falsework train, and no structure; name the one that it is of")
         raise InputError(f"no mesh in {folder}; put one file per part there ({', '.join(SUFFIXES)})")
     others = [entry.name for entry in entries if entry not in named and entry.is_file() and _may_hold_parts(entry)]
     others += [f"{entry.name}/" for entry in entries if entry.is_dir() and _has_meshes(entry)]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import counted, format_quantity
 
 Array = NDArray[np.float64]
 
@@ -39,10 +39,10 @@ class Settlement:
         moved, most = int((self.motion > 0).sum()), int(self.motion.argmax())
         if not moved:
             return "every part was at rest: none settled"
-        count = "1 part" if moved == 1 else f"{moved} parts"
         within = format_quantity(self.bound, "length")
         far = format_quantity(float(self.motion[most]), "length")
-        return f"{count} settled into the clearance, within {within}; {names[most]} moved farthest, by {far}"
+        settled = f"{counted(moved, 'part')} settled into the clearance, within {within}"
+        return f"{settled}; {names[most]} moved farthest, by {far}"
 
     def to_dict(self, names: Sequence[str]) -> dict[str, Any]:
         """Return plain JSON values in SI units, an entry for each part that moved."""

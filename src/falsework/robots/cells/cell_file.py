@@ -76,7 +76,9 @@ def load_faulty_cell(name: str | Path) -> tuple[Cell | None, list[str]]:
 def _text_of(name: str | Path) -> tuple[str, str, Path]:
     """Return the text of a cell, its name in messages, and the folder of its paths."""
     path = Path(name)
-    if path.suffix == ".toml" or path.is_file():
+    if path.suffix.lower() == ".toml" and not path.exists():
+        raise InputError(f"there is no cell file {path}; `falsework cell new` writes one")
+    if path.suffix.lower() == ".toml" or path.is_file():
         try:
             return path.read_text(encoding="utf-8"), str(path), path.parent
         except (OSError, UnicodeDecodeError) as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States
+from falsework.errors import CellError
 from falsework.robots.grasping.grasp import Grasp, candidates, clear_grasps, grasp_fault
 from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.kinematics.forward import tool_pose
@@ -18,7 +19,7 @@ from falsework.robots.model.cell import Gripper
 from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import Scene, grasp_contact
 from falsework.robots.motion.path_planner import MotionCache
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import counted, format_quantity, listed
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +55,20 @@ class GraspConfigurations:
         if key not in self._grips:
             self._grips[key] = self._find(robot, part, present)
         return self._grips[key]
+
+    def check(self, parts: Iterable[int]) -> None:
+        """Raise CellError for parts that no gripper can carry, whatever else stands and wherever the arms are."""
+        faults = {}
+        for part in parts:
+            of_robots = [self._never(robot, part) for robot in range(self.cell.robot_count)]
+            if all(of_robots):
+                faults[part] = "; ".join(dict.fromkeys(of_robots))
+        if faults:
+            named = listed([f"{self.parts.names[part]} ({fault})" for part, fault in faults.items()], 3)
+            raise CellError(
+                f"no gripper of {self.cell.name} can carry {counted(len(faults), 'part')}: {named}; take other "
+                "grippers, or set scale or density of [structure]"
+            )
 
     def places(self, robot: int) -> Array:
         """Return drop-off configurations of a robot, shape (n, joints)."""
@@ -99,13 +114,8 @@ class GraspConfigurations:
 
     def _find(self, robot: int, part: int, present: NDArray[np.bool_]) -> list[GraspConfiguration]:
         entry = self.cell.robots[robot]
-        name = self.parts.names[part]
-        if self.parts.mass[part] > entry.payload:
-            what = (
-                f"{name} weighs {format_quantity(self.parts.mass[part], 'mass')}, more than the payload of "
-                f"{format_quantity(entry.payload, 'mass')}"
-            )
-            self.reasons.add("hold", part, robot, what)
+        if heavy := self._heavy(robot, part):
+            self.reasons.add("hold", part, robot, heavy)
             return []
         found = self._grasps(part, present, entry.gripper)
         if not found:
@@ -126,6 +136,20 @@ class GraspConfigurations:
             self.reasons.add("hold", part, robot, "every grasp collides", view.pair(int(hits[-1])))
         return [GraspConfiguration(robot, found[which[row]], values[row]) for row in clear]
 
+    def _heavy(self, robot: int, part: int) -> str:
+        """Return in words that a part is too heavy for a robot; empty if it is not."""
+        mass, payload = float(self.parts.mass[part]), self.cell.robots[robot].payload
+        if mass <= payload:
+            return ""
+        return f"it weighs {format_quantity(mass, 'mass')}, more than the payload of {format_quantity(payload, 'mass')}"
+
+    def _never(self, robot: int, part: int) -> str:
+        """Return why a robot can never carry a part, not even one that is alone; empty if it may."""
+        if heavy := self._heavy(robot, part):
+            return heavy
+        gripper = self.cell.robots[robot].gripper
+        return "" if self._tried(part, gripper) else self._fault(part, gripper)
+
     def _fault(self, part: int, gripper: Gripper) -> str:
         """Return why a gripper has no grasp of a part among others."""
         key = _size(part, gripper)
@@ -135,10 +159,14 @@ class GraspConfigurations:
 
     def _grasps(self, part: int, present: NDArray[np.bool_], gripper: Gripper) -> list[Grasp]:
         """Return grasps of a part among the present parts, best first; the arm is not considered."""
+        return clear_grasps(self._tried(part, gripper), self.parts, part, present, gripper, limit=self.limit)
+
+    def _tried(self, part: int, gripper: Gripper) -> list[Grasp]:
+        """Return grasps of a part that is alone, best first."""
         key = _size(part, gripper)
         if key not in self._candidates:
             self._candidates[key] = candidates(self.assembly, self.parts, part, gripper)
-        return clear_grasps(self._candidates[key], self.parts, part, present, gripper, limit=self.limit)
+        return self._candidates[key]
 
 
 def _size(part: int, gripper: Gripper) -> tuple[int, str, float, float, float]:

@@ -41,6 +41,14 @@ class CellScale:
         return self.force / self.length
 
 
+def boundless(cell: Cell) -> str:
+    """Return in words what planning assumes of grippers without limits; empty where all have them."""
+    names = sorted({robot.gripper.name for robot in cell.robots if not robot.gripper.has_limits})
+    if not names:
+        return ""
+    return f"grippers without force and moment bear fifty weights of the heaviest part in planning: {', '.join(names)}"
+
+
 def stability_in(cell: Cell, assembly: Assembly, settings: StabilitySettings) -> StabilitySettings:
     """Return settings of stability with robots that can do no more than those of a cell, in the structure's units.
 

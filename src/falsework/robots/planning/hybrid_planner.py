@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.groups import groups_of, join_parts
@@ -96,7 +97,7 @@ def plan_robots(
         forces: keep the contact forces that prove each state in the plan.
 
     Raises:
-        CellError: a gripper bears less than the weight of a part.
+        CellError: a gripper bears less than the weight of a part, or no gripper can carry a part that moves.
         InputError: configurations that do not fit the robots, or in which something collides.
         StateError: held parts that do not go with the state that is begun with.
         DependencyError: robots are to move at the same time, and OR-Tools is missing.
@@ -137,6 +138,9 @@ def plan_robots(
     def search(limits: HybridSettings, graph: KeyframeGraph | None, clock: Deadline) -> HybridResult:
         graph = graph or KeyframeGraph(assembly, cell, settings=limits.keyframes, seed=limits.seed, **needed)
         within = task_in_cell(assembly, cell, task, graph.exits, clock.check)
+        if groups_of(assembly) is None:  # parts that are joined may also be carried one by one
+            leaving = np.flatnonzero((within.target == REMOVED) & (within.start != REMOVED)).tolist()
+            graph.grasp_configurations.check(part for part in leaving if part not in (held or ()))
         # Searches begin at the complete structure, where a continued assembly ends.
         first = given_keyframe(graph, within.start, *((None,) * 3 if continues else now))
         last = given_keyframe(graph, within.target, *now) if continues else None

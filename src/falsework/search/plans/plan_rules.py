@@ -17,6 +17,7 @@ from falsework.search.problem.task import Direction, Task
 from falsework.search.together.posed_states import PosedStates
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.quantity import counted
 
 
 def broken_rule(
@@ -32,7 +33,7 @@ def broken_rule(
     states, parts, boundary = plan.states, len(plan.boundary), plan.boundary
     held = int(held_count(states[:1], plan.immovable)[0])
     if held > plan.robots:
-        return 0, f"{held} parts are held at first, with {plan.robots} robots"
+        return 0, f"{counted(held, 'part')} held at first, with {counted(plan.robots, 'robot')}"
     if plan.allow_regrasp:
         allowed = RegraspMoves(_task_of(plan)).legal(states[:-1], Direction.ASSEMBLY)
     else:
@@ -134,7 +135,7 @@ def broken_together(plan: Plan, step: int, assembly: Assembly | None, settings: 
     if int(plan.actions[step]) != len(before) + moved[0]:
         return "is named after a part that no robot holds"
     if robots > plan.robots:
-        return f"is against the rules: it needs {robots} robots, and there are {plan.robots}"
+        return f"is against the rules: it needs {counted(robots, 'robot')}, and the plan has {plan.robots}"
     if assembly is None:
         return ""
     together = tuple(sorted(moved))
@@ -201,5 +202,5 @@ def _why(plan: Plan, step: int) -> str:
         return "a prop stands under it"
     takes_robot = plan.allow_regrasp or action >= parts
     if takes_robot and held >= plan.robots and state[part] != HELD:
-        return f"all {plan.robots} robots are holding"
+        return "every robot is holding"
     return f"the part is {('removed', 'installed', 'held')[int(state[part])]}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -76,6 +76,8 @@ class StateGraph:
     """Name of the structure."""
     removable_only_if_clear: bool = False
     """Whether removals in this graph have a free exit direction."""
+    origin: Mapping[str, Any] | None = None
+    """Where the structure is, and the options with which it was read, as `Plan.source`; None if that is not known."""
 
     @classmethod
     def from_states(
@@ -84,6 +86,7 @@ class StateGraph:
         states: States,
         *,
         name: str = "",
+        origin: Mapping[str, Any] | None = None,
         several: Callable[[States], Iterable[tuple[States, int]]] | None = None,
     ) -> StateGraph:
         """Connect stable states by every action that the rules of `task` allow.
@@ -93,6 +96,7 @@ class StateGraph:
                 between these two are used.
             states: stable states in any order, repeated or not, shape (count, parts).
             name: name of the structure.
+            origin: where it is.
             several: yields the states that removals of several parts from a state, shape (parts,), lead to, each with
                 the number of the step.
         """
@@ -125,7 +129,7 @@ class StateGraph:
         every = np.concatenate(edges, axis=1) if edges else np.empty((3, 0), dtype=np.int32)
         source, action, target = every[:, np.argsort(every[0], kind="stable")]
         clear = task.clearance is not None
-        return cls(states, source, action, target, task, name, removable_only_if_clear=clear)
+        return cls(states, source, action, target, task, name, clear, origin)
 
     def __len__(self) -> int:
         return len(self.states)
@@ -237,6 +241,7 @@ def save_state_graph(graph: StateGraph, path: Path | str) -> None:
         "missing": list(task.missing),
         "postponed": list(task.postponed),
         "criterion": graph.criterion,
+        "origin": None if graph.origin is None else dict(graph.origin),
     }
     arrays = {
         "states": graph.states,
@@ -258,6 +263,7 @@ def load_state_graph(path: Path | str) -> StateGraph:
     """
     header, arrays = read_archive(path, FORMAT, _ARRAYS)
     criterion = read_criterion(path, header, "build the graph again")
+    origin = header.pop("origin", None)  # which files of older versions have not
     check_header(path, header, _KINDS, "build the graph again")
     boundary = arrays["boundary"]
     if boundary.ndim != 1 or boundary.dtype != bool or len(header["postponed"]) != len(header["missing"]):
@@ -284,6 +290,7 @@ def load_state_graph(path: Path | str) -> StateGraph:
             task,
             header["name"],
             header["removable_only_if_clear"],
+            origin,
         )
         _check(graph, path)
     return graph

@@ -7,18 +7,17 @@ from typing import TYPE_CHECKING
 from falsework.robots.plans.timeline import bars_of
 from falsework.viewer.palette import INK, ink_on, robot_color
 from falsework.viewer.pictures.gantt import ALPHA, KEY
+from falsework.viewer.plot_svg import WIDTH, marked_chart, time_axis
 from falsework.viewer.web.links import link_to
 from falsework.viewer.web.markup import html_text
 
 if TYPE_CHECKING:
     from falsework.robots.plans.robot_plan import RobotPlan
 
-_WIDTH, _ROW, _AXIS = 360.0, 22.0, 16.0
-"""Width of the chart, height of the row of an arm and of the axis, pixels."""
+_ROW = 22.0
+"""Height of the row of an arm, pixels."""
 _LETTER = 5.2
 """Width of a letter in a bar, pixels."""
-_TICKS = 5
-"""Intervals between the times below the chart."""
 
 
 def gantt_svg(plan: RobotPlan) -> str:
@@ -31,7 +30,7 @@ def gantt_svg(plan: RobotPlan) -> str:
     for bar in bars_of(plan):
         color, alpha = robot_color(bar.robot), ALPHA[bar.does]
         name = "" if bar.part is None else plan.plan.part_names[bar.part]
-        x, width = _WIDTH * bar.begin / span, _WIDTH * (bar.end - bar.begin) / span
+        x, width = WIDTH * bar.begin / span, WIDTH * (bar.end - bar.begin) / span
         high = 12.0 if bar.does != "moves" else 6.0
         y = _ROW * bar.robot + 10
         fits = bool(name) and len(name) * _LETTER < width
@@ -44,21 +43,15 @@ def gantt_svg(plan: RobotPlan) -> str:
         text = f"<text {at}>{html_text(name)}</text>" if fits else ""
         rows.append(link_to("seconds", bar.begin, f"<title>{html_text(words)}</title>{shape}{text}"))
     base = _ROW * len(plan.robots) + 2
-    for tick in range(_TICKS + 1):
-        x, anchor = _WIDTH * tick / _TICKS, "start" if tick == 0 else "end" if tick == _TICKS else "middle"
-        rows.append(
-            f'<text x="{x:.1f}" y="{base + 10:.0f}" font-size="8" fill="{INK}" text-anchor="{anchor}">'
-            f"{span * tick / _TICKS:.1f}</text>"
-        )
+    rows.append(time_axis(base, span))
+    chart = marked_chart("".join(rows), base, "when the arms move", "gantt")
     return (
-        f'<div style="margin:0 1em"><svg class="falsework-gantt" viewBox="0 0 {_WIDTH:.0f} {base + _AXIS:.0f}" '
-        f'style="display:block;width:100%;height:auto" role="img" aria-label="when the arms move">{"".join(rows)}'
-        f'<rect class="falsework-now" x="0" y="0" width="1.5" height="{base:.0f}" fill="{INK}"/></svg>'
+        f'<div style="margin:0 1em">{chart}'
         f'<div class="falsework-hint" style="font-size:11px">seconds; {KEY}; a click goes there</div></div>'
     )
 
 
 def marker_style(share: float) -> str:
     """Return the style that puts the marker of the chart at a share of its time, in HTML; it moves by half percents."""
-    x = round(200 * min(max(share, 0.0), 1.0)) / 200 * _WIDTH
+    x = round(200 * min(max(share, 0.0), 1.0)) / 200 * WIDTH
     return f"<style>.falsework-now {{ transform: translateX({x:.1f}px); }}</style>"

@@ -39,7 +39,7 @@ def new_plan(answer: ReplanResult, assembly: Assembly, seconds: float, old: Plan
         kind = "there is no plan" if answer.outcome.value == "proved_impossible" else "no plan was found"
         return NewPlan(False, f"{kind} ({seconds:.2f} s, {decided}): {answer.reason}", seconds, decided)
     plan = answer.value
-    texts = [f"{len(plan) - answer.built} steps in {seconds:.2f} s, decided by {decided}."]
+    texts = [f"{counted(len(plan) - answer.built, 'step')} in {seconds:.2f} s, decided by {decided}."]
     placed = int((plan.actions[: answer.built] >= len(plan.boundary)).sum())
     for need in plan.needs:
         name, others = plan.part_names[need.part], need.after_parts - placed

@@ -12,8 +12,8 @@ import numpy as np
 
 from falsework.errors import FalseworkError
 from falsework.utils.files.printable import printable
+from falsework.viewer.page.chart_tabs import PlotsTab, add_graph_tab
 from falsework.viewer.page.files_tab import FilesTab
-from falsework.viewer.page.graph_tab import add_graph_tab
 from falsework.viewer.page.look_tab import LookTab
 from falsework.viewer.page.page_text import labels_of
 from falsework.viewer.page.play_panel import PlayPanel
@@ -110,6 +110,8 @@ class Page(ServedPage):
             self.site.update()
             if self.steps is not None:
                 self.steps.update()
+            if self.plots is not None:
+                self.plots.update()
             self.files.update()
             self._draw()  # marks sliding parts, if one of the calls above requested the proof
 
@@ -168,6 +170,10 @@ class Page(ServedPage):
             if len(model.timeline):
                 with tabs.add_tab("Steps"):
                     self.steps = StepsTab(gui, self)
+            self.plots: PlotsTab | None = None
+            if model.arms is not None:
+                with tabs.add_tab("Plots"):
+                    self.plots = PlotsTab(gui, self)
             with tabs.add_tab("Disrupt"):
                 self.site = SiteTab(gui, self)
             if model.graph is not None:

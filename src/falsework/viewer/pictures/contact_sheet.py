@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import States
+from falsework.assembly.state import REMOVED, States
 from falsework.errors import DependencyError, InputError
 from falsework.geometry.clearance.moves import apply
 from falsework.search.plans.steps import NO_ROBOT
@@ -36,6 +36,9 @@ FRAME = Camera(width=480, height=320, zoom=0.94)
 """Camera for the picture of an environment."""
 _LINE = 26
 """Pixels for a line of text."""
+_NOT_INSTALLED = "#f4f1ea"
+_PALE = 0.16
+"""Share of their colour with which parts that are not installed are seen."""
 _ARROW = 0.006
 """Thickness of arrows, in diagonals of the structure."""
 
@@ -59,6 +62,7 @@ def draw(
     bounds: NDArray[np.float64] | None = None,
     arrows: Sequence[Arrows] = (),
     extra: Sequence[ColoredSolid] = (),
+    outline: Image | None = None,
     samples: int = 3,
 ) -> Image:
     """Return the picture of one state.
@@ -67,11 +71,14 @@ def draw(
         bounds: box that the picture shows, shape (2, 3); the structure if not given.
         arrows: drawn over the parts, which become pale if any of them lie inside.
         extra: other meshes, such as arms.
+        outline: of all parts, as `outline_of` returns it, for the same camera and bounds.
         samples: pixels are averaged over `samples` squared.
     """
     solids = [*solids_of(assembly, appearance), *extra]
     box = bounds_of(assembly) if bounds is None else bounds
     image = render(solids, camera, box, samples=samples)
+    if outline is not None:
+        image = np.minimum(image, outline)
     if not any(len(some) for some in arrows):
         return image
     thickness = _ARROW * diagonal(assembly)
@@ -82,6 +89,24 @@ def draw(
     return np.where(there, over, 0.55 * image + 0.45 if pale else image)
 
 
+def outline_of(timeline: Timeline, camera: Camera, bounds: NDArray[np.float64], samples: int = 3) -> Image:
+    """Return the pale picture of all parts that are in place at some time, which shows those that are not yet there."""
+    there = np.where((timeline.states != REMOVED).any(axis=0), 1, REMOVED).astype(np.uint8)
+    whole = appearance_at(timeline, timeline.begin, state=there, travelling=False)
+    return 1 - _PALE * (1 - render(solids_of(timeline.assembly, whole), camera, bounds, floor=False, samples=samples))
+
+
+def _scene(
+    timeline: Timeline, position: float, arms: Arms | None, time: float | None = None, **look: Any
+) -> tuple[Appearance, Sequence[ColoredSolid]]:
+    """Return the parts, and arms with what they carry, at a place or time; `look` as for `appearance_at`."""
+    appearance = appearance_at(timeline, position, **look)
+    if arms is None:
+        return appearance, ()
+    poses = arms.at(position) if time is None else arms.at_time(time)
+    return appearance_with_arms(appearance, poses), solids_of_arms(arms, poses, timeline.assembly)
+
+
 def contact_sheet(
     timeline: Timeline,
     *,
@@ -90,6 +115,7 @@ def contact_sheet(
     columns: int = 4,
     camera: Camera = CELL,
     title: str = "",
+    arms: Arms | None = None,
     proofs: Mapping[int, StateProof] | None = None,
 ) -> Pixels:
     """Return some states of a timeline with their steps, and the legend.
@@ -109,7 +135,10 @@ def contact_sheet(
     head, cell = (_LINE + 6 if title else 0), camera.height + _LINE
     proofs = proofs or {}
     sliding = any(proofs[position].slides for position in chosen if position in proofs)
-    entries = legend(timeline, sliding, any(timeline.presses_at(position) for position in chosen))
+    entries = legend(timeline, sliding, any(timeline.presses_at(position) for position in chosen), outlined=True)
+    box = bounds_of(timeline.assembly)
+    box = box if arms is None else bounds_with_arms(arms, box)
+    outline = outline_of(timeline, camera, box)
     sheet = pillow.Image.new("RGB", (columns * camera.width, head + rows * cell + _LINE + 14), "white")
     pen = pillow.ImageDraw.Draw(sheet)
     if title:
@@ -117,9 +146,11 @@ def contact_sheet(
     for number, position in enumerate(chosen):
         left, top = (number % columns) * camera.width, head + (number // columns) * cell
         proof = proofs.get(position)
-        appearance = appearance_at(timeline, position, marks=None if proof is None else proof.marks, travelling=False)
+        marks = None if proof is None else proof.marks
+        appearance, extra = _scene(timeline, position, arms, marks=marks, travelling=False)
         arrows = list(arrows_of_step(timeline, position).values())
-        picture = to_pixels(draw(timeline.assembly, appearance, camera, arrows=arrows))
+        drawn = draw(timeline.assembly, appearance, camera, bounds=box, arrows=arrows, extra=extra, outline=outline)
+        picture = to_pixels(drawn)
         sheet.paste(pillow.Image.fromarray(picture), (left, top + _LINE))
         write_text(pen, (left + camera.width / 2, top + _LINE / 2 + 4), caption(timeline, position, proof))
     write_legend(pen, sheet.width, sheet.height - _LINE / 2 - 5, entries)
@@ -141,6 +172,7 @@ def one_state(
     words: str | None = None,
     marks: Mapping[int, str] | None = None,
     travelling: bool = True,
+    outline: Image | None = None,
     samples: int = 3,
 ) -> Pixels:
     """Return the picture of one place of a timeline, with its action and the legend.
@@ -155,36 +187,33 @@ def one_state(
         words: the line above; the step if not given.
         marks: colours of parts that stand out, such as those that slide.
         travelling: whether to show the parts that come next on their way.
+        outline: as for `draw`.
         samples: pixels are averaged over `samples` squared.
     """
     pillow = import_pillow()
-    extra: Sequence[ColoredSolid] = ()
-    appearance = appearance_at(
+    appearance, extra = _scene(
         timeline,
         position,
+        arms,
+        time,
         action_probabilities=action_probabilities,
         marks=marks,
         travelling=travelling and arms is None,
     )
     box = (bounds_with_motions(timeline) if travelling else bounds_of(timeline.assembly)) if bounds is None else bounds
-    if arms is not None:
-        arm_poses = arms.at(position) if time is None else arms.at_time(time)
-        appearance, extra = (
-            appearance_with_arms(appearance, arm_poses),
-            solids_of_arms(arms, arm_poses, timeline.assembly),
-        )
-        box = bounds_with_arms(arms, bounds_of(timeline.assembly)) if bounds is None else bounds
+    if arms is not None and bounds is None:
+        box = bounds_with_arms(arms, bounds_of(timeline.assembly))
     tips = [some.ends.reshape(-1, 3) for some in arrows if len(some)]
     if tips and bounds is None:
         points = np.concatenate([box, *tips])
         box = np.stack([points.min(axis=0), points.max(axis=0)])
         box[0, 2] = bounds_of(timeline.assembly)[0, 2]
-    picture = to_pixels(
-        draw(timeline.assembly, appearance, camera, bounds=box, arrows=arrows, extra=extra, samples=samples)
+    drawn = draw(
+        timeline.assembly, appearance, camera, bounds=box, arrows=arrows, extra=extra, outline=outline, samples=samples
     )
     height = camera.height + 2 * _LINE + 14
     image = pillow.Image.new("RGB", (camera.width, height + height % 2), "white")
-    image.paste(pillow.Image.fromarray(picture), (0, _LINE + 4))
+    image.paste(pillow.Image.fromarray(to_pixels(drawn)), (0, _LINE + 4))
     pen = pillow.ImageDraw.Draw(image)
     text = caption(timeline, timeline.next(position)) if words is None else words
     write_text(pen, (camera.width / 2, _LINE / 2 + 4), text, 18)
@@ -202,9 +231,12 @@ def state_frame(assembly: Assembly, state: States, robots: int, words: str) -> P
     return one_state(timeline, 0, FRAME, key=legend(timeline), bounds=box, words=words or assembly.name, samples=2)
 
 
-def legend(timeline: Timeline, sliding: bool = False, pressing: bool = False) -> list[tuple[str, str]]:
+def legend(
+    timeline: Timeline, sliding: bool = False, pressing: bool = False, outlined: bool = False
+) -> list[tuple[str, str]]:
     """Return the colour and words of all that a timeline shows."""
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]
+    entries += [(_NOT_INSTALLED, "not installed")] * outlined
     for robot in range(min(int(timeline.holders.max(initial=NO_ROBOT)) + 1, len(ROBOTS))):
         entries.append((robot_color(robot), f"held by {timeline.robot_name(robot)}"))
     if sliding:

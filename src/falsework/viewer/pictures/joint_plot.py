@@ -38,6 +38,13 @@ def joint_values(plan: RobotPlan, robot: int) -> tuple[Array, Array, Array]:
     return np.array([*times, end]), np.concatenate([*positions, last]), np.concatenate([*rates, np.zeros_like(last)])
 
 
+def joint_shares(plan: RobotPlan, cell: Cell, robot: int) -> tuple[Array, Array, Array]:
+    """Return as `joint_values`, with positions from -1, the lower limit, to 1, and velocities as shares of theirs."""
+    times, positions, rates = joint_values(plan, robot)
+    model = cell.robots[robot].model
+    return times, (2 * positions - model.upper - model.lower) / (model.upper - model.lower), rates / model.velocity
+
+
 def draw_joints(plan: RobotPlan, cell: Cell, path: Path, *, width: int = 0, title: str = "") -> float:
     """Draw positions and velocities of all joints as PNG or SVG, and return the largest share of a velocity limit.
 
@@ -52,10 +59,8 @@ def draw_joints(plan: RobotPlan, cell: Cell, path: Path, *, width: int = 0, titl
     figure = figure_class("plots of joints")(figsize=(_WIDTH, 0.8 + _ROW * rows), layout="constrained")
     grid, fastest = figure.subplots(rows, 2, sharex=True, squeeze=False), 0.0
     for robot, (record, axes) in enumerate(zip(plan.robots, grid, strict=True)):
-        times, positions, rates = joint_values(plan, robot)
-        model = cell.robots[robot].model
-        middle, half = (model.upper + model.lower) / 2, (model.upper - model.lower) / 2
-        for place, values in zip(axes, ((positions - middle) / half, rates / model.velocity), strict=True):
+        times, positions, rates = joint_shares(plan, cell, robot)
+        for place, values in zip(axes, (positions, rates), strict=True):
             for joint, name in enumerate(record.joint_names):
                 place.plot(times, values[:, joint], linewidth=1.0, label=name)
             for limit in (-1.0, 1.0):
@@ -63,7 +68,7 @@ def draw_joints(plan: RobotPlan, cell: Cell, path: Path, *, width: int = 0, titl
             place.set_ylim(-1.15, 1.15)
             for side in ("top", "right"):
                 place.spines[side].set_visible(False)
-        fastest = max(fastest, float(np.abs(rates / model.velocity).max(initial=0.0)))
+        fastest = max(fastest, float(np.abs(rates).max(initial=0.0)))
         axes[0].set_ylabel(f"{record.name}: position", parse_math=False)
         axes[0].set_yticks((-1, 0, 1), ("lower limit", "middle", "upper limit"))
         axes[1].set_ylabel("velocity")

@@ -24,6 +24,7 @@ from falsework.viewer.pictures.contact_sheet import (
     import_pillow,
     legend,
     one_state,
+    outline_of,
 )
 from falsework.viewer.pictures.gantt import strip_of
 from falsework.viewer.pictures.render import Camera
@@ -58,6 +59,7 @@ def frames_of(
         samples: as for `render`.
     """
     box = bounds_with_motions(timeline) if arms is None else bounds_with_arms(arms, bounds_of(timeline.assembly))
+    outline = outline_of(timeline, camera, box, samples)
     sliding = any(proof.slides for proof in (proofs or {}).values())
     still = max(round(HOLD * rate), 1)
     moments = _moments(timeline, arms, seconds, rate, speed)
@@ -74,10 +76,11 @@ def frames_of(
             bounds=box,
             words=caption(timeline, step, proof) if time is None else f"{time:.1f} s, {caption(timeline, step, proof)}",
             arrows=list(arrows_of_step(timeline, step).values()),
-            key=legend(timeline, sliding, any(timeline.presses)),
+            key=legend(timeline, sliding, any(timeline.presses), outlined=True),
             arms=arms,
             time=time,
             marks=marks,
+            outline=outline,
             samples=samples,
         )
         if chart is not None and time is not None:
