@@ -136,7 +136,7 @@ def plan_robots(
 
     def search(limits: HybridSettings, graph: KeyframeGraph | None, clock: Deadline) -> HybridResult:
         graph = graph or KeyframeGraph(assembly, cell, settings=limits.keyframes, seed=limits.seed, **needed)
-        within = task_in_cell(assembly, cell, task, graph.exits, clock.check)
+        within = task_in_cell(assembly, cell, task, graph.exits, oracle, clock.check)
         # Searches begin at the complete structure, where a continued assembly ends.
         first = given_keyframe(graph, within.start, *((None,) * 3 if continues else now))
         last = given_keyframe(graph, within.target, *now) if continues else None

@@ -256,15 +256,29 @@ class RobotPlan(Displayed):
         part = int(self.actions[step]) - len(self.plan.boundary)
         if part < 0 or robot == self.steps[step].robot:
             return part if part >= 0 else None
-        return self.in_place(step).held[robot]
+        return self.in_hand(step + (self.direction is Direction.ASSEMBLY))[robot]
 
-    def in_place(self, step: int) -> Keyframe:
-        """Return the keyframe of a removal or insertion at which its parts are at their places."""
-        return self.keyframes[step + (self.direction is Direction.ASSEMBLY)]
+    @cached_property
+    def standing(self) -> NDArray[np.bool_]:
+        """Which parts are in place at each keyframe, shape (keyframes, parts); one that a robot carries is not."""
+        found = self.states != REMOVED
+        for row, frame in enumerate(self.keyframes):
+            found[row, [part for part in frame.carried if part is not None]] = False
+        return found
 
     def resting(self, step: int) -> NDArray[np.bool_]:
         """Return the parts that are in place throughout a step, shape (parts,)."""
-        return (self.states[step : step + 2] != REMOVED).all(axis=0)
+        return self.standing[step] & self.standing[step + 1]
+
+    def aside(self, keyframe: int) -> dict[int, int]:
+        """Return the parts of the structure that robots carry away from their places for a time, by robot."""
+        loads = enumerate(self.keyframes[keyframe].carried)
+        return {robot: part for robot, part in loads if part is not None and self.states[keyframe, part] != REMOVED}
+
+    def in_hand(self, keyframe: int) -> tuple[int | None, ...]:
+        """Return the part of the structure that each robot holds, in place or aside."""
+        aside = self.aside(keyframe)
+        return tuple(aside.get(robot, part) for robot, part in enumerate(self.keyframes[keyframe].held))
 
     def grip_of(self, robot: int, part: int) -> Array | None:
         """Return the configuration in which a robot holds a part last before it leaves; None if it never does."""
@@ -285,7 +299,11 @@ class RobotPlan(Displayed):
         entry = self.steps[step]
         if entry.transit:
             carried = next((leg.part for leg in entry.trajectories if leg.part is not None), None)
-            return "go to another place" if carried is None else f"carry {self.plan.part_names[carried]}"
+            if carried is None:
+                return "go to another place"
+            name, moves = self.plan.part_names[carried], self.states[step, carried] != REMOVED
+            where = "back" if self.standing[step + 1, carried] else "aside"
+            return f"move {name} {where}" if moves else f"carry {name}"
         if entry.hands_over is None:
             what = self.plan.in_order(self.direction)[int(self.done[step])].words
             return what if entry.put_down is None else f"{what}, put down and gripped again on the way"
