@@ -104,11 +104,11 @@ class RobotStep:
     """Where the part of a removal, or an insertion, lies on the floor while the robot grips it in another way: its
     displacement from its place in the structure, shape (4, 4). None: it stays in the gripper."""
     transit: bool = False
-    """Whether the robot only goes to another place, without an action: from where it is when an assembly is continued,
-    to where its first action begins. The state of the structure and the held parts stay."""
+    """Whether robots only go to other places, without an action: empty, with removed parts, or with held ones that make
+    way for others for a time."""
     gripped: Array | None = None
     """Configuration in which the robot would hold the part of a transit at its place in the structure, shape (joints,);
-    None: it carries no part."""
+    None: it carries no part, or has held it there."""
     partners: tuple[Partner, ...] = ()
     """Robots that move their own parts at the same instant; what each carries on alone is in transits."""
 
@@ -149,7 +149,7 @@ class Keyframe:
     held: tuple[int | None, ...]
     """The installed part that each robot holds."""
     carried: tuple[int | None, ...] = ()
-    """The part that each robot has in its gripper, away from its place in the structure; empty: none has one."""
+    """The part that each robot has in its gripper, away from its place, for a time or for good; empty: none has one."""
 
     def load(self, robot: int) -> int | None:
         """Return the part that a robot carries."""
@@ -165,8 +165,7 @@ class RobotPlan(Displayed):
     keyframes: tuple[Keyframe, ...]
     """One keyframe before each step, and one after the last."""
     steps: tuple[RobotStep, ...]
-    """One step for every action of the plan, two for each hand-over, and one for each transit; transits bring away, or
-    fetch, the parts that several robots move at once."""
+    """One step for every action of the plan, two for each hand-over, and one for each transit."""
     robots: tuple[RobotRecord, ...]
     cell_name: str
     cell_identity: str
@@ -298,12 +297,13 @@ class RobotPlan(Displayed):
         """Describe what a step does, such as `remove keystone` or `take keystone over from left`."""
         entry = self.steps[step]
         if entry.transit:
-            carried = next((leg.part for leg in entry.trajectories if leg.part is not None), None)
-            if carried is None:
+            legs = [leg for robot in entry.robots for leg in entry.of(robot)]
+            carried = list(dict.fromkeys(leg.part for leg in legs if leg.part is not None))
+            if not carried:
                 return "go to another place"
-            name, moves = self.plan.part_names[carried], self.states[step, carried] != REMOVED
-            where = "back" if self.standing[step + 1, carried] else "aside"
-            return f"move {name} {where}" if moves else f"carry {name}"
+            names = " and ".join(self.plan.part_names[part] for part in carried)
+            where = "back" if self.standing[step + 1, carried].all() else "aside"
+            return f"move {names} {where}" if (self.states[step, carried] != REMOVED).all() else f"carry {names}"
         if entry.hands_over is None:
             what = self.plan.in_order(self.direction)[int(self.done[step])].words
             return what if entry.put_down is None else f"{what}, put down and gripped again on the way"
