@@ -222,7 +222,7 @@ class ExitPaths(Clearance):
             leaving,
             present & ~held,
             tuple(np.flatnonzero(held).tolist()),
-            carried=lambda parts: not joined or set(leaving) <= set(parts) or set(leaving).isdisjoint(parts),
+            carried=(lambda some: set(leaving) <= set(some) or set(leaving).isdisjoint(some)) if joined else None,
             check=self._check,
         )
         found = search.run(self.moves)
