@@ -124,11 +124,11 @@ def expand(
     home: Index,
     targets: Index,
     whole: bool,
+    out: bool,
     rows: Index,
-    outs: Index,
     counts: Index,
 ) -> int:  # pragma: no cover - compiled
-    """Write the moves that lead on from shifts of parts, and those by which some are out.
+    """Write the moves that lead on from shifts of parts, or those by which some are out.
 
     Args:
         at: shifts as numbers, shape (nodes, parts).
@@ -141,16 +141,16 @@ def expand(
         home: boxes around all parts, and around those beside each target, shape (1 + targets, 2, 3).
         targets: sets that are to leave, shape (targets,).
         whole: whether the target, of several parts then, moves until all of it is out, and not the first part of it.
-        rows: node, step, set and cells, shape (room, 4).
-        outs: node, step, set and cells, shape (room, 4).
-        counts: number of rows and outs, more than fit where not all are written, and of steps with too many sets.
+        out: whether to write the moves by which a target is out.
+        rows: node, step, set and cells of the moves, shape (room, 4).
+        counts: number of moves, more than fit where not all are written, and of steps with too many sets.
 
     Returns:
         0.
     """
     parts = at.shape[1]
     pushed, found = np.zeros(parts, np.int64), np.zeros(MOST_SETS, np.int64)
-    counts[0] = counts[1] = counts[2] = 0
+    counts[0] = counts[1] = 0
     for node in range(at.shape[0]):
         for step in range(6):
             code, blocked = steps[step], 0
@@ -167,7 +167,7 @@ def expand(
                     blocked |= 1 << part
             sets = _closed(pushed, blocked, found)
             if sets > MOST_SETS:
-                counts[2] += 1
+                counts[1] += 1
                 sets = MOST_SETS
             for k in range(sets):
                 some = found[k]
@@ -177,18 +177,12 @@ def expand(
                 for target in range(len(targets)):
                     if some == targets[target]:
                         leaves = target + 1
-                most = 0
-                if leaves > 0:
-                    most = _length(at, node, some, step, boxes, home, leaves, True)
-                    if _free(at, node, some, code, most, hits, start, touched) == most:
-                        if counts[1] < len(outs):
-                            outs[counts[1], 0], outs[counts[1], 1] = node, step
-                            outs[counts[1], 2], outs[counts[1], 3] = some, most
-                        counts[1] += 1
-                if leaves == 0 or not whole:
-                    most = _length(at, node, some, step, boxes, home, 0, False)
+                if out and leaves == 0:
+                    continue
+                box = leaves if out or whole else 0
+                most = _length(at, node, some, step, boxes, home, box, box > 0)
                 free = _free(at, node, some, code, most, hits, start, touched)
-                for cells in range(1, free + 1):
+                for cells in range(most if out else 1, free + 1):
                     if counts[0] < len(rows):
                         rows[counts[0], 0], rows[counts[0], 1] = node, step
                         rows[counts[0], 2], rows[counts[0], 3] = some, cells

@@ -32,7 +32,7 @@ _MOST = 4_000_000
 """Pairs of cells of two parts that are compared, and of cells and faces, at most."""
 _PARTS = 60
 """Parts that may move, at most: sets of them are bits of a number."""
-_BATCH = 512
+_BATCH = 128
 """Shifts from which moves are computed at a time."""
 STEPS = tuple(tuple(sign * (axis == k) for k in range(3)) for axis in range(3) for sign in (1, -1))
 
@@ -150,8 +150,6 @@ class _Layer:
     """Shift of the layer before, set of parts as bits, step and cells of the last move; shape (shifts, 4)."""
     outs: Index
     """Moves by which a set is out: shift, step, set, cells; shape (moves, 4)."""
-    onward: Index
-    """Moves to other shifts, as `outs`."""
 
 
 class CellLayers:
@@ -198,10 +196,8 @@ class CellLayers:
         self._home = np.array([grid.box(boxes(())), *(grid.box(boxes(some)) for some in self._targets)], dtype=np.int64)
         self._sets = np.array([self._bits(some) for some in self._targets], dtype=np.int64)
         self._steps = _encoded(np.array(STEPS, dtype=np.int64))
-        self._layers = list[_Layer]()
-        home = np.zeros((1, count), dtype=np.int64)
-        self._front, self._moved = home, np.array([[0, 0, -1, 0]], dtype=np.int64)
-        self._seen, self._tried = {home.tobytes()}, 0
+        self._layers, self.tried, self._ended = list[_Layer](), 0, False
+        self._seen = {np.zeros(count, dtype=np.int64).tobytes()}
 
     def _bits(self, some: Parts) -> int:
         return sum(1 << self._movable.index(part) for part in some)
@@ -218,75 +214,82 @@ class CellLayers:
                 found[other] |= bool(np.isin(hit, self._grid.hits(part, other)).any())
         return found
 
-    def reaches(self, number: int, departure: Departure) -> bool:
-        """Return whether some number of moves leads to shifts that fewer do not lead to."""
-        while len(self._layers) <= number:
-            if not len(self._front):
-                return False
+    def reaches(self, number: int, departure: Departure) -> bool | None:
+        """Return whether some number of moves leads to shifts that fewer do not lead to; None where it is not tried.
+
+        That is where as many shifts as a departure wants were tried before.
+        """
+        while len(self._layers) <= number and not self._ended:
+            if self.tried >= departure.most:
+                return None
             self._grow(departure)
-        return True
+        return len(self._layers) > number
 
     def ways(self, number: int, departure: Departure) -> Iterator[ExitPath]:
         """Yield ways on which the parts are out after a number of moves, that is reached, and one more."""
-        leaving = self._bits(departure.leaving)
-        for node, step, some, cells in self._layers[number].outs.tolist():
-            if some == leaving:
-                yield (*self._way(number, node), self._move(some, step, cells))
+        outs = self._layers[number].outs
+        for move in outs[outs[:, 2] == self._bits(departure.leaving)]:
+            yield self._followed(number, move)
 
     def _grow(self, departure: Departure) -> None:
-        """Add a layer: the shifts that were reached last, and the moves that lead on from them."""
-        if self._tried + len(self._front) > _STATES:
-            self._front, self._moved = self._front[: _STATES - self._tried], self._moved[: _STATES - self._tried]
-            self.exact = False
-        outs, onward, follows = list[Index](), list[Index](), list[Index]()
-        for first in range(0, len(self._front), _BATCH):
-            departure.check()
-            at = self._front[first : first + _BATCH]
-            out, on = self._expanded(at, self._moved[first : first + _BATCH], departure)
-            follows.append(at[on[:, 0]] + self._shift(on))
-            for some in (out, on):
-                some[:, 0] += first
-            outs.append(out)
-            onward.append(on)
-        layer = _Layer(self._front, self._moved, np.concatenate(outs), np.concatenate(onward))
-        after, reached, fresh = np.concatenate(follows), list[int](), set[bytes]()
-        self._layers.append(layer)
-        for row, key in enumerate(after.view(f"V{8 * after.shape[1]}").ravel().tolist() if len(after) else ()):
-            if key not in self._seen and key not in fresh:
-                if departure.stands is not None and not departure.stands(self._onward(layer.onward[row]), False):
+        """Add a layer: the shifts that one more move leads to, and the moves by which sets are out from there."""
+        count = len(self._movable)
+        at, moved, fresh = np.zeros((1, count), dtype=np.int64), np.array([[0, 0, -1, 0]]), set[bytes]()
+        if self._layers:
+            front, last = self._layers[-1], len(self._layers) - 1
+            onward = self._moves(front.at, front.move, departure, out=False)
+            after, reached = front.at[onward[:, 0]] + self._shift(onward), list[int]()
+            for row, key in enumerate(after.view(f"V{8 * count}").ravel().tolist() if len(after) else ()):
+                if key in self._seen or key in fresh:
                     continue
-                fresh.add(key)
-                reached.append(row)
-        self._tried += len(self._front)
+                if departure.stands is None or departure.stands(self._followed(last, onward[row]), False):
+                    fresh.add(key)
+                    reached.append(row)
+            at, moved = after[reached], onward[reached][:, [0, 2, 1, 3]]
+        room = _STATES - self.tried
+        exact, at, moved = len(at) <= room, at[:room], moved[:room]
+        layer = _Layer(at, moved, self._moves(at, moved, departure, out=True))
         self._seen |= fresh
-        rows = layer.onward[reached]
-        self._front, self._moved = after[reached], rows[:, [0, 2, 1, 3]]
+        self.tried += len(at)
+        self.exact &= exact
+        self._ended = not len(at)
+        self._layers += [layer] * (not self._ended)
 
-    def _onward(self, row: Index) -> ExitPath:
-        node, step, some, cells = row.tolist()
-        return (*self._way(len(self._layers) - 1, node), self._move(some, step, cells))
+    def _followed(self, number: int, move: Index) -> ExitPath:
+        """Return the moves that lead to a shift of a layer, and one more from there, as in `_Layer.outs`."""
+        node, step, some, cells = move.tolist()
+        return (*self._way(number, node), self._move(some, step, cells))
+
+    def _moves(self, at: Index, moved: Index, departure: Departure, *, out: bool) -> Index:
+        """Return the moves from shifts by which sets are out, or to other shifts, in the order in which to try them."""
+        found = [np.zeros((0, 4), dtype=np.int64)]
+        for first in range(0, len(at), _BATCH):
+            departure.check()
+            rows = slice(first, first + _BATCH)
+            some = self._ordered(self._expanded(at[rows], moved[rows], out=out), departure)
+            some[:, 0] += first
+            found.append(some)
+        return np.concatenate(found)
 
     def _shift(self, moves: Index) -> Index:
         """Return how moves displace each part, as numbers, shape (moves, parts)."""
         inside_ = moves[:, 2, None] >> np.arange(len(self._movable)) & 1
         return inside_ * (self._steps[moves[:, 1]] * moves[:, 3])[:, None]
 
-    def _expanded(self, at: Index, moved: Index, departure: Departure) -> tuple[Index, Index]:
-        """Return the moves by which sets are out, and those to other shifts, in the order in which they are tried."""
+    def _expanded(self, at: Index, moved: Index, *, out: bool) -> Index:
         last = np.stack([moved[:, 1], np.where(moved[:, 2] < 0, -1, moved[:, 2] // 2)], axis=1)
-        room, counts = 64 * len(at), np.zeros(3, dtype=np.int64)
-        outs = np.zeros((6 * len(self._sets) * len(at), 4), dtype=np.int64)
+        room, counts = 64 * len(at), np.zeros(2, dtype=np.int64)
         while True:
             rows = np.zeros((room, 4), dtype=np.int64)
             expand(
                 np.ascontiguousarray(at), last, self._steps, self._hits, self._start, self._touched, self._boxes,
-                self._home, self._sets, self._whole, rows, outs, counts,
+                self._home, self._sets, self._whole, out, rows, counts,
             )  # fmt: skip
             if counts[0] <= room:
                 break
             room = int(counts[0])
-        self.exact &= counts[2] == 0
-        return self._ordered(outs[: counts[1]], departure), self._ordered(rows[: counts[0]], departure)
+        self.exact &= bool(counts[1] == 0)
+        return rows[: counts[0]]
 
     def _ordered(self, moves: Index, departure: Departure) -> Index:
         """Return those moves that robots can make, by shift, step, number of parts, set and cells."""

@@ -36,6 +36,9 @@ class Departure:
     check: Callable[[], None]
     """Called from time to time; what it raises ends the search."""
 
+    most: float = np.inf
+    """Poses after which no more moves are tried."""
+
     def leaves(self, parts: Parts) -> bool:
         """Return whether parts that move are those that leave."""
         return set(parts) == set(self.leaving)

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from falsework.geometry.clearance.moves import ExitPath
 from falsework.geometry.paths.cells import CellLayers
 from falsework.geometry.paths.departure import Departure, Mask, Parts
@@ -24,6 +26,8 @@ class Found:
     """Without a way, parts at rest that suffice to close every one that was tried, shape (parts,)."""
     exact: bool
     """Without a way, whether it is proven that no straight moves, however many, take the parts out past these."""
+    cut: bool = False
+    """Without a way, whether the search ended where as many poses were tried as it may."""
 
 
 class _Layers(Protocol):
@@ -33,7 +37,7 @@ class _Layers(Protocol):
     def walls(self) -> Mask: ...
     @property
     def exact(self) -> bool: ...
-    def reaches(self, number: int, departure: Departure) -> bool: ...
+    def reaches(self, number: int, departure: Departure) -> bool | None: ...
     def ways(self, number: int, departure: Departure) -> Iterator[ExitPath]: ...
 
 
@@ -54,6 +58,7 @@ class PathSearch:
         carried: Callable[[Parts], bool] | None = None,
         stands: Callable[[ExitPath, bool], bool] | None = None,
         check: Callable[[], None] = lambda: None,
+        most: float = np.inf,
     ) -> None:
         """Take a structure.
 
@@ -66,10 +71,11 @@ class PathSearch:
             stands: whether everything stands along a way, and, if the parts are out, until others are back in place;
                 without it everything does.
             check: called from time to time; what it raises ends the search.
+            most: whole cells are shifted no further from so many poses on.
         """
         self._motions = motions
         boxes = motions.bounds_without(()), motions.bounds_without(leaving)
-        self._departure = Departure(leaving, (*leaving, *aside), rest, *boxes, carried, stands, check)
+        self._departure = Departure(leaving, (*leaving, *aside), rest, *boxes, carried, stands, check, most)
 
     def run(self, moves: int, *, turns: bool = False) -> Found:
         """Search for a way out in up to some number of moves.
@@ -90,8 +96,9 @@ class PathSearch:
     def _search(self, layers: _Layers, moves: int) -> Found:
         departure = self._departure
         for number in range(moves):
-            if not layers.reaches(number, departure):  # more moves do not lead farther
-                return Found(None, layers.walls, layers.exact)
+            reaches = layers.reaches(number, departure)
+            if not reaches:  # more moves do not lead farther, or are not tried
+                return Found(None, layers.walls, layers.exact and reaches is not None, reaches is None)
             for way in layers.ways(number, departure):
                 if departure.allows(way, out=True):
                     return Found(way, layers.walls, False)
