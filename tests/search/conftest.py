@@ -97,7 +97,7 @@ class RuleClearance(Clearance):
     complete: bool = True
     """Whether the sets are all there are, so that a search may rely on them for a proof."""
 
-    def can_leave(self, states: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    def can_leave(self, states: NDArray[np.uint8], wanted: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
         rows = [[self.free(tuple(state.tolist()), part) for part in range(states.shape[1])] for state in states]
         return np.array(rows, dtype=bool).reshape(states.shape)
 

@@ -159,6 +159,7 @@ class MakePlan(Command):
         output.record(settlement_record(assembly))
         if assembly.boundary.all():
             raise InputError(f"every part of {assembly.name} is boundary, so there is nothing to plan; fix fewer parts")
+        clock = Deadline(self.deadline)
         task = make_task(assembly, self._robot_count(), **self.task.rules(assembly))
         stability = self.holds.settings(self.criterion, self.cone, self.solver)
         plain = replace(stability, reserve=1.0)
@@ -173,7 +174,6 @@ class MakePlan(Command):
             return Exit.NO
         with output.search_progress() as report:
             if self.maximise_margin is not None:
-                clock = Deadline(self.deadline)
                 planning = maximise_margin(
                     assembly,
                     task,
@@ -195,7 +195,7 @@ class MakePlan(Command):
                     settings=settings,
                     guide=guide,
                     progress=report,
-                    deadline=self.deadline,
+                    deadline=max(clock.left, 1e-3) if clock.limited else None,
                     checkpoint=checkpoint,
                     forces=self.proofs,
                 )

@@ -28,7 +28,7 @@ from falsework.search.plans.alternatives import Alternatives, choose_alternative
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.proofs import prove, prove_build
 from falsework.search.plans.route_tests import barred_state
-from falsework.search.problem.deadline import Deadline, DeadlineExceeded
+from falsework.search.problem.deadline import Deadline, DeadlineExceeded, check_deadline
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.hold_bound import HoldBound
 from falsework.search.problem.part_sets import InterlockedSets
@@ -60,6 +60,8 @@ PLANS = StabilitySettings(reserve=1.1)
 """Stability of plans by default: parts come to rest with friction divided by 1.1, and with the true one."""
 Backend = Literal["cpu", "cuda"]
 """Device that solves for the verdicts of a search: the processor, or a GPU for those asked for in batches."""
+_SHORT = 10_000
+"""Poses that a short search for a way in several moves tries."""
 _CHOICE_SECONDS = 1.0
 """Seconds in which to choose among plans where the deadline leaves less."""
 
@@ -121,9 +123,10 @@ def find_plans(
         raise InputError(f"find_plans takes no {odd!r}" + (f"; did you mean {meant[0]!r}?" if meant else ""))
     if backend not in get_args(Backend):
         raise InputError(f"there is no backend {backend!r}; give {' or '.join(get_args(Backend))}")
-    assembly = as_assembly(assembly)
+    assembly, begun = as_assembly(assembly), time.perf_counter()
     progress = or_notebook(progress, "searching")
     if oracle is None:
+        check_deadline(deadline)
         task = task or make_task(assembly, 2 if robots is None else robots, **rules)
         more: dict[str, Any] = {
             "settings": settings,
@@ -134,9 +137,10 @@ def find_plans(
             "backend": backend,
         }
         weaker = replace(stability, reserve=1.0)
-        first, begun = StabilityOracle(assembly, stability), time.perf_counter()
+        first = StabilityOracle(assembly, stability)
         again = stability.reserve > 1.0 and first.replayer is not None
-        share = deadline if deadline is None or not again else FIRST_SHARE * deadline
+        share = None if deadline is None else deadline - (time.perf_counter() - begun)  # ways out may take long
+        share = None if share is None else max(FIRST_SHARE * share if again else share, 1e-3)
         found = find_plans(assembly, task, oracle=first, deadline=share, checkpoint=checkpoint, **more)
         left = None if deadline is None else deadline - (time.perf_counter() - begun)
         late = left is not None and left <= 0
@@ -148,6 +152,14 @@ def find_plans(
         oracle.use_gpu()
     clock = Deadline(deadline)
     task = task or make_task(assembly, 2 if robots is None else robots, **rules)
+    if task.moves_out > 1 and task.clearance is not None and np.isinf(task.clearance.most) and checkpoint is None:
+        # Short searches for ways come first: most that end without one would go on for long, and are not needed.
+        quick = replace(task, clearance=task.clearance.within(_SHORT))
+        options: dict[str, Any] = {"settings": settings, "guide": guide, "progress": progress, "stop": stop}
+        options |= {"deadline": deadline, "forces": forces, "backend": backend}
+        found = find_plans(assembly, quick, oracle=oracle, **options)
+        if found.found or found.result.interrupted or not (quick.clearance and quick.clearance.were_cut):
+            return found
     guide = guide or SupportGuide(assembly)
     searched = task.until(clock.check)
     how: dict[str, Any] = {"guide": guide, "wide": backend == "cuda"}

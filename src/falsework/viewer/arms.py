@@ -105,12 +105,12 @@ class Arms:
 
     def holders(self) -> NDArray[np.int64]:
         """Return robot that holds each part in each state of the plan; shape (steps + 1, parts)."""
-        plan, frames = self._plan, list(zip(self._plan.rows.tolist(), self._plan.keyframes, strict=True))
+        plan, frames = self._plan, [(row, self._plan.in_hand(k)) for k, row in enumerate(self._plan.rows.tolist())]
         states, actions = plan.plan.states, plan.plan.actions
         who = np.full(states.shape, NO_ROBOT, dtype=np.int64)
-        for row, frame in frames if self.direction is Direction.DISASSEMBLY else reversed(frames):
+        for row, held in frames if self.direction is Direction.DISASSEMBLY else reversed(frames):
             who[row] = NO_ROBOT  # of the keyframes around a hand-over the first in assembly counts
-            for robot, part in enumerate(frame.held):
+            for robot, part in enumerate(held):
                 if part is not None:
                     who[row, part] = robot
         first, last = len(plan.before), len(plan.plan) - len(plan.after)

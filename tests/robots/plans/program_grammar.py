@@ -31,13 +31,15 @@ _RAPID_TYPES = {
     "WaitUntil": ("bool",),
     "WaitTime": ("num",),
     "GripLoad": ("loaddata",),
+    "SyncMoveOn": ("syncident", "tasks"),
+    "SyncMoveOff": ("syncident",),
     "GInput": ("signal",),
     "CalcRobT": ("jointtarget", "tooldata"),
     "RelTool": ("robtarget", "num", "num", "num"),
 }
 """Arguments of instructions and functions."""
 _RAPID_RESULTS = {"GInput": "num", "CalcRobT": "robtarget", "RelTool": "robtarget"}
-_RAPID_OPTIONS = {"MoveAbsJ": {"T"}, "WaitTime": {"InPos"}, "RelTool": {"Rx", "Ry", "Rz"}}
+_RAPID_OPTIONS = {"MoveAbsJ": {"ID", "T"}, "WaitTime": {"InPos"}, "RelTool": {"Rx", "Ry", "Rz"}}
 
 _UR_WORDS = _words(
     "and break continue def elif else end False for global halt if in inf local mod nan not or pass Pi "
@@ -118,7 +120,7 @@ class Rapid(Parser):
         self.called: set[str] = set()
         self.take("MODULE")
         self.module = self.name()
-        while self.next in ("CONST", "PERS"):
+        while self.next in ("CONST", "PERS", "VAR"):
             self.data()
         while self.next == "PROC":
             self.routine()
@@ -133,14 +135,28 @@ class Rapid(Parser):
         return self.take(lambda token: re.fullmatch(r"[A-Za-z]\w{0,31}", token) and token.upper() not in _RAPID_WORDS)
 
     def data(self) -> None:
-        constant, kind, name = self.next == "CONST", self.tokens[self.at + 1], self.tokens[self.at + 2]
+        storage, kind, name = self.tokens[self.at : self.at + 3]
         self.at += 2
         assert self.name() == name not in self.kinds
-        assert kind in ("jointtarget",) if constant else kind in ("tooldata", "loaddata")
+        self.kinds[name] = kind
+        if storage == "VAR":
+            assert kind == "syncident"
+            self.take(";")
+            return
+        assert kind in (("jointtarget",) if storage == "CONST" else ("tooldata", "loaddata", "tasks"))
+        if kind == "tasks":
+            self.take("{")
+            count = int(self.take(str.isdigit))
+            self.take("}")
+            self.take(":=")
+            tasks = self.value()
+            assert len(tasks) == count
+            assert all(re.fullmatch(r'"T_ROB\d"', task) for (task,) in tasks)
+            self.take(";")
+            return
         self.take(":=")
         value = self.value()
         {"jointtarget": _check_jointtarget, "tooldata": _check_tooldata, "loaddata": _check_load}[kind](value)
-        self.kinds[name] = kind
         self.take(";")
 
     def routine(self) -> None:
@@ -209,6 +225,8 @@ class Rapid(Parser):
             return -self.primary()
         if re.fullmatch(r"\d.*", self.next):
             return float(self.take(lambda _: True))
+        if self.next.startswith('"'):
+            return self.take(lambda _: True)
         name = self.name()
         if not self.accept("("):
             return name

@@ -130,10 +130,13 @@ def test_loads_of_parts_are_set_while_they_are_carried(
     plan = planned_for(robot_plan.reverse() if assembles else robot_plan, given)
     loads = part_loads(plan, column, given)
     carrying = {
-        (k, m) for k, step in enumerate(plan.steps) for m, leg in enumerate(step.trajectories) if leg.part is not None
+        (k, step.robot, m)
+        for k, step in enumerate(plan.steps)
+        for m, leg in enumerate(step.trajectories)
+        if leg.part is not None
     }
     assert set(loads) == carrying
-    for (step, _), load in loads.items():
+    for (step, _, _), load in loads.items():
         entry, part = plan.steps[step], int(plan.actions[step]) % len(plan.plan.boundary)
         grip = plan.keyframes[step + assembles].configurations[entry.robot]
         robot = given.robots[entry.robot]

@@ -246,7 +246,7 @@ def test_a_dead_end_leads_back_to_the_hold_that_causes_it(
 def search(column: Assembly, cell: Cell, oracle: StabilityOracle) -> HybridSearch:
     """A search that restarts after dead ends at two states."""
     graph, settings = KeyframeGraph(column, cell), HybridSettings(Direction.DISASSEMBLY, dead_ends=1)
-    task = task_in_cell(column, cell, None, graph.exits)
+    task = task_in_cell(column, cell, None, graph.exits, oracle)
     return HybridSearch(graph, task, oracle, None, settings, None, BoundaryMotions(graph), Deadline(None))
 
 

@@ -241,7 +241,7 @@ class Rules(Oracle, Clearance):
         verdicts.verdict[:] = np.where(self._stable(states), Verdict.STABLE, Verdict.UNSTABLE)
         return verdicts
 
-    def can_leave(self, states: np.ndarray) -> np.ndarray:
+    def can_leave(self, states: np.ndarray, wanted: np.ndarray | None = None) -> np.ndarray:
         """Which parts can leave."""
         free = np.zeros(states.shape, dtype=bool)
         for place, part in enumerate(self.order):

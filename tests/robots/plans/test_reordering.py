@@ -33,7 +33,7 @@ class Case:
         """Plan the motions."""
         self.assembly, self.cell, self.oracle = assembly, cell, StabilityOracle(assembly)
         self.graph = KeyframeGraph(assembly, cell)
-        self.task = task_in_cell(assembly, cell, None, self.graph.exits)
+        self.task = task_in_cell(assembly, cell, None, self.graph.exits, self.oracle)
         self.legal = SolvabilityCheck(assembly, self.task, self.oracle).legal
         self.root = self.graph.start(complete_state(assembly.boundary), cell.homes, (None, None))
         self.chain: list[Edge] = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -40,6 +41,7 @@ from falsework.robots.plans.timeline import interruption, schedule_of
 from falsework.robots.plans.trajectory import Trajectory, move_fault
 from falsework.robots.schedule.simulation import simulate
 from tests.robots.plans.conftest import make_cell
+from tests.robots.plans.program_grammar import Rapid
 from tests.search.test_together import diverging
 
 Cells = frozenset[tuple[int, int, int]]
@@ -322,9 +324,9 @@ def test_parts_that_meet_in_their_common_motion_are_refused(lifted: tuple[Assemb
 
 def test_exports_say_it_or_refuse(spread: tuple[Assembly, Cell, RobotPlan], bent: RobotPlan, tmp_path: Path) -> None:
     _, cell, plan = spread
+    with pytest.raises(InputError, match="several robots move at the same instant, which urscript cannot say"):
+        export_plan(plan, tmp_path, "urscript", cell=cell)
     for form in ("rapid", "urscript"):
-        with pytest.raises(InputError, match=f"several robots move at the same instant, which {form} cannot say"):
-            export_plan(plan, tmp_path, form, cell=cell)
         assert export_plan(bent, tmp_path / form, form, cell=make_cell(payload=20.0), force=True)
     (joint,) = [k for k, step in enumerate(plan.steps) if step.partners]
     export_plan(plan, tmp_path / "json", "ros2-json", cell=cell)
@@ -345,6 +347,30 @@ def test_exports_say_it_or_refuse(spread: tuple[Assembly, Cell, RobotPlan], bent
     assert all(rows[0][f"arm {k}_joint_1"] != rows[-1][f"arm {k}_joint_1"] for k in (1, 2))
     pytest.importorskip("mcap")
     assert export_plan(plan, tmp_path / "bag", "mcap", cell=cell)
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_a_multimove_controller_keeps_arms_in_step(
+    lifted: tuple[Assembly, Cell, RobotPlan], tmp_path: Path, reverse: bool
+) -> None:
+    """Both programs meet, make as many moves with the same identities, times and zones, and part; others are free."""
+    assembly, cell, plan = lifted
+    plan = plan.reverse() if reverse else plan
+    (joint,) = [k for k, step in enumerate(plan.steps) if step.partners]
+    blocks, moves = [], r"MoveAbsJ \w+\\ID:=(\d+), v1000\\T:=([\d.]+), (\w+), \w+;"
+    for path in export_plan(plan, tmp_path, "rapid", structure=assembly, cell=cell):
+        text = path.read_text()
+        Rapid(text)
+        found = re.findall(r"SyncMoveOn (\w+), (\w+);\n(.*?)SyncMoveOff (\w+);", text, re.DOTALL)
+        blocks.append([(on, tasks, off, re.findall(moves, body)) for on, tasks, body, off in found])
+        assert len(re.findall(moves, text)) == sum(len(block[3]) for block in blocks[-1])
+        assert [len(block[3]) for block in blocks[-1]] == [len(leg.times) - 1 for leg in plan.steps[joint].trajectories]
+        assert all(block[3][-1][2] == "fine" for block in blocks[-1])
+        assert '_tasks{2} := [["T_ROB1"],["T_ROB2"]];' in text
+        assert "arms of one MultiMove controller, with the motion tasks arm_1 T_ROB1, arm_2 T_ROB2" in text
+        assert bool(re.search(r"GripLoad arm_\d_load\d;\n    SyncMoveOn", text)) == reverse
+    assert blocks[0] == blocks[1]
+    assert len({block[0] for block in blocks[0]}) == 2
 
 
 def test_fewer_arms_than_parts_at_one_instant() -> None:

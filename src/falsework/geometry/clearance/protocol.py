@@ -26,6 +26,8 @@ class Clearance(Protocol):
     """Whether a part that leaves may turn."""
     waiting: bool = False
     """Whether parts may wait half way out, standing without a robot."""
+    check: Callable[[], None] = staticmethod(lambda: None)
+    """Called by searches for ways from time to time; what it raises ends them."""
 
     def judged_by(self, oracle: Any, robots: int) -> Self:
         """Return the same clearance, where parts move aside only if an oracle says that the rest stands.
@@ -40,12 +42,25 @@ class Clearance(Protocol):
         """Return the same clearance, whose searches call something from time to time and end with what that raises."""
         return self
 
-    def can_leave(self, states: States) -> Mask:
+    most: float = np.inf
+    """Poses that a search for a way in several moves tries."""
+
+    @property
+    def were_cut(self) -> bool:
+        """Whether longer searches might lead to ways that were not found."""
+        return False
+
+    def within(self, poses: float) -> Self:
+        """Return the same clearance, whose searches try so many poses each."""
+        return self
+
+    def can_leave(self, states: States, wanted: Mask | None = None) -> Mask:
         """Return whether each part has a way out that no other part of a state blocks, shape (batch, parts).
 
         Args:
             states: 0 removed, 1 installed, 2 held, shape (batch, parts); whether the part itself is there does not
                 matter.
+            wanted: parts that are asked for, all by default, shape (batch, parts); of others nothing is said.
         """
         ...
 

@@ -43,11 +43,12 @@ class ClearanceTable(Clearance):
     sampled: int
     """Directions that were tried for each of the other parts."""
 
-    def can_leave(self, states: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    def can_leave(self, states: NDArray[np.uint8], wanted: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
         """Return whether each part has a straight exit past the parts that are present.
 
         Args:
             states: 0 removed, 1 installed, 2 held, shape (batch, parts).
+            wanted: parts that are asked for; all are answered.
 
         Returns:
             Shape (batch, parts); whether the part itself is present does not matter.

@@ -6,25 +6,23 @@ overlap or not by their relative shift: one table for each pair of parts answers
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.clearance.moves import PathMove
+from falsework.geometry.clearance.moves import ExitPath, PathMove
 from falsework.geometry.mesh.collision import inside
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
+from falsework.geometry.paths.cell_moves import BASE, expand
 from falsework.geometry.paths.departure import Departure, Parts
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-Shifts = tuple[int, ...]
-"""Shift of each part that may move, as one number; see `_encoded`."""
-Begun = tuple[int, int]
-"""Set of parts, as bits, and the step in which they can begin to move."""
+Walls = tuple[Parts, bytes]
+"""Parts that may move, and which others rest."""
 
 _STATES = 200_000
 """Shifts from which moves are tried, at most."""
@@ -32,23 +30,16 @@ _FINER = 4
 """Parts into which the smallest distance of two faces is divided at most, to find a grid."""
 _MOST = 4_000_000
 """Pairs of cells of two parts that are compared, and of cells and faces, at most."""
-_BASE = 1024
-"""Shifts are below half of that, in cells."""
+_PARTS = 60
+"""Parts that may move, at most: sets of them are bits of a number."""
+_BATCH = 128
+"""Shifts from which moves are computed at a time."""
 STEPS = tuple(tuple(sign * (axis == k) for k in range(3)) for axis in range(3) for sign in (1, -1))
 
 
 def _encoded(shift: Index) -> Index:
     """Return shifts, shape (..., 3), as numbers that are added and subtracted as the shifts are."""
-    return shift @ np.array([_BASE**2, _BASE, 1])
-
-
-@cache
-def _decoded(code: int) -> tuple[int, int, int]:
-    found = []
-    for _ in range(3):
-        low = (code + _BASE // 2) % _BASE - _BASE // 2
-        code, found = (code - low) // _BASE, [low, *found]
-    return found[0], found[1], found[2]
+    return shift @ np.array([BASE**2, BASE, 1])
 
 
 def closed_sets(pushed: list[int], blocked: int) -> list[int]:
@@ -82,7 +73,9 @@ class CellGrid:
     tolerance: float
     """Distance up to which places are one, metres."""
     _cells: dict[int, tuple[Index, bool]] = field(default_factory=dict)
-    _hits: dict[tuple[int, int], frozenset[int]] = field(default_factory=dict)
+    _hits: dict[tuple[int, int], Index] = field(default_factory=dict)
+    layers: dict[Walls, CellLayers] = field(default_factory=dict)
+    """What was found from where all parts are in place, each carried alone, whichever of them leaves."""
 
     @staticmethod
     def from_meshes(meshes: Sequence[TriangleMesh], parts: Parts, tolerance: float) -> CellGrid | None:
@@ -133,132 +126,190 @@ class CellGrid:
             self._cells[part] = every, fits
         return self._cells[part]
 
-    def hits(self, one: int, other: int) -> frozenset[int]:
-        """Return the shifts of one part past another at which they overlap."""
+    def hits(self, one: int, other: int) -> Index:
+        """Return the shifts of one part past another at which they overlap, ascending."""
         if (one, other) not in self._hits:
             a, b = self.cells(one)[0], self.cells(other)[0]
-            self._hits[one, other] = frozenset(np.unique(_encoded(b[None] - a[:, None])).tolist())
+            self._hits[one, other] = np.unique(_encoded(b[None] - a[:, None]))
         return self._hits[one, other]
 
     def compares(self, movable: Parts, rest: Mask) -> bool:
         """Return whether parts that may move are not too many cells to compare with each other and those at rest."""
         others = (*movable, *np.flatnonzero(rest).tolist())
         pairs = ((self.cells(one)[0], self.cells(other)[0]) for one in movable for other in others if one != other)
-        return all(len(own) * len(theirs) <= _MOST for own, theirs in pairs)
+        return len(movable) <= _PARTS and all(len(own) * len(theirs) <= _MOST for own, theirs in pairs)
 
 
-class CellShifts:
-    """Shifts of some parts by cells; of sets that move, all that are pushed move along."""
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    """Shifts that as many moves lead to, and no fewer."""
 
-    most = _STATES
+    at: Index
+    """As numbers, see `_encoded`; shape (shifts, parts)."""
+    move: Index
+    """Shift of the layer before, set of parts as bits, step and cells of the last move; shape (shifts, 4)."""
+    outs: Index
+    """Moves by which a set is out: shift, step, set, cells; shape (moves, 4)."""
 
-    def __init__(self, grid: CellGrid, departure: Departure) -> None:
-        """Take the grid to which all parts that may move belong, with `CellGrid.compares`, and those that leave."""
-        movable, rest = departure.movable, departure.rest
-        self._grid, self._movable, self._carried = grid, movable, departure.carried
-        self.home: Shifts = (0,) * len(movable)
-        self.exact, self.walls = True, np.zeros_like(rest)
-        walls = np.flatnonzero(rest).tolist()
-        self.fits = all(grid.cells(part)[1] for part in (*movable, *walls))
+
+class CellLayers:
+    """Shifts of some parts by cells, by the fewest moves that lead there; sets that move take along all that they push.
+
+    Where each part is carried alone, what is reached does not depend on which of them leaves.
+    """
+
+    @staticmethod
+    def of(grid: CellGrid, departure: Departure, boxes: Callable[[Parts], Array]) -> CellLayers:
+        """Return those of a departure, with what was found for other parts that leave if that is the same.
+
+        Args:
+            grid: all parts that may move belong to it, and `compares`.
+            departure: which parts leave.
+            boxes: returns the box around all parts in place but some, shape (2, 3), metres.
+        """
+        if len(departure.leaving) > 1 or departure.carried is not None or departure.stands is not None:
+            return CellLayers(grid, departure, boxes)
+        name = tuple(sorted(departure.movable)), departure.rest.tobytes()
+        if name not in grid.layers:
+            grid.layers[name] = CellLayers(grid, departure, boxes)
+        return grid.layers[name]
+
+    def __init__(self, grid: CellGrid, departure: Departure, boxes: Callable[[Parts], Array]) -> None:
+        several = len(departure.leaving) > 1
+        self._grid, self._movable = grid, departure.movable if several else tuple(sorted(departure.movable))
+        self._targets = [departure.leaving] if several else [(part,) for part in self._movable]
+        self._whole, rest = several, np.flatnonzero(departure.rest).tolist()
+        self._rest, self._mask = rest, departure.rest
+        self.fits = all(grid.cells(part)[1] for part in (*self._movable, *rest))
         """Whether all parts consist of cells; else some at rest count as the box around them."""
-        self._hits = [
-            [(grid.hits(one, other), j) for j, other in enumerate(movable) if other != one] for one in movable
-        ]
-        self._walls = [[(grid.hits(one, other), other) for other in walls] for one in movable]
-        self._stop = [frozenset().union(*(hits for hits, _ in row)) for row in self._walls]
-        own = [grid.cells(part)[0] for part in movable]
-        self._boxes = [np.stack([cells.min(axis=0), cells.max(axis=0) + 1]).tolist() for cells in own]
-        self._homes = [grid.box(box).tolist() for box in (departure.around, departure.beside)]
-        self._leaving = (1 << len(departure.leaving)) - 1
-        self._codes = [int(_encoded(np.array(step))) for step in STEPS]
-        self._moves: dict[tuple[int, int, int], PathMove] = {}
+        self.exact = True
+        """Whether all moves that matter were tried so far."""
+        count, nothing, tables = len(self._movable), np.zeros(0, dtype=np.int64), list[Index]()
+        for one in self._movable:
+            tables += [nothing if other == one else grid.hits(one, other) for other in self._movable]
+            tables.append(np.unique(np.concatenate([nothing, *(grid.hits(one, other) for other in rest)])))
+        self._hits = np.concatenate(tables)
+        self._start = np.concatenate([[0], np.cumsum([len(table) for table in tables])]).astype(np.int64)
+        self._touched = np.zeros(len(self._hits), dtype=np.uint8)
+        own = [grid.cells(part)[0] for part in self._movable]
+        self._boxes = np.array([[cells.min(axis=0), cells.max(axis=0) + 1] for cells in own], dtype=np.int64)
+        self._home = np.array([grid.box(boxes(())), *(grid.box(boxes(some)) for some in self._targets)], dtype=np.int64)
+        self._sets = np.array([self._bits(some) for some in self._targets], dtype=np.int64)
+        self._steps = _encoded(np.array(STEPS, dtype=np.int64))
+        self._layers, self.tried, self._ended = list[_Layer](), 0, False
+        self._seen = {np.zeros(count, dtype=np.int64).tobytes()}
 
-    def key(self, at: Shifts) -> Shifts:
-        """Return a name of shifts."""
-        return at
+    def _bits(self, some: Parts) -> int:
+        return sum(1 << self._movable.index(part) for part in some)
 
-    def begun(self, at: Shifts, last: PathMove | None) -> Iterator[Begun]:
-        """See `RigidPoses`."""
-        for step in range(6):
-            for some in self._begun(at, step):
-                named = self._move(some, step, 1).parts
-                again = last is not None and named == last.parts and last.direction[step // 2] != 0.0
-                if not again and self._carried(named):
-                    yield some, step
+    @property
+    def walls(self) -> Mask:
+        """Parts at rest that moves have hit so far, shape (parts,)."""
+        found = np.zeros_like(self._mask)
+        count = len(self._movable)
+        for row, part in enumerate(self._movable):
+            place = slice(*self._start[row * (count + 1) + count : row * (count + 1) + count + 2])
+            hit = self._hits[place][self._touched[place] > 0]
+            for other in self._rest if len(hit) else ():
+                found[other] |= bool(np.isin(hit, self._grid.hits(part, other)).any())
+        return found
 
-    def out(self, at: Shifts, begun: Begun) -> PathMove | None:
-        """See `RigidPoses`."""
-        some, step = begun
-        if some != self._leaving:
-            return None
-        length = self._length(at, some, step)
-        return self._move(some, step, length) if self._free(at, some, step, length) == length else None
+    def reaches(self, number: int, departure: Departure) -> bool | None:
+        """Return whether some number of moves leads to shifts that fewer do not lead to; None where it is not tried.
 
-    def ends(self, at: Shifts, begun: Begun) -> Iterator[tuple[Shifts, PathMove, bool]]:
-        """See `RigidPoses`."""
-        some, step = begun
-        free, code = self._free(at, some, step, self._length(at, some, step)), self._codes[step]
-        for cells in range(1, free + 1):
-            then = tuple(place + cells * code if some >> i & 1 else place for i, place in enumerate(at))
-            yield then, self._move(some, step, cells), cells == free
+        That is where as many shifts as a departure wants were tried before.
+        """
+        while len(self._layers) <= number and not self._ended:
+            if self.tried >= departure.most:
+                return None
+            self._grow(departure)
+        return len(self._layers) > number
 
-    def turned(self, at: Shifts, last: PathMove | None) -> Iterator[tuple[Shifts, PathMove, bool]]:
-        """Yield nothing: cells turn in place at most."""
-        yield from ()
+    def ways(self, number: int, departure: Departure) -> Iterator[ExitPath]:
+        """Yield ways on which the parts are out after a number of moves, that is reached, and one more."""
+        outs = self._layers[number].outs
+        for move in outs[outs[:, 2] == self._bits(departure.leaving)]:
+            yield self._followed(number, move)
 
-    def _begun(self, at: Shifts, step: int) -> list[int]:
-        """Return the sets of parts that can begin to move, as bits, the smaller ones first."""
-        code, every = self._codes[step], range(len(at))
-        pushed, blocked = [0] * len(at), 0
-        for i in every:
-            here = at[i] + code
-            pushed[i] = 1 << i
-            for hits, j in self._hits[i]:
-                if here - at[j] in hits:
-                    pushed[i] |= 1 << j
-            if here in self._stop[i]:
-                blocked |= 1 << i
-                self._hit(i, here)
-        return closed_sets(pushed, blocked)
+    def _grow(self, departure: Departure) -> None:
+        """Add a layer: the shifts that one more move leads to, and the moves by which sets are out from there."""
+        count = len(self._movable)
+        at, moved, fresh = np.zeros((1, count), dtype=np.int64), np.array([[0, 0, -1, 0]]), set[bytes]()
+        if self._layers:
+            front, last = self._layers[-1], len(self._layers) - 1
+            onward = self._moves(front.at, front.move, departure, out=False)
+            after, reached = front.at[onward[:, 0]] + self._shift(onward), list[int]()
+            for row, key in enumerate(after.view(f"V{8 * count}").ravel().tolist() if len(after) else ()):
+                if key in self._seen or key in fresh:
+                    continue
+                if departure.stands is None or departure.stands(self._followed(last, onward[row]), False):
+                    fresh.add(key)
+                    reached.append(row)
+            at, moved = after[reached], onward[reached][:, [0, 2, 1, 3]]
+        room = _STATES - self.tried
+        exact, at, moved = len(at) <= room, at[:room], moved[:room]
+        layer = _Layer(at, moved, self._moves(at, moved, departure, out=True))
+        self._seen |= fresh
+        self.tried += len(at)
+        self.exact &= exact
+        self._ended = not len(at)
+        self._layers += [layer] * (not self._ended)
 
-    def _hit(self, i: int, here: int) -> None:
-        self.walls[[other for hits, other in self._walls[i] if here in hits]] = True
+    def _followed(self, number: int, move: Index) -> ExitPath:
+        """Return the moves that lead to a shift of a layer, and one more from there, as in `_Layer.outs`."""
+        node, step, some, cells = move.tolist()
+        return (*self._way(number, node), self._move(some, step, cells))
 
-    def _free(self, at: Shifts, some: int, step: int, most: int) -> int:
-        """Return by how many cells, up to some number, a set that can begin to move goes until it hits another part."""
-        code = self._codes[step]
-        inside_, outside = [i for i in range(len(at)) if some >> i & 1], ~some
-        for cells in range(2, most + 1):
-            for i in inside_:
-                here = at[i] + cells * code
-                if any(outside >> j & 1 and here - at[j] in hits for hits, j in self._hits[i]):
-                    return cells - 1
-                if here in self._stop[i]:
-                    self._hit(i, here)
-                    return cells - 1
-        return most
+    def _moves(self, at: Index, moved: Index, departure: Departure, *, out: bool) -> Index:
+        """Return the moves from shifts by which sets are out, or to other shifts, in the order in which to try them."""
+        found = [np.zeros((0, 4), dtype=np.int64)]
+        for first in range(0, len(at), _BATCH):
+            departure.check()
+            rows = slice(first, first + _BATCH)
+            some = self._ordered(self._expanded(at[rows], moved[rows], out=out), departure)
+            some[:, 0] += first
+            found.append(some)
+        return np.concatenate(found)
 
-    def _length(self, at: Shifts, some: int, step: int) -> int:
-        """Return by how many cells a set moves until a part, or all that leave, are beside the box around others."""
-        axis, upwards = step // 2, step % 2 == 0
-        leaves = some == self._leaving
-        low, high = self._homes[leaves]
-        ends = low[axis], high[axis]
-        for i, code in enumerate(at):
-            if code and not some >> i & 1:
-                place = _decoded(code)[axis]
-                ends = min(ends[0], self._boxes[i][0][axis] + place), max(ends[1], self._boxes[i][1][axis] + place)
-        lengths = []
-        for i, code in enumerate(at):
-            if some >> i & 1:
-                near, far = (end[axis] + _decoded(code)[axis] for end in self._boxes[i])
-                lengths.append(ends[1] - near if upwards else far - ends[0])
-        return max(max(lengths) if leaves else min(lengths), 1)
+    def _shift(self, moves: Index) -> Index:
+        """Return how moves displace each part, as numbers, shape (moves, parts)."""
+        inside_ = moves[:, 2, None] >> np.arange(len(self._movable)) & 1
+        return inside_ * (self._steps[moves[:, 1]] * moves[:, 3])[:, None]
+
+    def _expanded(self, at: Index, moved: Index, *, out: bool) -> Index:
+        last = np.stack([moved[:, 1], np.where(moved[:, 2] < 0, -1, moved[:, 2] // 2)], axis=1)
+        room, counts = 64 * len(at), np.zeros(2, dtype=np.int64)
+        while True:
+            rows = np.zeros((room, 4), dtype=np.int64)
+            expand(
+                np.ascontiguousarray(at), last, self._steps, self._hits, self._start, self._touched, self._boxes,
+                self._home, self._sets, self._whole, out, rows, counts,
+            )  # fmt: skip
+            if counts[0] <= room:
+                break
+            room = int(counts[0])
+        self.exact &= bool(counts[1] == 0)
+        return rows[: counts[0]]
+
+    def _ordered(self, moves: Index, departure: Departure) -> Index:
+        """Return those moves that robots can make, by shift, step, number of parts, set and cells."""
+        sets, places = np.unique(moves[:, 2], return_inverse=True)
+        able = np.array([departure.can_carry(self._move(some, 0, 1).parts) for some in sets.tolist()], dtype=bool)
+        size = np.array([some.bit_count() for some in sets.tolist()], dtype=np.int64)
+        keys = moves[:, 3], moves[:, 2], size[places], moves[:, 1], moves[:, 0]
+        order = np.lexsort(keys)
+        return moves[order[able[places][order]]]
+
+    def _way(self, number: int, node: int) -> ExitPath:
+        """Return the moves that lead to a shift of a layer."""
+        moves = []
+        for layer in reversed(self._layers[1 : number + 1]):
+            before, some, step, cells = layer.move[node].tolist()
+            moves.append(self._move(some, step, cells))
+            node = before
+        return tuple(reversed(moves))
 
     def _move(self, some: int, step: int, cells: int) -> PathMove:
-        if (some, step, cells) not in self._moves:
-            parts = tuple(sorted(part for i, part in enumerate(self._movable) if some >> i & 1))
-            x, y, z = STEPS[step]
-            distance = float(cells * self._grid.pitch[step // 2])
-            self._moves[some, step, cells] = PathMove(parts, (float(x), float(y), float(z)), distance)
-        return self._moves[some, step, cells]
+        parts = tuple(sorted(part for i, part in enumerate(self._movable) if some >> i & 1))
+        x, y, z = STEPS[step]
+        return PathMove(parts, (float(x), float(y), float(z)), float(cells * self._grid.pitch[step // 2]))

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.clearance.moves import ExitPath
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Parts = tuple[int, ...]
@@ -27,9 +29,24 @@ class Departure:
     """Box around all parts in place, there or not, shape (2, 3), metres."""
     beside: Array
     """The same without those that leave."""
-    carried: Callable[[Parts], bool]
-    """Whether robots can carry some parts as one body."""
+    carried: Callable[[Parts], bool] | None
+    """Whether robots can carry some parts as one body; None: any."""
+    stands: Callable[[ExitPath, bool], bool] | None
+    """Whether everything stands along a way, and, if the parts are out, until others are back; None: it does."""
+    check: Callable[[], None]
+    """Called from time to time; what it raises ends the search."""
+
+    most: float = np.inf
+    """Poses after which no more moves are tried."""
 
     def leaves(self, parts: Parts) -> bool:
         """Return whether parts that move are those that leave."""
         return set(parts) == set(self.leaving)
+
+    def can_carry(self, parts: Parts) -> bool:
+        """Return whether robots can carry some parts as one body."""
+        return self.carried is None or self.carried(parts)
+
+    def allows(self, way: ExitPath, *, out: bool) -> bool:
+        """Return whether everything stands along a way, and, if the parts are out, until others are back in place."""
+        return self.stands is None or self.stands(way, out)

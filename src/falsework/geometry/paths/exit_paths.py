@@ -81,12 +81,13 @@ class ExitPaths(Clearance):
         self.waiting = waiting is not None
         self._oracle: StandsOracle | None = None
         self._robots = 1
-        self._check: Callable[[], None] = lambda: None
+        self.check: Callable[[], None] = lambda: None
         self._ways: dict[tuple[Parts, bool], list[_KeptWay]] = {}
         self._closed: dict[tuple[Parts, bool], list[_Closed]] = {}
         self._waited: dict[tuple[int, bytes], ExitPath | None] = {}
         self._stands: dict[bytes, bool] = {}
         self._undecided = 0
+        self._cut = [0]
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle what it is made of; what was found is found again."""
@@ -106,7 +107,16 @@ class ExitPaths(Clearance):
 
     def until(self, check: Callable[[], None]) -> ExitPaths:
         """See `Clearance.until`."""
-        return self._with(_check=check)
+        return self._with(check=check)
+
+    def within(self, poses: float) -> ExitPaths:
+        """Return the same ways out, each searched for among so many poses; those that this leaves open `were_cut`."""
+        return self._with(most=poses, _cut=[0], _closed={}, _waited={})
+
+    @property
+    def were_cut(self) -> bool:
+        """Whether more poses might have led to ways that were not found."""
+        return self._cut[0] > 0
 
     def _with(self, **changes: Any) -> ExitPaths:
         """Return the same ways out with other attributes; what was found is shared."""
@@ -114,10 +124,10 @@ class ExitPaths(Clearance):
         new.__dict__.update(self.__dict__, **changes)
         return new
 
-    def can_leave(self, states: States) -> Mask:
+    def can_leave(self, states: States, wanted: Mask | None = None) -> Mask:
         """Return whether each part has a way out past the parts that are present; as `ClearanceTable.can_leave`."""
         found = self._straight.can_leave(states)
-        for row, part in np.argwhere(~found & ~self._fixed).tolist():
+        for row, part in np.argwhere(~found & ~self._fixed & (True if wanted is None else wanted)).tolist():
             found[row, part] = self._way(states[row], (part,)) is not None
         return found
 
@@ -190,9 +200,11 @@ class ExitPaths(Clearance):
                 tuple(np.flatnonzero(movable).tolist()),
                 carried=lambda parts: has_hands(parts, state, (part,), spare),
                 stands=stands,
-                check=self._check,
+                check=self.check,
+                most=self.most,
             )
             found = search.run(self.moves, turns=self.turns)
+            self._cut[0] += found.cut
             if found.way is not None:
                 loose = bool(loose_parts(found.way, state, (part,)))
                 return found.way if loose or self._rest_stands(state, found.way) else None
@@ -222,10 +234,12 @@ class ExitPaths(Clearance):
             leaving,
             present & ~held,
             tuple(np.flatnonzero(held).tolist()),
-            carried=lambda parts: not joined or set(leaving) <= set(parts) or set(leaving).isdisjoint(parts),
-            check=self._check,
+            carried=(lambda some: set(leaving) <= set(some) or set(leaving).isdisjoint(some)) if joined else None,
+            check=self.check,
+            most=self.most,
         )
         found = search.run(self.moves)
+        self._cut[0] += found.cut
         if found.way is None and self.turns and len(leaving) == 1:
             straight, found = found, search.run(self.moves, turns=True)
             found.walls[straight.walls] = True

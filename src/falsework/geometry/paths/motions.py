@@ -153,6 +153,10 @@ class PartMotions:
         boxes = [self.box(part, poses[part]) if part in poses else self._bounds[part] for part in np.flatnonzero(parts)]
         return np.stack([np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]])
 
+    def bounds_without(self, parts: tuple[int, ...]) -> Array:
+        """Return the lowest and highest coordinates of all parts in place but some, shape (2, 3), metres."""
+        return self.bounds(~np.isin(np.arange(len(self.meshes)), parts))
+
     def leaves(self, moves: Sequence[PathMove], others: Mask) -> str:
         """Return why moves, one after the other, do not take the parts of the last one out; empty if they do.
 

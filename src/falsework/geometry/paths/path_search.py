@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from falsework.geometry.clearance.moves import ExitPath, PathMove
-from falsework.geometry.paths.cells import CellShifts
+from falsework.geometry.clearance.moves import ExitPath
+from falsework.geometry.paths.cells import CellLayers
 from falsework.geometry.paths.departure import Departure, Mask, Parts
 from falsework.geometry.paths.motions import PartMotions
+from falsework.geometry.paths.pose_layers import PoseLayers
 from falsework.geometry.paths.rigid_poses import RigidPoses
 
 
@@ -25,41 +26,19 @@ class Found:
     """Without a way, parts at rest that suffice to close every one that was tried, shape (parts,)."""
     exact: bool
     """Without a way, whether it is proven that no straight moves, however many, take the parts out past these."""
+    cut: bool = False
+    """Without a way, whether the search ended where as many poses were tried as it may."""
 
 
-class _Poses(Protocol):
-    """Poses of one kind, see `RigidPoses`; what they are, and what `begun` yields, only they know."""
+class _Layers(Protocol):
+    """Poses of one kind, by the fewest moves that lead there."""
 
-    home: Any
-    most: int
-    exact: bool
-    walls: Mask
-
-    def key(self, at: Any) -> Any: ...
-    def begun(self, at: Any, last: PathMove | None) -> Iterator[Any]: ...
-    def out(self, at: Any, begun: Any) -> PathMove | None: ...
-    def ends(self, at: Any, begun: Any) -> Iterator[tuple[Any, PathMove, bool]]: ...
-    def turned(self, at: Any, last: PathMove | None) -> Iterator[tuple[Any, PathMove, bool]]: ...
-
-
-@dataclass(frozen=True, eq=False)
-class _Node:
-    """Pose that moves lead to."""
-
-    at: Any
-    move: PathMove | None = None
-    before: _Node | None = None
-    touches: bool = True
-    """Whether the last move was as long as it can be, so that the part that moved touches another."""
-
-    def way(self, last: PathMove | None = None) -> ExitPath:
-        """Return the moves from home, and one more."""
-        moves = [] if last is None else [last]
-        node: _Node | None = self
-        while node is not None and node.move is not None:
-            moves.append(node.move)
-            node = node.before
-        return tuple(reversed(moves))
+    @property
+    def walls(self) -> Mask: ...
+    @property
+    def exact(self) -> bool: ...
+    def reaches(self, number: int, departure: Departure) -> bool | None: ...
+    def ways(self, number: int, departure: Departure) -> Iterator[ExitPath]: ...
 
 
 class PathSearch:
@@ -76,9 +55,10 @@ class PathSearch:
         rest: Mask,
         aside: Parts = (),
         *,
-        carried: Callable[[Parts], bool] = lambda parts: True,
+        carried: Callable[[Parts], bool] | None = None,
         stands: Callable[[ExitPath, bool], bool] | None = None,
         check: Callable[[], None] = lambda: None,
+        most: float = np.inf,
     ) -> None:
         """Take a structure.
 
@@ -87,16 +67,15 @@ class PathSearch:
             leaving: the parts that leave, together if there are several; alone one may also turn.
             rest: parts that are there and do not move, shape (parts,).
             aside: parts that are there and may move aside.
-            carried: whether robots can carry some parts as one body.
+            carried: whether robots can carry some parts as one body; without it they can.
             stands: whether everything stands along a way, and, if the parts are out, until others are back in place;
                 without it everything does.
             check: called from time to time; what it raises ends the search.
+            most: whole cells are shifted no further from so many poses on.
         """
-        self._motions, self._check = motions, check
-        self._stands = stands or (lambda way, out: True)
-        every = np.ones(len(rest), dtype=bool)
-        boxes = motions.bounds(every), motions.bounds(~np.isin(np.arange(len(rest)), leaving))
-        self._departure = Departure(leaving, (*leaving, *aside), rest, *boxes, carried)
+        self._motions = motions
+        boxes = motions.bounds_without(()), motions.bounds_without(leaving)
+        self._departure = Departure(leaving, (*leaving, *aside), rest, *boxes, carried, stands, check, most)
 
     def run(self, moves: int, *, turns: bool = False) -> Found:
         """Search for a way out in up to some number of moves.
@@ -108,46 +87,19 @@ class PathSearch:
         departure = self._departure
         grid = None if turns else self._motions.grid(departure.movable)
         if grid is not None and grid.compares(departure.movable, departure.rest):
-            shifts = CellShifts(grid, departure)
-            found = self._search(shifts, moves)
-            if found.way is not None or shifts.fits:
+            layers = CellLayers.of(grid, departure, self._motions.bounds_without)
+            found = self._search(layers, moves)
+            if found.way is not None or layers.fits:
                 return found
-        return self._search(RigidPoses(self._motions, departure, turns=turns), moves)
+        return self._search(PoseLayers(RigidPoses(self._motions, departure, turns=turns)), moves)
 
-    def _search(self, poses: _Poses, moves: int) -> Found:
-        """Search over poses of one kind; what `begun` yields their other methods take."""
-        front, tried, seen = [_Node(poses.home)], 0, {poses.key(poses.home)}
+    def _search(self, layers: _Layers, moves: int) -> Found:
+        departure = self._departure
         for number in range(moves):
-            if tried + len(front) > poses.most:
-                front, poses.exact = front[: poses.most - tried], False
-            tried += len(front)
-            # Straight ways out first: they take the least time, and turns serve to open them.
-            starts = []
-            for node in front:
-                self._check()
-                starts.append(list(poses.begun(node.at, node.move)))
-                for begun in starts[-1]:
-                    out = poses.out(node.at, begun)
-                    if out is not None and self._stands(node.way(out), True):
-                        return Found(node.way(out), poses.walls, False)
-            reached: list[_Node] = []
-            for node, beginnings in zip(front, starts, strict=True):
-                self._check()
-                following = []
-                for at, move, out in poses.turned(node.at, node.move) if node.touches else ():
-                    if out and self._stands(node.way(move), True):
-                        return Found(node.way(move), poses.walls, False)
-                    following.append((at, move, True))
-                if number + 1 == moves:
-                    continue
-                for begun in beginnings:
-                    following.extend(poses.ends(node.at, begun))
-                for at, move, touches in following:
-                    key = poses.key(at)
-                    if key not in seen and self._stands(node.way(move), False):
-                        seen.add(key)
-                        reached.append(_Node(at, move, node, touches))
-            front = reached
-            if not front:  # more moves would not lead farther
-                return Found(None, poses.walls, poses.exact and number + 1 < moves)
-        return Found(None, poses.walls, False)
+            reaches = layers.reaches(number, departure)
+            if not reaches:  # more moves do not lead farther, or are not tried
+                return Found(None, layers.walls, layers.exact and reaches is not None, reaches is None)
+            for way in layers.ways(number, departure):
+                if departure.allows(way, out=True):
+                    return Found(way, layers.walls, False)
+        return Found(None, layers.walls, False)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from falsework.geometry.clearance.moves import PathMove, Poses, after, apply
 from falsework.geometry.paths.cells import closed_sets
 from falsework.geometry.paths.departure import Departure, Parts
-from falsework.geometry.paths.motions import IN_PLACE, PartMotions
+from falsework.geometry.paths.motions import PartMotions
 from falsework.geometry.paths.stops import face_normals, levels, slides
 from falsework.geometry.paths.turning_moves import TurningMoves
 
@@ -19,8 +19,6 @@ Mask = NDArray[np.bool_]
 Begun = tuple[Array, Parts]
 """Unit vector along which parts can begin to move, and these."""
 
-_POSES = 2000
-"""Poses from which moves are tried, at most."""
 _FIRST = 4.0
 """First stretch of a move, in tolerances; where it is not free, the part cannot move that way."""
 _HOME = np.eye(4)
@@ -32,9 +30,6 @@ class RigidPoses:
     A move may end wherever corners of the parts that move become level with corners of others, since another way may
     open there, and where it touches another part.
     """
-
-    home: Poses = IN_PLACE
-    most = _POSES
 
     def __init__(self, motions: PartMotions, departure: Departure, *, turns: bool) -> None:
         """Take swept tests of parts, those that are to leave, and whether one that leaves alone may turn."""
@@ -64,7 +59,7 @@ class RigidPoses:
         for direction in self._directions(at):
             again = last is not None and not last.turns and abs(direction @ np.array(last.direction)) > 1.0 - 1e-9
             for parts in self._beginnings(at, direction):
-                if (last is None or not (again and parts == last.parts)) and self._departure.carried(parts):
+                if (last is None or not (again and parts == last.parts)) and self._departure.can_carry(parts):
                     yield direction, parts
 
     def out(self, at: Poses, begun: Begun) -> PathMove | None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, REMOVED
+from falsework.assembly.state import HELD
 from falsework.errors import CellError, InputError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.cells.validate import check_bases
@@ -24,7 +24,7 @@ from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import Array
-from falsework.robots.plans.loads import load_of, loads_at, loads_beside, step_fault
+from falsework.robots.plans.loads import load_of, loads_at, loads_beside, moved_aside, step_fault
 from falsework.robots.plans.robot_forces import GripLoad, grip_loads, overloads, press_fault
 from falsework.robots.plans.robot_plan import PlanProblem, RobotPlan
 from falsework.robots.plans.trajectory import OUTSIDE, check_limits
@@ -111,7 +111,7 @@ class _Checker:
         """Check that the robots hold exactly the held parts of the state, and touch them."""
         state, frame = self.plan.states[index], self.plan.keyframes[index]
         step = min(index, len(self.plan) - 1)
-        held = [part for part in frame.held if part is not None]
+        held = [part for part in self.plan.in_hand(index) if part is not None]
         if 0 < index < len(self.plan):
             handed = self.plan.steps[index - 1].hands_over
             if handed is not None and held.count(handed) == 2 and handed == self.plan.steps[index].hands_over:
@@ -165,7 +165,8 @@ class _Checker:
             self.say(index, robot, fault)
         for fault in self.handling.faults(index):
             self.say(index, robot, fault)
-        for other, (old, new) in enumerate(zip(before.held, after.held, strict=True)):
+        hands = self.plan.in_hand(index), self.plan.in_hand(index + 1)
+        for other, (old, new) in enumerate(zip(*hands, strict=True)):
             if (old != new) != (other in step.robots and not step.transit):
                 self.say(index, other, "its held part does not change according to the action")
         values = [*before.configurations]
@@ -184,7 +185,7 @@ class _Checker:
 
     def at_rest(self, index: int, when: str) -> None:
         """Check that the configurations of the first or the last keyframe are within limits, and free of collisions."""
-        frame, present = self.plan.keyframes[index], self.plan.states[index] != REMOVED
+        frame, present = self.plan.keyframes[index], self.plan.standing[index]
         loads = loads_at(self.plan, index)
         for robot, values in enumerate(frame.configurations):
             if not self.cell.robots[robot].model.within_limits(values, OUTSIDE):
@@ -261,7 +262,8 @@ class _Checker:
         move = self.judge.prepare(robot, rest, present, at_place=at_place, **given)
         tried = [(move, row) for row in range(len(samples))]
         apart = self.plan.direction is Direction.DISASSEMBLY
-        if at_place and order == (len(self.plan.steps[index].trajectories) - 1 if apart else 0):
+        last = len(step.trajectories) - 1 if apart else 0
+        if at_place and order == last and not moved_aside(self.plan, index):
             # Beyond its last line a part has its full size; so it has where it leaves the gripper, or waits in it.
             tried.append((self.judge.prepare(robot, rest, present, **given), len(samples) - 1 if apart else 0))
         for query, row in tried:
@@ -290,9 +292,9 @@ def check_robot_plan(
     - neighbouring links, and the pairs that the robot description excludes;
     - a gripper and the last two links of its arm, and a part in a gripper and the last link and the gripper;
     - on an approach or a retreat, the gripper may press into the part that it grips, by `Gripper.press_depth`;
-    - on the lines on which a part leaves or reaches its place, or the floor where it is put down on the way, the part
-      is shrunk by the tolerance, since it touches its neighbours and the floor. Everywhere else it has its full size;
-      while it lies on the floor it is not checked against the floor, on which it must stand on a face.
+    - on the lines on which a part leaves or reaches its place, is moved aside or back, or put down on the floor on the
+      way, the part is shrunk by the tolerance, since it touches its neighbours and the floor. Everywhere else it has
+      its full size; while it lies on the floor it is not checked against the floor, on which it must stand on a face.
 
     Robots, their tools and places, payloads and limits are those of the cell, which the plan must name as they are; the
     facts that are checked are listed in `docs/robot-plan-checks.md`. The stability of the states is not checked here;

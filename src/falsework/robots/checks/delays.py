@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from falsework.assembly.state import REMOVED
+from falsework.robots.checks.handling import place_lines
 from falsework.robots.checks.pinocchio_checker import WORLD, CollisionBody, PinocchioCollisionChecker, import_pinocchio
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.reachable_positions import ReachablePositions
@@ -32,6 +32,8 @@ NEAREST = 2e-4
 """Distance above which bodies can be proven to keep apart, metres."""
 _STEP = 0.01
 """Largest joint step between two samples of a motion, rad or m; ranges are halved between samples too."""
+_STILL = 1e-5
+"""Joint values that differ by no more are those of one rest, rad or m."""
 _ACCURACY = 1e-5
 """Bound on the error of a distance, metres; the tolerance of Coal's GJK is 1e-6."""
 
@@ -273,21 +275,38 @@ class _DelayChecker:
                 return
             self.overlaps += 1
             paths = self._path(overlap.one), self._path(overlap.other)
-            if overlap.as_one:  # the parts touch, and leave each other as the check of single motions has them do
+            pairs = [paths]
+            if overlap.as_one or self._beside(overlap.one, overlap.other) or self._beside(overlap.other, overlap.one):
+                # The parts touch, and leave each other, or pass, as the check of single motions has them do.
                 bare = [self._path(replace(segment, load=None)) for segment in (overlap.one, overlap.other)]
-                found = self.prover.meeting_as_one(paths[0], bare[1]) or self.prover.meeting_as_one(bare[0], paths[1])
+                pairs = [(paths[0], bare[1]), (bare[0], paths[1])]
+            if overlap.as_one:
+                found = next(filter(None, (self.prover.meeting_as_one(*pair) for pair in pairs)), None)
             else:
-                found = self.prover.meeting(
-                    *paths,
+                ranges = (
                     _positions(paths[0], overlap.one, overlap.one_range),
                     _positions(paths[1], overlap.other, overlap.other_range),
                 )
+                found = next(filter(None, (self.prover.meeting(*pair, *ranges) for pair in pairs)), None)
             if found is not None:
                 self._say(found, overlap.one, paths[0], self._where(overlap.other, paths[1].seconds(found.other)))
 
+    def _beside(self, moving: Segment, resting: Segment) -> bool:
+        """Return whether an arm moves its part on a way, or has it aside, beside one that rests with its own aside."""
+        plan, step, load = self.plan, moving.step, resting.load
+        if moving.load is None or load is None or resting.trajectory is not None:
+            return False
+        frames, both = [step, step + 1], {moving.robot: moving.load.part, resting.robot: load.part}
+        if moving.trajectory is None:
+            return any(both.items() <= plan.aside(k).items() for k in range(len(plan.keyframes)))
+        on_way = [plan.steps[step].of(moving.robot)[order] for order in place_lines(plan, step, moving.robot)]
+        still = [plan.keyframes[k].configurations[resting.robot] - resting.rest for k in frames]
+        there = all(plan.aside(k).get(resting.robot) == load.part for k in frames)
+        return there and float(np.abs(still).max()) <= _STILL and any(moving.trajectory is leg for leg in on_way)
+
     def structure(self, segment: Segment) -> None:
         """Check a motion against parts that it was not planned with."""
-        planned = (self.plan.states[segment.step : segment.step + 2] != REMOVED).any(axis=0)
+        planned = self.plan.standing[segment.step : segment.step + 2].any(axis=0)
         for low, high, present in self.reachable.present(segment):
             parts = np.flatnonzero(present & ~planned).tolist()
             if not parts or len(self.problems) >= self.most:

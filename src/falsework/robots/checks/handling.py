@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import MultiPoint, Point, Polygon
 
-from falsework.geometry.clearance.moves import PathMove
 from falsework.robots.checks.grips import GripChecker
 from falsework.robots.model.cell import LONGEST_APPROACH, LONGEST_WITHDRAWAL, Cell
 from falsework.robots.model.part_shapes import placed_move
 from falsework.robots.model.shapes import Array, inverse_pose, move
-from falsework.robots.plans.loads import Load, load_of, lying_motions
+from falsework.robots.plans.loads import Load, load_of, lying_motions, moved_aside
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.trajectory import line_fault, move_fault
+from falsework.robots.plans.ways import moves_of_steps
 from falsework.search.problem.task import Direction
 from falsework.utils.quantity import format_quantity
 
@@ -44,11 +44,15 @@ class HandlingChecker:
     def __init__(self, plan: RobotPlan, cell: Cell, grips: GripChecker) -> None:
         self.plan, self.cell, self.grips = plan, cell, grips
         self.names, self.mass = grips.judge.parts.names, grips.judge.parts.mass
+        self._moves, self.wrong = moves_of_steps(plan)
+        """Moves of each step in the structure's frame, and what is wrong with those of some steps."""
 
     def faults(self, index: int) -> list[str]:
         """Return what is wrong with how a step moves its part, where it takes and leaves it, and with its lines."""
         checks = self._places, self._payload, self._lines
-        return [fault for robot in self.plan.steps[index].robots for check in checks for fault in check(index, robot)]
+        found = [what for step, what in self.wrong if step == index]
+        robots = self.plan.steps[index].robots
+        return [*found, *(fault for robot in robots for check in checks for fault in check(index, robot))]
 
     def _places(self, index: int, robot: int) -> list[str]:
         """Return where a part comes into or leaves the gripper although neither the structure nor the cell has it."""
@@ -78,6 +82,8 @@ class HandlingChecker:
         if moved is not None:  # in place it is in the gripper
             apart = plan.direction is Direction.DISASSEMBLY
             return moved, apart or before is not None, not apart or after is not None
+        if aside := moved_aside(plan, index):
+            return aside.get(robot), True, True
         carried = [part for part in (before, *(leg.part for leg in step.trajectories), after) if part is not None]
         return (carried[0] if carried and step.transit else None), before is not None, after is not None
 
@@ -114,7 +120,8 @@ class HandlingChecker:
         step, margin, faults = self.plan.steps[index], self.cell.margins.approach, []
         legs, at_place, run = step.of(robot), place_lines(self.plan, index, robot), 0.0
         grip, last = self.plan.grip(index), len(legs) - 1
-        lying, moves = lying_motions(self.plan, index), self._moves(index)
+        lying = lying_motions(self.plan, index)
+        moves = [placed_move(move, self.cell.placement) for move in self._moves.get(index, ())]
         if len(moves) > len(at_place):
             faults.append(f"its way out has {len(moves)} moves, and its part is on {len(at_place)} lines")
         for order, leg in enumerate(legs):
@@ -126,7 +133,7 @@ class HandlingChecker:
             number = order if self.plan.direction is Direction.DISASSEMBLY else last - order
             if carries and number < len(moves):  # on a move of its way, the last of which may end early
                 way = tools if self.plan.direction is Direction.DISASSEMBLY else tools[::-1]
-                if fault := move_fault(way, moves[number], whole=number + 1 < len(moves)):
+                if fault := move_fault(way, moves[number], whole=step.transit or number + 1 < len(moves)):
                     faults.append(f"motion {order + 1} {fault}, which is move {number + 1} of its way")
                 continue
             longest = margin * (LONGEST_WITHDRAWAL if carries else LONGEST_APPROACH)
@@ -148,21 +155,16 @@ class HandlingChecker:
             )
         return faults
 
-    def _moves(self, index: int) -> list[PathMove]:
-        """Return the moves in the world on which the part of a step leaves, or came, in the order of leaving."""
-        paths, rows = self.plan.plan.exit_paths, self.plan.rows[index : index + 2]
-        alone = rows[0] != rows[1] and not self.plan.steps[index].partners
-        way = paths[rows.min()] if paths and alone else ()
-        return [placed_move(move, self.cell.placement) for move in way]
-
 
 def place_lines(plan: RobotPlan, index: int, robot: int | None = None) -> frozenset[int]:
     """Return the motions of a step on which its part leaves or reaches its place, or the floor where it is put down.
 
-    These are lines: the first ones of a removal up to its first other motion, in an insertion the last ones, and those
-    before and after the part lies on the floor.
+    These are lines: the first ones of a removal up to its first other motion, in an insertion the last ones, those
+    before and after the part lies on the floor, and those on which a part is moved aside, on, or back.
     """
     robot = plan.steps[index].robot if robot is None else robot
+    if robot in moved_aside(plan, index):
+        return frozenset(range(len(plan.steps[index].of(robot))))
     if plan.part_of(index, robot) is None:
         return frozenset()
     apart, legs = plan.direction is Direction.DISASSEMBLY, plan.steps[index].of(robot)

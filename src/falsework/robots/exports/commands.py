@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from falsework.robots.plans.loads import lying_motions
+from falsework.robots.plans.loads import lying_motions, moved_aside
 from falsework.robots.plans.robot_forces import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
@@ -77,6 +77,9 @@ def events_of(plan: RobotPlan, step: int, robot: int | None = None) -> Iterator[
     robot = plan.steps[step].robot if robot is None else robot
     grip, apart, moves = plan.grip(step), plan.direction is Direction.DISASSEMBLY, plan.steps[step].of(robot)
     before, after = plan.keyframes[step].load(robot) is not None, plan.keyframes[step + 1].load(robot) is not None
+    if moved_aside(plan, step):
+        yield from moves
+        return
     if plan.steps[step].transit:
         has = [before, *(leg.part is not None for leg in moves), after]
         for k, leg in enumerate((*moves, None)):

@@ -84,9 +84,18 @@ def controller_settings(plan: RobotPlan, cell: Cell, robot: int, language: Langu
     if language == "urscript":
         reads = [f"its register {REGISTER} is read at {address_of(entry, names[robot])} by the others"]
     else:
+        joint = {k for step in plan.steps if step.partners for k in step.robots}
+        if robot in joint:
+            tasks = ", ".join(f"{names[k]} {rapid_task(k)}" for k in sorted(joint))
+            lines.append(f"arms of one MultiMove controller, with the motion tasks {tasks}")
         reads = [f"group output go_{names[robot]}_count, 16 bits, counts its motions"]
         reads += [f"group input gi_{names[k]}_count, 16 bits, is connected to go_{names[k]}_count" for k in others]
     return lines + reads * bool(others)
+
+
+def rapid_task(robot: int) -> str:
+    """Return the name of the motion task of a robot at a MultiMove controller."""
+    return f"T_ROB{robot + 1}"
 
 
 def address_of(robot: CellRobot, name: str) -> str:

@@ -30,8 +30,6 @@ from falsework.utils.files.output_file import write_whole
 Format = Literal["ros2-json", "ros2-yaml", "ros2-goals", "csv", "rapid", "urscript", "mcap"]
 
 FORMATS: tuple[str, ...] = get_args(Format)
-ONE_CLOCK_EACH = ("rapid", "urscript")
-"""Formats in which each robot goes by its own clock, and waits for others between motions only."""
 
 
 def export_plan(
@@ -81,11 +79,11 @@ def export_plan(
     if joint_prefix and not form.startswith("ros2-"):
         raise InputError(f"a prefix of joints is for ros2-json, ros2-yaml and ros2-goals, not {form}; leave it out")
     joint = next((k for k, step in enumerate(plan.steps) if step.partners), None)
-    if joint is not None and form in ONE_CLOCK_EACH:
-        others = ", ".join(kept for kept in FORMATS if kept not in ONE_CLOCK_EACH)
+    if joint is not None and form == "urscript":
+        others = ", ".join(kept for kept in FORMATS if kept != form)
         raise InputError(
-            f"in step {plan.number(joint)} ({plan.does(joint)}) several robots move at the same instant, which {form} "
-            f"cannot say: each robot has a clock of its own; choose {others}"
+            f"in step {plan.number(joint)} ({plan.does(joint)}) several robots move at the same instant, which "
+            f"urscript cannot say: each controller has a clock of its own; choose {others}"
         )
     writers: dict[str, Callable[[], Iterable[tuple[str, str]]]] = {
         "ros2-json": lambda: ros2_messages(plan, presses, "json", joint_prefix),

@@ -28,7 +28,7 @@ from falsework.robots.exports.controller import program_names
 from falsework.robots.exports.ros2 import NANO, duration, joint_names, joint_trajectory
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.shapes import inverse_pose, move
-from falsework.robots.plans.loads import Load, load_of, loads_at
+from falsework.robots.plans.loads import Load, load_of, loads_at, moved_aside
 from falsework.robots.plans.robot_forces import TimedPress, flange_of
 from falsework.robots.plans.robot_plan import RobotPlan, RobotStep
 from falsework.robots.plans.temporal_graph import MotionNode
@@ -128,7 +128,9 @@ def write_bag(
         if part is not None and carried[node.trajectory + 2] is None:
             end, last = now + node.seconds, node.trajectory + 1 == len(step.trajectories)
             # MoveIt leaves a detached part where it is, before it reads the world of the difference.
-            gone = step.transit or (last and plan.direction is Direction.DISASSEMBLY)
+            gone = (step.transit and not moved_aside(plan, node.step)) or (
+                last and plan.direction is Direction.DISASSEMBLY
+            )
             things = [_part(plan, part, _REMOVE, _flange(plan, robot), end)] if gone else []
             scene(end, attached=_attached(plan, robot, part, end, None, None), things=things)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,8 +30,8 @@ class ToolLoad:
     """About the centre of mass, kg m2, shape (3, 3); zero where it is unknown."""
 
 
-PartLoads = dict[tuple[int, int], ToolLoad]
-"""Load of the part in the gripper, in the frame of the flange, by step of the plan and motion of the step."""
+PartLoads = dict[tuple[int, int, int], ToolLoad]
+"""Load of the part in the gripper, in the frame of the flange, by step of the plan, robot and motion of the step."""
 
 
 def tool_load(gripper: Gripper) -> ToolLoad:
@@ -76,15 +77,15 @@ def part_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> PartLoads:
     center = move(placement.pose, placement.scale * own.center)
     found: PartLoads = {}
     for step, entry in enumerate(plan.steps):
-        for motion in range(len(entry.trajectories)):  # programs have no robots that move at the same instant
-            load = load_of(plan, step, motion)
+        for number, motion in itertools.product(entry.robots, range(len(entry.trajectories))):
+            load = load_of(plan, step, motion, number)
             if load is None or load.grip is None:
                 continue
-            robot, part = cell.robots[entry.robot], load.part
+            robot, part = cell.robots[number], load.part
             to_flange = inverse_pose(flange_pose(robot.model, load.grip, robot.base)) @ load.pose
             turn = to_flange[:3, :3] @ placement.pose[:3, :3]
             place = move(to_flange, center[part][None])[0]
-            found[step, motion] = ToolLoad(float(mass[part]), place, turn @ inertia[part] @ turn.T)
+            found[step, number, motion] = ToolLoad(float(mass[part]), place, turn @ inertia[part] @ turn.T)
     return found
 
 

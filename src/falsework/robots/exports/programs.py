@@ -13,6 +13,7 @@ import numpy as np
 from falsework.errors import InputError
 from falsework.robots.exports.commands import (
     COUNT_FROM,
+    AtOnce,
     Begin,
     Command,
     Grip,
@@ -28,6 +29,7 @@ from falsework.robots.exports.controller import (
     controller_settings,
     grip_signal,
     program_names,
+    rapid_task,
 )
 from falsework.robots.exports.payloads import PartLoads, ToolLoad, in_tool, rapid_load, together, tool_load, ur_payload
 from falsework.robots.model.cell import Cell, CellRobot
@@ -54,7 +56,8 @@ def rapid_modules(
 
     Knots become joint targets in degrees for `MoveAbsJ` with the durations of the plan. An arm sets the
     group output `go_NAME_count`, and reads those of others as `gi_NAME_count`. An arm that presses moves its set point
-    by force and moment over its stiffness, on a slow line from where it holds the part, and stays there.
+    by force and moment over its stiffness, on a slow line from where it holds the part, and stays there. Arms that move
+    at the same instant are those of one MultiMove controller, which keeps them in step from knot to knot.
     """
     names = _names(plan, presses)
     for robot, name in enumerate(names):
@@ -63,7 +66,7 @@ def rapid_modules(
         if len(record.joint_names) not in (6, 7):
             raise InputError(f"RAPID supports robots of 6 or 7 joints; {record.name} has {len(record.joint_names)}")
         targets: list[str] = []
-        carried, number = "", 0
+        carried, number, meeting, step, order = "", 0, "", 0, 0
         offset = np.zeros(6)  # of what the arm has pressed since it last moved
         body: list[str] = []
         run = [f"    MoveAbsJ {_jointtarget(plan.keyframes[0].configurations[robot])}, v200, fine, {name}_tool;"]
@@ -76,6 +79,7 @@ def rapid_modules(
             run += [f"    SetGO go_{name}_count, {COUNT_FROM};"]
         for command, load in _with_loads(plan, robot, presses, loads):
             if isinstance(command, Begin):
+                step, order = command.step + 1, 0
                 body += ["  ENDPROC"] * bool(body)
                 body += [f"  PROC {name}_step{command.step + 1}()", f"    ! {ascii_text(plan.does(command.step))}"]
                 run.append(f"    {name}_step{command.step + 1};")
@@ -97,6 +101,11 @@ def rapid_modules(
                     targets.append(f"  CONST jointtarget {target} := {_jointtarget(held)};")
                     place = f"RelTool(CalcRobT({target}, {name}_tool), {_shift(offset)})"
                     body += [f"    MoveL {place}, v5, fine, {name}_tool;", "    WaitTime\\InPos, 0.5;"]
+            elif isinstance(command, AtOnce):
+                order += 1
+                meeting, tasks = f"sync{step}_{order}", ",".join(f'["{rapid_task(k)}"]' for k in sorted(command.robots))
+                targets.append(f"  PERS tasks {meeting}_tasks{{{len(command.robots)}}} := [{tasks}];")
+                targets += [f"  VAR syncident {meeting}_{end};" for end in ("on", "off")]
             elif isinstance(command, Trajectory):
                 offset = np.zeros(6)
                 now = "" if load is None else rapid_load(in_tool(load, record.tool))
@@ -107,12 +116,16 @@ def rapid_modules(
                     body.append(f"    GripLoad {f'{name}_load{number}' if now else 'load0'};")
                     carried = now
                 last = len(command.times) - 1
+                body += [f"    SyncMoveOn {meeting}_on, {meeting}_tasks;"] * bool(meeting)
                 for knot in range(1, last + 1):
                     target = f"{name}_j{len(targets) + 1}"
                     targets.append(f"  CONST jointtarget {target} := {_jointtarget(command.positions[knot])};")
                     seconds = max(command.times[knot] - command.times[knot - 1], 0.001)
                     zone = "fine" if knot == last else "z0"
-                    body.append(f"    MoveAbsJ {target}, v1000\\T:={seconds:.3f}, {zone}, {name}_tool;")
+                    same = f"\\ID:={knot}" if meeting else ""
+                    body.append(f"    MoveAbsJ {target}{same}, v1000\\T:={seconds:.3f}, {zone}, {name}_tool;")
+                body += [f"    SyncMoveOff {meeting}_off;"] * bool(meeting)
+                meeting = ""
         lines = [
             f"MODULE {name}_arm",  # a name alone could be a word of the language, or a module of the controller
             *(f"  ! {line}" for line in (_about(plan, robot), *controller_settings(plan, cell, robot, "rapid"))),
@@ -227,7 +240,7 @@ def _with_loads(
             motion, step = 0, command.step
         load = None
         if isinstance(command, Trajectory):
-            load, motion = (loads or {}).get((step, motion)), motion + 1
+            load, motion = (loads or {}).get((step, robot, motion)), motion + 1
         yield command, load
 
 

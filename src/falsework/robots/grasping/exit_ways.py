@@ -9,16 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, States
+from falsework.assembly.state import HELD, REMOVED, States
 from falsework.geometry.clearance.locked import PartSet
 from falsework.geometry.clearance.moves import ExitPath, PathMove, after, apply
-from falsework.geometry.clearance.protocol import Clearance, Mask
+from falsework.geometry.clearance.protocol import Clearance
 from falsework.geometry.clearance.sweep import Sweeper, includes_one
 from falsework.geometry.clearance.table import ClearanceTable
 from falsework.robots.model.cell import Placement
 from falsework.robots.model.part_shapes import placed_move
 from falsework.robots.model.shapes import Array
 from falsework.search.problem.task import Task
+from falsework.search.together.exits import sets_of
+from falsework.stability.oracle import StabilityOracle
 from falsework.utils.bits import pack, unpack
 
 _TILT_DEGREES = (20.0, 50.0, 85.0)
@@ -29,25 +31,6 @@ _LOWEST_SLOPE = -1e-6
 """Least upward component of a direction: level ones count in spite of rounding."""
 _SAME_WAY = 1 - 1e-6
 """Cosine above which two directions count as the same."""
-
-
-class _Alone(Clearance):
-    """Clearance of parts that leave in several moves while all others, held or not, stay where they are."""
-
-    def __init__(self, paths: Clearance) -> None:
-        self._paths, self.moves, self.turns = paths, paths.moves, paths.turns
-
-    def can_leave(self, states: States) -> Mask:
-        """See `Clearance.can_leave`."""
-        return self._paths.can_leave(np.where(states == HELD, INSTALLED, states))
-
-    def exit_path(self, state: States, leaving: PartSet) -> ExitPath | None:
-        """See `Clearance.exit_path`."""
-        return self._paths.exit_path(np.where(state == HELD, INSTALLED, state), leaving)
-
-    def caveat(self, parts: Mask) -> str:
-        """See `Clearance.caveat`."""
-        return self._paths.caveat(parts) or "arms do not move aside parts that they hold; that may open other ways"
 
 
 class ExitWays:
@@ -108,10 +91,13 @@ class ExitWays:
         """The same for the rules of a task: a part that can only leave downwards cannot leave."""
         self._sets: tuple[PartSet, ...] = ()
 
-    def allow(self, task: Task, check: Callable[[], None] = lambda: None) -> None:
-        """Let parts leave in as many moves, and as many at once, as a task allows; searches for ways call `check`."""
+    def allow(self, task: Task, oracle: StabilityOracle, robots: int, check: Callable[[], None] = lambda: None) -> None:
+        """Let parts leave in as many moves, and as many at once, as a task allows; searches for ways call `check`.
+
+        Parts that so many robots hold may move aside where the rest stands by verdicts of the oracle.
+        """
         movable = ~task.boundary & (task.start != REMOVED) & (task.target == REMOVED)
-        self._sets = () if task.together is None else task.together.sets(movable)
+        self._sets = sets_of(task, movable)[0]
         self.clearance = self._table
         if task.moves_out > 1 or task.turns:
             from falsework.geometry.paths.exit_paths import ExitPaths  # few tasks need it
@@ -120,7 +106,7 @@ class ExitWays:
             still = assembly.immovable.copy()
             still[list(task.fixed)] = True
             given = assembly.meshes, assembly.contacts, self._table, assembly.part_motions, still
-            self.clearance = _Alone(ExitPaths(*given, task.moves_out, task.turns).until(check))
+            self.clearance = ExitPaths(*given, task.moves_out, task.turns).judged_by(oracle, robots).until(check)
 
     def blockers(self, part: int) -> NDArray[np.bool_]:
         """Return the parts that block each straight way of a part, shape (ways, parts)."""
@@ -150,11 +136,29 @@ class ExitWays:
                 return there, ways
         for there in (state, alone):
             for parts in self._sets:
-                if part in parts and (motions := self.motions(parts, there)):
+                if part not in parts:
+                    continue
+                held = there.copy()
+                held[list(parts)] = HELD
+                path, motions = self.path(parts, held), self.motions(parts, there)
+                if path or motions:
                     beside = there.copy()
                     beside[[other for other in parts if other != part]] = REMOVED
-                    return beside, [motion[parts.index(part)] for motion in motions]
+                    return beside, [motion[parts.index(part)] for motion in motions] or [path]
         return later, []
+
+    def path(self, parts: PartSet, state: States) -> ExitPath:
+        """Return the way of several moves on which held parts leave a state together; none where they leave straight.
+
+        The last move is 1 m long.
+        """
+        if self.motions(parts, state) or self.clearance is self._table:
+            return ()
+        path = self.clearance.exit_path(state, parts)
+        if not path:
+            return ()
+        *moves, last = (placed_move(move, self._placement) for move in path)
+        return (*moves, replace(last, distance=1.0))
 
     def motions(self, parts: PartSet, state: States) -> list[tuple[ExitPath, ...]]:
         """Return ways on which a set leaves a state together, one for each part; distances are in proportion.

@@ -38,7 +38,7 @@ Paths = dict[int, Array]
 
 
 @dataclass(frozen=True, eq=False)
-class _Stage:
+class Stage:
     """Common motions so far, one after the other."""
 
     scene: Scene
@@ -63,38 +63,53 @@ class JointRemovals:
     def edges(self, node: Node, parts: PartSet) -> Iterator[Edge]:
         """Yield edges on which held parts leave at the same instant; after them the robots carry these."""
         holders = {part: node.held.index(part) for part in parts}
+        scene = self.carrying(node, holders)
+        for way in self.exits.motions(parts, node.state)[:_MOST_WAYS]:
+            moves = [move for (move,) in way]
+            yield from itertools.islice(self.removals(node, holders, scene, moves, withdrawal_contact(scene)), 1)
+
+    def removals(
+        self, node: Node, holders: dict[int, int], scene: Scene, moves: Sequence[PathMove], contact: Contact
+    ) -> Iterator[Edge]:
+        """Yield edges on which parts leave by one move each, in a scene in which their robots carry them."""
+        for stage in self._stages(scene, node, holders, moves, contact):
+            yield self._edge(node, holders, stage)
+
+    def carrying(self, node: Node, holders: dict[int, int]) -> Scene:
+        """Return the scene of a node in which robots carry parts, that they may hold in place so far."""
         scene = node.scene
         for part, robot in holders.items():
-            scene = scene.with_attached(robot, part, tool_pose(self.cell.robots[robot], node.configurations[robot]))
-        ways = self.exits.motions(parts, node.state)
-        if not ways:
-            self.reasons.add("remove", parts[0], holders[parts[0]], "no free way out for the set")
-        for way in ways[:_MOST_WAYS]:
-            for stage in self._stages(scene, node, holders, [move for (move,) in way]):
-                yield self._edge(node, holders, stage)
-                break
+            if node.load(robot) is None:
+                tool = tool_pose(self.cell.robots[robot], node.configurations[robot])
+                scene = scene.with_attached(robot, part, tool)
+        return scene
+
+    def loads(self, node: Node, holders: dict[int, int], scene: Scene) -> dict[int, CarriedLoad]:
+        """Return what robots carry in a scene, each with the configuration in which it held that in place."""
+        found = {}
+        for robot in holders.values():
+            attached, load = scene.attached[robot], node.load(robot)
+            assert attached is not None
+            found[robot] = load or CarriedLoad(attached, node.configurations[robot])
+        return found
 
     def deliveries(self, node: Node) -> Iterator[Edge]:
-        """Yield edges on which one of the robots that carry parts brings its own away."""
+        """Yield edges on which one of the robots that carry parts away brings its own to a drop-off pose."""
         for robot in range(len(node.held)):
             load = node.load(robot)
-            if load is None:
+            if load is None or node.state[load.attached.part] != REMOVED:
                 continue
             away = self.withdrawal.delivery(load.attached.part, robot, node.configurations[robot], node.scene)
             if away is not None:
                 yield Edge(-1, robot, (away,), node.moved(robot, away.path[-1], None), transit=True)
 
-    def _edge(self, node: Node, holders: dict[int, int], stage: _Stage) -> Edge:
+    def _edge(self, node: Node, holders: dict[int, int], stage: Stage) -> Edge:
         parts = sorted(holders)
         segments = {
             robot: tuple(PathSegment("line", paths[robot], part=part) for paths in stage.paths)
             for part, robot in holders.items()
         }
-        loads = {}
-        for robot in holders.values():
-            attached = stage.scene.attached[robot]
-            assert attached is not None
-            loads[robot] = CarriedLoad(attached, node.configurations[robot])
+        loads = self.loads(node, holders, stage.scene)
         lead, *others = (holders[part] for part in parts)
         return Edge(
             set_action(parts, len(node.state)),
@@ -104,7 +119,9 @@ class JointRemovals:
             partners=tuple((robot, segments[robot]) for robot in others),
         )
 
-    def _stages(self, scene: Scene, node: Node, holders: dict[int, int], moves: Sequence[PathMove]) -> Iterator[_Stage]:
+    def _stages(
+        self, scene: Scene, node: Node, holders: dict[int, int], moves: Sequence[PathMove], contact: Contact
+    ) -> Iterator[Stage]:
         """Yield common motions along a way, which begins in proportion to some moves, after which robots go alone."""
         parts = list(holders)
         apart = any(move.direction != moves[0].direction or move.distance != moves[0].distance for move in moves)
@@ -113,7 +130,7 @@ class JointRemovals:
                 holders[part]: move.until(times * self.cell.margins.approach)
                 for part, move in zip(parts, moves, strict=True)
             }
-            out = self._moved(_Stage(scene, (), 0.0), holders, some, withdrawal_contact(scene), times)
+            out = self.moved(Stage(scene, (), 0.0), holders, some, contact, times)
             if out is None:
                 return
             beside = frozenset() if apart else frozenset(holders.values())
@@ -121,7 +138,7 @@ class JointRemovals:
                 continue
             yield from (out,) if apart else self._separated(out, node, holders, parts)
 
-    def _separated(self, stage: _Stage, node: Node, holders: dict[int, int], left: list[int]) -> Iterator[_Stage]:
+    def _separated(self, stage: Stage, node: Node, holders: dict[int, int], left: list[int]) -> Iterator[Stage]:
         """Yield common motions after which parts that have left along one direction no longer touch."""
         if len(left) == 1:
             yield from (stage,) if self._clear(stage.scene, holders, frozenset()) else ()
@@ -135,15 +152,21 @@ class JointRemovals:
                     continue
                 moves = {robot: replace(way[0], distance=0.0) for robot in holders.values()}
                 moves[holders[part]] = replace(way[0], distance=times * self.cell.margins.approach)
-                out = self._moved(stage, holders, moves, NO_CONTACT, times)
+                out = self.moved(stage, holders, moves, NO_CONTACT, times)
                 done = None if out is None else next(self._separated(out, node, holders, rest), None)
                 if done is not None:
                     yield done
                     return
 
-    def _moved(
-        self, stage: _Stage, holders: dict[int, int], moves: dict[int, PathMove], contact: Contact, times: float
-    ) -> _Stage | None:
+    def moved(
+        self,
+        stage: Stage,
+        holders: dict[int, int],
+        moves: dict[int, PathMove],
+        contact: Contact,
+        times: float,
+        what: str = "way out with others",
+    ) -> Stage | None:
         """Return a common motion further; None if an arm cannot follow, or arms are not proven to keep apart."""
         paths, points = dict[int, Array](), 2
         for _ in range(_ROUNDS):
@@ -153,8 +176,8 @@ class JointRemovals:
                 here = stage.scene.configurations[robot]
                 out = follow_move(view, here, moves[robot], points=points)
                 if out.path is None:
-                    what = f"way out with others, line {len(stage.paths) + 1}: {out.reason}"
-                    self.reasons.add("remove", part, robot, what, out.pair, out.at)
+                    why = f"{what}, line {len(stage.paths) + 1}: {out.reason}"
+                    self.reasons.add("remove", part, robot, why, out.pair, out.at)
                     return None
                 paths[robot] = out.path
             if len({len(path) for path in paths.values()}) == 1:
@@ -169,7 +192,7 @@ class JointRemovals:
         scene = stage.scene
         for robot, path in paths.items():
             scene = scene.with_configuration(robot, path[-1])
-        return _Stage(scene, (*stage.paths, paths), stage.length + times)
+        return Stage(scene, (*stage.paths, paths), stage.length + times)
 
     def _keep_apart(self, scene: Scene, holders: dict[int, int], paths: Paths) -> bool:
         """Return whether arms that move at the same instant are proven to keep apart, the parts aside.

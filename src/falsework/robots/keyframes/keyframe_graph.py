@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
+from falsework.geometry.clearance.locked import PartSet
 from falsework.robots.grasping.exit_ways import ExitWays
 from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
@@ -24,6 +25,7 @@ from falsework.robots.keyframes.joint_holds import JointHolds
 from falsework.robots.keyframes.joint_removals import JointRemovals
 from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, PathSegment, accept_all, removed_by
 from falsework.robots.keyframes.putting_down import PuttingDown
+from falsework.robots.keyframes.ways_in_turn import WaysInTurn
 from falsework.robots.keyframes.withdrawal import Withdrawal
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
@@ -32,6 +34,7 @@ from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Scene, grasp_contact
 from falsework.robots.motion.near_pairs import NearPair, nearest_pair
 from falsework.robots.motion.path_planner import MotionCache, follow_line
+from falsework.robots.plans.ways import in_turn
 
 _MAX_DETOURS = 2
 """Withdrawals of a part that cannot be delivered after which it is put down, to be gripped in another way."""
@@ -90,6 +93,7 @@ class KeyframeGraph:
         self.putting_down = PuttingDown(assembly, self.cache, self.reasons, self.grasp_configurations, self.retreat)
         self.exits = ExitWays(assembly, cell.placement, present, leaving)
         self.joint_removals = JointRemovals(self.cache, self.reasons, self.exits, self.withdrawal)
+        self.ways_in_turn = WaysInTurn(self.joint_removals)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
         """Return an initial node."""
@@ -101,8 +105,14 @@ class KeyframeGraph:
         if action < parts and node.state[action] == HELD:
             return self._release(node, action)
         if len(removed := removed_by(action, parts)) > 1:
-            return filter(self.accepts, self.joint_removals.edges(node, tuple(removed)))
-        return filter(self.accepts, self._remove(node, action - parts) if action >= parts else self._hold(node, action))
+            return filter(self._accepted, self._remove_set(node, tuple(removed)))
+        edges = self._remove(node, action - parts) if action >= parts else self._hold(node, action)
+        return filter(self._accepted, edges)
+
+    def _accepted(self, edge: Edge) -> bool:
+        """Return whether a hold, or a removal with all that follows on its way, may be part of a plan."""
+        acting = next((other for other in (edge, *edge.node.following) if other.action >= 0), edge)
+        return self.accepts(replace(acting, node=edge.node.following[-1].node) if edge.node.following else edge)
 
     def take_over(self, node: Node, part: int) -> Iterator[Edge]:
         """Yield edges on which another robot holds a held part as well, so that the robot that holds it can leave.
@@ -302,6 +312,9 @@ class KeyframeGraph:
         if not ways:
             self.reasons.add("remove", part, robot, "no free way out")
             return
+        if in_turn(ways[0]):
+            yield from self.ways_in_turn.edges(node, ways[0])
+            return
         action, stuck, delivered = part + self.assembly.part_count, [], False
         for way, paths, scene in self.withdrawal.lines(node.scene, part, robot, here, ways, "way out"):
             lines = tuple(PathSegment("line", path, part=part) for path in paths)
@@ -316,6 +329,19 @@ class KeyframeGraph:
             if detour is not None:
                 after = node.after(action, robot, detour.end)
                 yield Edge(action, robot, (*lines, *detour.segments), after, put_down=detour.pose, way=way)
+
+    def _remove_set(self, node: Node, parts: PartSet) -> Iterator[Edge]:
+        """Yield edges on which held parts leave together, straight or in several moves."""
+        way = self.exits.path(parts, node.state)
+        if way:
+            yield from self.ways_in_turn.edges(node, way)
+            return
+        found = False
+        for edge in self.joint_removals.edges(node, parts):
+            found = True
+            yield edge
+        if not found:
+            self.reasons.add("remove", parts[0], node.held.index(parts[0]), "no free way out for the set")
 
     # Helpers of all
 

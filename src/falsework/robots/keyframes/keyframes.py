@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -44,12 +44,16 @@ class Node:
     """Parts held or released since a part was last removed; those released, or handed over, with the grip that they
     had."""
     carried: tuple[CarriedLoad | None, ...] = ()
-    """What each robot carries; empty: none carries anything."""
+    """What each robot carries; empty: none carries anything. Of the parts of the state these are aside for a time."""
+    following: tuple[Edge, ...] = ()
+    """Edges that come next, in the midst of a way."""
 
     @cached_property
     def present(self) -> NDArray[np.bool_]:
         """Which parts are in place, shape (parts,)."""
-        return self.state != REMOVED
+        found = self.state != REMOVED
+        found[[load.attached.part for load in self.carried if load is not None]] = False
+        return found
 
     @cached_property
     def key(self) -> bytes:
@@ -57,7 +61,11 @@ class Node:
         rounded = np.round(np.concatenate(self.configurations), 6) + 0.0
         released = sorted(entry for entry in self.changed if entry[1])
         carried = [None if load is None else load.attached.part for load in self.carried]
-        return self.state.tobytes() + rounded.tobytes() + repr((self.held, released, carried)).encode()
+        return (
+            self.state.tobytes()
+            + rounded.tobytes()
+            + repr((self.held, released, carried, len(self.following))).encode()
+        )
 
     @property
     def scene(self) -> Scene:
@@ -94,6 +102,15 @@ class Node:
         """Return whether a part was released, or handed over, since a part was last removed."""
         return any(part == other and grip for other, grip in self.changed)
 
+    def robot_with(self, part: int) -> int:
+        """Return the robot that holds a part, or carries it."""
+        return next(k for k, held in enumerate(self.held) if part in (held, self.carried_by(k)))
+
+    def carried_by(self, robot: int) -> int | None:
+        """Return the part that a robot carries."""
+        load = self.load(robot)
+        return None if load is None else load.attached.part
+
     def load(self, robot: int) -> CarriedLoad | None:
         """Return what a robot carries."""
         return self.carried[robot] if self.carried else None
@@ -105,13 +122,28 @@ class Node:
         kept = tuple(carried) if any(entry is not None for entry in carried) else ()
         return replace(self, configurations=tuple(configurations), carried=kept)
 
-    def carrying(self, loads: Mapping[int, CarriedLoad], configurations: tuple[Array, ...]) -> Node:
-        """Return the keyframe after robots have removed the parts that they hold, and carry them."""
+    def carrying(
+        self, loads: Mapping[int, CarriedLoad], configurations: tuple[Array, ...], *, stay: bool = False
+    ) -> Node:
+        """Return the keyframe after robots have moved the parts that they hold, and carry them.
+
+        They have removed them, unless the parts `stay` in the state, aside for a time.
+        """
         state, held = self.state.copy(), list(self.held)
         for robot, load in loads.items():
-            state[load.attached.part], held[robot] = REMOVED, None
-        carried = tuple(loads.get(robot) for robot in range(len(held)))
-        return Node(state, configurations, tuple(held), carried=carried)
+            held[robot] = None
+            if not stay:
+                state[load.attached.part] = REMOVED
+        carried = tuple(loads.get(robot, self.load(robot)) for robot in range(len(held)))
+        return Node(state, configurations, tuple(held), self.changed if stay else frozenset(), carried)
+
+    def back(self, holders: Mapping[int, int], ends: Mapping[int, Array], home: Set[int]) -> Node:
+        """Return the keyframe after robots have moved parts on, some of them to their places, where they hold them."""
+        node, held = self, list(self.held)
+        for part, robot in holders.items():
+            node = node.moved(robot, ends[robot], None if part in home else node.load(robot))
+            held[robot] = part if part in home else None
+        return replace(node, held=tuple(held))
 
     def after(self, action: int, robot: int, values: Array) -> Node:
         """Return the keyframe after an action as of `state_after`, or half of a hand-over of a held part."""

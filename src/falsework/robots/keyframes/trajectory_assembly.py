@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
+from falsework.assembly.state import REMOVED
 from falsework.robots.kernels.speed_profile import thin
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment, route_along
 from falsework.robots.model.cell import Cell, cell_identity
@@ -60,7 +61,8 @@ def make_robot_plan(
         )
         partners = tuple(Partner(robot, legs) for robot, legs in zip(robots[1:], others, strict=True))
         load = (before.load(edge.robot) or edge.node.load(edge.robot)) if edge.transit else None
-        gripped = None if load is None else load.gripped
+        away = load is not None and edge.node.state[load.attached.part] == REMOVED
+        gripped = load.gripped if load is not None and away else None
         steps.append(RobotStep(edge.robot, made, handed, edge.put_down, edge.transit, gripped, partners))
     return RobotPlan(
         plan=abstract,

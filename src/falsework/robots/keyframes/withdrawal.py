@@ -58,6 +58,8 @@ class Withdrawal:
         for way in self._ordered(ways, tool):
             begun: list[Array] = []
             for number, move in enumerate(way[:-1]):
+                if part not in move.parts:  # others move aside
+                    continue
                 out = follow_move(line, begun[-1][-1] if begun else here, move)
                 if out.path is None:
                     self._refuse(part, robot, told(way, number, what), out)
@@ -65,12 +67,12 @@ class Withdrawal:
                 begun.append(out.path)
             else:
                 last = told(way, len(way) - 1, what)
-                for paths in self._until_clear(
+                for paths in self.until_clear(
                     scene, line, part, robot, begun[-1][-1] if begun else here, way[-1], last
                 ):
                     yield way, (*begun, *paths), scene
 
-    def _until_clear(
+    def until_clear(
         self, scene: Scene, line: CollisionQuery, part: int, robot: int, here: Array, move: PathMove, what: str
     ) -> Iterator[tuple[Array, ...]]:
         """Yield paths along the last move of a way until the part is clear, with room for free motions if possible."""

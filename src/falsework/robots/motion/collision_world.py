@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -120,9 +121,12 @@ def grasp_contact(part: int) -> Contact:
     return Contact(gripper=frozenset({part}))
 
 
-def withdrawal_contact(scene: Scene) -> Contact:
-    """Return the pairs that may touch on the line on which a part is withdrawn from the parts present in a scene."""
-    carried = frozenset(np.flatnonzero(scene.present).tolist())
+def withdrawal_contact(scene: Scene, aside: Iterable[int] = ()) -> Contact:
+    """Return the pairs that may touch on the line on which a part is withdrawn from the parts present in a scene.
+
+    So may others that robots have moved aside for it.
+    """
+    carried = frozenset({*np.flatnonzero(scene.present).tolist(), *aside})
     return Contact(carried=carried, carried_floor=True, carried_supports=True)
 
 
@@ -300,7 +304,10 @@ class CollisionWorld:
                 stands.append((name, _ROBOT if index < self.cell.robot_count else fixed, pieces))
         for other in range(self.cell.robot_count):
             if other != robot and other not in scene.beside:
-                stands += [(name, _ROBOT, (piece,)) for name, _, piece in self.robot_pieces(other, scene)]
+                held, part_link = scene.attached[other], self.cell.robots[other].model.joints + 2
+                for name, link, piece in self.robot_pieces(other, scene):
+                    carried = held is not None and link == part_link
+                    stands.append((name, held.part if held is not None and carried else _ROBOT, (piece,)))
         for part in np.flatnonzero(scene.present).tolist():
             stands.append((f"part {self.parts.names[part]}", part, self.parts.pieces[part]))
         for part, pose in scene.elsewhere:

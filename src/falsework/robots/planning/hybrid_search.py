@@ -181,12 +181,13 @@ class HybridSearch:
                     restart(self._extendable_keyframes(nodes))
                 continue
             chain.append(edge)
-            if self._done(chain) > self._done(self.best):
+            if self._done(chain) > self._done(self.best) and not edge.node.following:
                 self.best = list(chain)
                 self.tried.clear()
                 stuck.clear()  # beyond them: another search would have to come here first
             self._report(len(stuck))
-            if np.array_equal(edge.node.state, self.task.target) and not edge.node.carried:
+            ended = not (edge.node.carried or edge.node.following)
+            if np.array_equal(edge.node.state, self.task.target) and ended:
                 keep = self._keyframes_before_failure(root, chain)
                 if keep is None:
                     return chain
@@ -233,6 +234,9 @@ class HybridSearch:
 
     def options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         """Yield edges out of a keyframe in order of trial."""
+        if node.following:
+            yield from (edge for edge in node.following[:1] if edge.node not in self.dead)
+            return
         if node.handed is not None:
             yield from (edge for edge in self.graph.leave(node) if edge.node not in self.dead)
             return
@@ -341,7 +345,7 @@ class HybridSearch:
             chain = self._shortened(chain)
             self._make(root, chain)
             given = {"legal": self.solvability.legal, "stop": self.deadline_passed, "builds": builds}
-            if not any(edge.partners for edge in chain):
+            if not any(edge.partners or edge.transit for edge in chain):
                 other = reorder(self.graph, self.oracle, root, chain, self._timed, **given)
                 chain = other if not other or self.graph.accepts(other[-1]) else chain
             root, chain = self.ends.around(root, chain)

@@ -18,15 +18,22 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.model.shapes import Array, inverse_pose
 from falsework.robots.motion.collision_world import Attached
 from falsework.search.problem.task import STAGE, Task
+from falsework.stability.oracle import StabilityOracle
 from falsework.utils.quantity import format_quantity
 
 
 def task_in_cell(
-    assembly: Assembly, cell: Cell, task: Task | None, exits: ExitWays, check: Callable[[], None] = lambda: None
+    assembly: Assembly,
+    cell: Cell,
+    task: Task | None,
+    exits: ExitWays,
+    oracle: StabilityOracle,
+    check: Callable[[], None] = lambda: None,
 ) -> Task:
     """Return a task with the number of robots of the cell, and with ways out of which none begins downwards.
 
-    `exits` then know the ways that the task allows, and call `check` while they search. InputError for props or parts
+    `exits` then know the ways that the task allows, by verdicts of the oracle where others than the part move, and call
+    `check` while they search. InputError for props or parts
     that wait half way out, StateError for more held parts than robots.
     """
     given = task or Task.from_rules(assembly.boundary, cell.robot_count, identity=assembly.identity)
@@ -34,7 +41,7 @@ def task_in_cell(
         raise InputError("robot plans have no props; plan for the structure without them")
     if given.waiting:
         raise InputError("arms let go of no part half way out; plan motions for a task without waiting parts")
-    exits.allow(given, check)
+    exits.allow(given, oracle, cell.robot_count, check)
     freed = np.flatnonzero(STAGE[given.target] < STAGE[given.start])
     if len(freed):
         name = assembly.names[int(freed[0])]

@@ -33,6 +33,7 @@ from falsework.search.problem.rollout import follow_scores
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
+from falsework.search.together.exits import exit_path, sets_of
 from falsework.stability.cache import unique_rows
 from falsework.stability.oracle import StabilityOracle
 
@@ -151,7 +152,7 @@ class SolvabilityCheck:
         self.task = task.judged_by(self.oracle)
         self._guide, self._score, self._seed = guide or SupportGuide(assembly), score, seed
         self._touched = ~task.boundary & ~np.isin(np.arange(task.part_count), task.fixed)
-        self._sets = () if task.together is None else task.together.sets(self._touched)
+        self._sets = sets_of(task, self._touched)[0]
         self.postponed: tuple[int, ...] = ()
         self.fallen: tuple[Route, int] | None = None
         """Where `prepare` finds nothing: the plan that got farthest in its replay, and the state of its collapse."""
@@ -357,8 +358,7 @@ class SolvabilityCheck:
     def _leaving_sets(self, state: States) -> list[PartSet]:
         """Return the sets of held parts that can leave at the same instant in a state."""
         held = [parts for parts in self._sets if (state[list(parts)] == HELD).all()]
-        rule = self.task.together
-        return [parts for parts in held if rule is not None and rule.leave_together(parts, state[None], apart=True)[0]]
+        return [parts for parts in held if exit_path(self.task, state, parts) is not None]
 
     def planned_releases(self, state: States) -> list[int]:
         """Return the part that the plan found last releases in a state, if it does."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from falsework.assembly.state import HELD, REMOVED
+from falsework.assembly.state import HELD, INSTALLED, REMOVED
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.trajectory import Trajectory
@@ -46,9 +46,9 @@ def load_of(plan: RobotPlan, step: int, motion: int | None, robot: int | None = 
     entry = plan.steps[step]
     robot = entry.robot if robot is None else robot
     part = plan.part_of(step, robot)
-    if entry.transit and motion is not None and (carried := entry.trajectories[motion].part) is not None:
-        assert entry.gripped is not None
-        return Load(carried, entry.gripped, np.eye(4))
+    if entry.transit and motion is not None and (carried := entry.of(robot)[motion].part) is not None:
+        grip = taken_with(plan, step, robot, carried) if entry.gripped is None else entry.gripped
+        return Load(carried, grip, np.eye(4))
     if motion is None or part is None:
         return None
     apart = plan.direction is Direction.DISASSEMBLY
@@ -59,10 +59,20 @@ def load_of(plan: RobotPlan, step: int, motion: int | None, robot: int | None = 
     if entry.of(robot)[motion].part is None:
         return None
     if not lying or (motion < lying.start) == apart:
-        return Load(part, plan.in_place(step).configurations[robot], np.eye(4))
+        return Load(part, taken_with(plan, step, robot, part), np.eye(4))
     assert entry.put_down is not None
     first, last = entry.trajectories[lying.start], entry.trajectories[lying.stop - 1]
     return Load(part, last.positions[-1] if apart else first.positions[0], entry.put_down)
+
+
+def taken_with(plan: RobotPlan, step: int, robot: int, part: int) -> Array:
+    """Return the configuration in which a robot holds a part in place last before a step that carries it, (joints,).
+
+    In assembly, first after the step.
+    """
+    apart = plan.direction is Direction.DISASSEMBLY
+    frames = plan.keyframes[step::-1] if apart else plan.keyframes[step + 1 :]
+    return next((frame for frame in frames if frame.held[robot] == part), frames[0]).configurations[robot]
 
 
 def load_at_rest(
@@ -117,19 +127,16 @@ def step_fault(plan: RobotPlan, step: int) -> str:
 def partner_fault(plan: RobotPlan, step: int) -> str:
     """Return why several robots cannot move their parts at the same instant as a step says; empty if they can."""
     entry = plan.steps[step]
-    parts = ~plan.resting(step) & (plan.states[step : step + 2] != REMOVED).any(axis=0)
+    here, there = plan.states[step : step + 2] != REMOVED
+    aside = moved_aside(plan, step)
+    parts = {*np.flatnonzero(here != there).tolist(), *aside.values()}
     if not entry.partners:
-        return "" if parts.sum() <= 1 else "it moves several parts with one robot"
-    if (
-        entry.transit
-        or entry.hands_over is not None
-        or entry.put_down is not None
-        or plan.part_of(step, entry.robot) is None
-    ):
+        return "" if len(parts) <= 1 else "it moves several parts with one robot"
+    if entry.hands_over is not None or entry.put_down is not None or not parts:
         return "several robots move at the same instant although no parts leave the structure or come to it"
     if len(set(entry.robots)) < len(entry.robots):
         return "a robot moves twice at the same instant"
-    if {plan.part_of(step, robot) for robot in entry.robots} != {*np.flatnonzero(parts).tolist()}:
+    if {aside.get(robot, plan.part_of(step, robot)) for robot in entry.robots} != parts:
         return "its robots do not move one each of the parts that leave or come"
     for partner in entry.partners:
         if [*map(_clock, partner.trajectories)] != [*map(_clock, entry.trajectories)]:
@@ -139,6 +146,12 @@ def partner_fault(plan: RobotPlan, step: int) -> str:
     if any(leg.kind != "line" for robot in entry.robots for leg in entry.of(robot)):
         return "its robots move at the same instant although they are clear of the structure"
     return ""
+
+
+def moved_aside(plan: RobotPlan, step: int) -> dict[int, int]:
+    """Return the parts of the structure that a transit takes from their places, on, or back, by robot."""
+    entry, parts = plan.steps[step], {**plan.aside(step), **plan.aside(step + 1)}
+    return {robot: parts[robot] for robot in entry.robots if entry.transit and robot in parts}
 
 
 def _clock(trajectory: Trajectory) -> list[float]:
@@ -205,8 +218,12 @@ def transit_fault(plan: RobotPlan, step: int) -> str:
         old, new = before.load(robot), after.load(robot)
         if old != new and robot not in entry.robots:
             return f"{plan.robots[robot].name} comes to carry another part without a motion"
-        if any(part is not None and (plan.states[k][part] != REMOVED) for k, part in ((step, old), (step + 1, new))):
-            return f"{plan.robots[robot].name} carries a part that is in place"
+        for k, part in ((step, old), (step + 1, new)):
+            if part is None:
+                continue
+            fixed = plan.states[k][part] == INSTALLED or plan.plan.immovable[part]
+            if fixed or plan.keyframes[k].held[robot] is not None:
+                return f"{plan.robots[robot].name} carries a part that is in place, or holds another one"
     removal, ends, parts = int(plan.actions[step]) >= len(plan.plan.boundary), (None, None), list[int | None]()
     for robot in entry.robots[::-1]:  # the first one last: of a transit more is said below
         ends, parts = (before.load(robot), after.load(robot)), [leg.part for leg in entry.of(robot)]
@@ -219,6 +236,12 @@ def transit_fault(plan: RobotPlan, step: int) -> str:
     carried = {part for part in (*parts, *ends) if part is not None}
     if entry.hands_over is not None or entry.put_down is not None or not parts:
         return "a transit is motions only, without a part handed over or put down"
+    if aside := moved_aside(plan, step):
+        lines = [(leg.kind, leg.part) for robot in entry.robots for leg in entry.of(robot)]
+        kept = plan.in_hand(step) == plan.in_hand(step + 1) and entry.gripped is None
+        if kept and lines == [("line", aside.get(robot)) for robot in entry.robots]:
+            return ""
+        return "a held part is moved aside, or back, otherwise than in one line of the robot that holds it"
     if before.held != after.held or before.held[entry.robot] is not None:
         return "its robot must hold no part, and no held part change"
     if len(carried) > 1 or (entry.gripped is None) == bool(carried):

@@ -17,7 +17,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import REMOVED
 from falsework.errors import PlanError
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -140,10 +139,10 @@ class ReachablePositions:
         needs[own] = np.maximum(needs[own], self.reached[own, robot])
         cuts = np.unique(np.clip(needs[first:], segment.low, segment.high))
         cuts = np.unique(np.concatenate([[segment.low], cuts, [segment.high]]))
-        states, found = self.plan.states, []
+        found = list[tuple[float, float, NDArray[np.bool_]]]()
         for low, high in pairwise(cuts.tolist()):
             last = first + int((needs[first:] <= low).sum())
-            found.append((low, high, (states[first : last + 1] != REMOVED).any(axis=0)))
+            found.append((low, high, np.asarray(self.plan.standing[first : last + 1].any(axis=0))))
         return found
 
     def contains(self, starts: Array, factor: Array) -> bool:

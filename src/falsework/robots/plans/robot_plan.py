@@ -104,11 +104,11 @@ class RobotStep:
     """Where the part of a removal, or an insertion, lies on the floor while the robot grips it in another way: its
     displacement from its place in the structure, shape (4, 4). None: it stays in the gripper."""
     transit: bool = False
-    """Whether the robot only goes to another place, without an action: from where it is when an assembly is continued,
-    to where its first action begins. The state of the structure and the held parts stay."""
+    """Whether robots only go to other places, without an action: empty, with removed parts, or with held ones that make
+    way for others for a time."""
     gripped: Array | None = None
     """Configuration in which the robot would hold the part of a transit at its place in the structure, shape (joints,);
-    None: it carries no part."""
+    None: it carries no part, or has held it there."""
     partners: tuple[Partner, ...] = ()
     """Robots that move their own parts at the same instant; what each carries on alone is in transits."""
 
@@ -149,7 +149,7 @@ class Keyframe:
     held: tuple[int | None, ...]
     """The installed part that each robot holds."""
     carried: tuple[int | None, ...] = ()
-    """The part that each robot has in its gripper, away from its place in the structure; empty: none has one."""
+    """The part that each robot has in its gripper, away from its place, for a time or for good; empty: none has one."""
 
     def load(self, robot: int) -> int | None:
         """Return the part that a robot carries."""
@@ -165,8 +165,7 @@ class RobotPlan(Displayed):
     keyframes: tuple[Keyframe, ...]
     """One keyframe before each step, and one after the last."""
     steps: tuple[RobotStep, ...]
-    """One step for every action of the plan, two for each hand-over, and one for each transit; transits bring away, or
-    fetch, the parts that several robots move at once."""
+    """One step for every action of the plan, two for each hand-over, and one for each transit."""
     robots: tuple[RobotRecord, ...]
     cell_name: str
     cell_identity: str
@@ -256,15 +255,29 @@ class RobotPlan(Displayed):
         part = int(self.actions[step]) - len(self.plan.boundary)
         if part < 0 or robot == self.steps[step].robot:
             return part if part >= 0 else None
-        return self.in_place(step).held[robot]
+        return self.in_hand(step + (self.direction is Direction.ASSEMBLY))[robot]
 
-    def in_place(self, step: int) -> Keyframe:
-        """Return the keyframe of a removal or insertion at which its parts are at their places."""
-        return self.keyframes[step + (self.direction is Direction.ASSEMBLY)]
+    @cached_property
+    def standing(self) -> NDArray[np.bool_]:
+        """Which parts are in place at each keyframe, shape (keyframes, parts); one that a robot carries is not."""
+        found = self.states != REMOVED
+        for row, frame in enumerate(self.keyframes):
+            found[row, [part for part in frame.carried if part is not None]] = False
+        return found
 
     def resting(self, step: int) -> NDArray[np.bool_]:
         """Return the parts that are in place throughout a step, shape (parts,)."""
-        return (self.states[step : step + 2] != REMOVED).all(axis=0)
+        return self.standing[step] & self.standing[step + 1]
+
+    def aside(self, keyframe: int) -> dict[int, int]:
+        """Return the parts of the structure that robots carry away from their places for a time, by robot."""
+        loads = enumerate(self.keyframes[keyframe].carried)
+        return {robot: part for robot, part in loads if part is not None and self.states[keyframe, part] != REMOVED}
+
+    def in_hand(self, keyframe: int) -> tuple[int | None, ...]:
+        """Return the part of the structure that each robot holds, in place or aside."""
+        aside = self.aside(keyframe)
+        return tuple(aside.get(robot, part) for robot, part in enumerate(self.keyframes[keyframe].held))
 
     def grip_of(self, robot: int, part: int) -> Array | None:
         """Return the configuration in which a robot holds a part last before it leaves; None if it never does."""
@@ -284,8 +297,13 @@ class RobotPlan(Displayed):
         """Describe what a step does, such as `remove keystone` or `take keystone over from left`."""
         entry = self.steps[step]
         if entry.transit:
-            carried = next((leg.part for leg in entry.trajectories if leg.part is not None), None)
-            return "go to another place" if carried is None else f"carry {self.plan.part_names[carried]}"
+            legs = [leg for robot in entry.robots for leg in entry.of(robot)]
+            carried = list(dict.fromkeys(leg.part for leg in legs if leg.part is not None))
+            if not carried:
+                return "go to another place"
+            names = " and ".join(self.plan.part_names[part] for part in carried)
+            where = "back" if self.standing[step + 1, carried].all() else "aside"
+            return f"move {names} {where}" if (self.states[step, carried] != REMOVED).all() else f"carry {names}"
         if entry.hands_over is None:
             what = self.plan.in_order(self.direction)[int(self.done[step])].words
             return what if entry.put_down is None else f"{what}, put down and gripped again on the way"

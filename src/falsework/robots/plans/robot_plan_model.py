@@ -90,10 +90,11 @@ class RobotStepEntry(FileModel, frozen=True):
     while its robot grips it in another way: the motions without `part` in the middle. Absent where it stays in the
     gripper."""
     transit: bool = False
-    """Whether the robot only goes to another place: from where it is when an assembly is continued."""
+    """Whether robots only go to other places: where an assembly is continued, with parts that come at the same instant,
+    or with held parts that make way for others."""
     gripped: Numbers | None = None
     """Joint values with which the robot would hold the part of a transit at its place in the structure; absent: it
-    carries none."""
+    carries none, or has held it there."""
     partners: list[PartnerEntry] = []
     """Other robots that move their own parts at the same instant."""
 

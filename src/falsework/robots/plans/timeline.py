@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.state import States
 from falsework.robots.model.shapes import Array
-from falsework.robots.plans.loads import Load, load_at_rest, load_of
+from falsework.robots.plans.loads import Load, load_at_rest, load_of, moved_aside
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
 from falsework.robots.plans.trajectory import Trajectory
@@ -50,7 +50,7 @@ def bars_of(plan: RobotPlan) -> list[Bar]:
     graph = schedule_of(plan)
     starts, found = graph.starts().tolist(), []
     for robot in range(len(plan.robots)):
-        free, held = 0.0, plan.keyframes[0].held[robot]
+        free, held = 0.0, plan.in_hand(0)[robot]
         for index in graph.of_robot(robot):
             node = graph.nodes[index]
             if held is not None and starts[index] > free:
@@ -61,7 +61,7 @@ def bars_of(plan: RobotPlan) -> list[Bar]:
                 found.append(Bar(robot, starts[index], free, "moves" if part is None else "carries", part))
                 held = None
             if node.trajectory is None or node.trajectory == len(plan.steps[node.step].trajectories) - 1:
-                held = plan.keyframes[node.step + 1].held[robot]
+                held = plan.in_hand(node.step + 1)[robot]
         if held is not None and plan.makespan > free:
             found.append(Bar(robot, free, plan.makespan, "holds", held))
     return found
@@ -89,8 +89,8 @@ class Event:
 def nodes_of(plan: RobotPlan) -> tuple[tuple[MotionNode, ...], tuple[Event, ...]]:
     """Return the nodes of a plan in its own order, and the event of each of its steps.
 
-    A part leaves its place when the motion that carries it begins, and is in place when that motion ends. A hold
-    begins, and ends, at an instant of its own: an arm may wait with its gripper at the part.
+    A part leaves its place when the motion that carries it begins, and is in place when that motion ends, moved aside
+    and back too. A hold begins, and ends, at an instant of its own: an arm may wait with its gripper at the part.
     """
     nodes: list[MotionNode] = []
     events = []
@@ -100,9 +100,11 @@ def nodes_of(plan: RobotPlan) -> tuple[tuple[MotionNode, ...], tuple[Event, ...]
         moves = [MotionNode(step.robot, index, k, t.seconds, others) for k, t in enumerate(step.trajectories)]
         grip = plan.grip(index)
         first = apart if grip is None else grip == "open"
+        if moved_aside(plan, index):
+            first = not bool((plan.standing[index + 1] & ~plan.standing[index]).any())
         if grip is not None or not moves:
             moves.insert(0 if first else len(moves), MotionNode(step.robot, index, None, 0.0))
-        at_end = not (apart or first or moves[-1].trajectory is None)
+        at_end = not first and moves[-1].trajectory is not None
         events.append(Event(len(nodes) + (0 if first else len(moves) - 1), at_end))
         nodes += moves
     return tuple(nodes), tuple(events)
@@ -238,12 +240,21 @@ class Interruption:
 def interruption(plan: RobotPlan, seconds: float) -> Interruption:
     """Return where a plan stands that is interrupted at a time; motions that have begun then are finished.
 
+    So are those after which parts that were moved aside are back in place.
+
     Args:
         plan: the robot plan; without a schedule its motions come one after the other.
         seconds: time from its start.
     """
-    begun = schedule_of(plan).starts() <= seconds
-    row = int(sum(begun[event.node] for event in nodes_of(plan)[1]))  # a motion begins after the events before its own
+    graph, events = schedule_of(plan), nodes_of(plan)[1]
+    starts = graph.starts()
+    while True:
+        begun = starts <= seconds
+        row = int(sum(begun[event.node] for event in events))  # a motion begins after the events before its own
+        if not plan.aside(row):
+            break
+        # Arms go on until what is aside is back in place.
+        seconds = max(starts[k] for k, node in enumerate(graph.nodes) if node.step <= row)
     held, configurations, grips = list(plan.keyframes[row].held), [], []
     for robot, segments in enumerate(segments_of(plan)):
         rest = [one for one in segments if one.trajectory is None and (one.begun is None or begun[one.begun])][-1]

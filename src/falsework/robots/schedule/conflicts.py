@@ -24,7 +24,6 @@ from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import Precedence
 from falsework.robots.plans.timeline import Segment, nodes_of, segments_of
 from falsework.robots.schedule.swept_bodies import SweptBodies
-from falsework.search.problem.task import Direction
 
 _SAME = 1e-5
 """Joint values that differ by no more are equal, rad or m."""
@@ -113,10 +112,10 @@ class Itineraries:
         """Return the parts that were in place when a motion was planned, shape (parts,)."""
         return self.plan.resting(self.nodes[node].step)
 
-    def moved(self, event: int) -> list[int]:
+    def moved(self, event: int, *, leave: bool) -> list[int]:
         """Return the parts that leave their places, or reach them, at an event."""
-        robots = self.plan.steps[event].robots
-        return [part for robot in robots if (part := self.plan.part_of(event, robot)) is not None]
+        here, there = self.plan.standing[event : event + 2]
+        return np.flatnonzero(here & ~there if leave else there & ~here).tolist()
 
     def conflicts(self, one: Stretch, other: Stretch, margin: float) -> NDArray[np.bool_]:
         """Return which cells of two motions or rests are not proven to keep a distance, shape (cells, cells)."""
@@ -153,21 +152,20 @@ def fixed_precedences(rows: Itineraries) -> list[Precedence]:
 
 def _parts_in_the_way(rows: Itineraries, robot: int) -> list[Precedence]:
     """Return precedences that keep motions planned after a part had left, or before it came, from colliding with it."""
-    apart, found = rows.plan.direction is Direction.DISASSEMBLY, []
+    found = []
     for stretch in rows.rows[robot]:
         if stretch.node is None:
             continue
         step, present = rows.nodes[stretch.node].step, rows.present(stretch.node)
         first, last = stretch.after + 1, min(stretch.before, len(rows.events))
-        others = range(first, step) if apart else range(step + 1, last)
-        for event in others:
-            mover = rows.events[event].node
-            for part in rows.moved(event):
+        for event in (*range(first, step), *range(step + 1, last)):
+            mover, left = rows.events[event].node, event < step
+            for part in rows.moved(event, leave=left):
                 if present[part] or robot in rows.nodes[mover].robots:
                     continue
                 place = rows.bodies.standing(part)
                 hit = np.flatnonzero(conflicts(stretch.swept, (place, place), _margin_of(rows, stretch))[:, 0])
-                if len(hit) and apart:
+                if len(hit) and left:
                     found.append(Precedence(mover, 0.0, stretch.node, "part"))
                 elif len(hit):
                     found.append(Precedence(stretch.node, float(stretch.ends[hit[-1]]), mover, "part"))

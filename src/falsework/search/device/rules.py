@@ -144,7 +144,8 @@ class TensorRules:
         task = self.task
         if task.clearance is None or self.direction is Direction.DISASSEMBLY or task.moves_aside:
             return torch.zeros(len(states), dtype=torch.bool, device=self.device)
-        return ((states == REMOVED) & self._to_come & ~self._ways.can_leave(states)).any(dim=1)
+        missing = (states == REMOVED) & self._to_come
+        return (missing & ~self._ways.can_leave(states, missing)).any(dim=1)
 
     def needs_verdict(self, actions: torch.Tensor) -> torch.Tensor:
         """Return which moves can destabilise a stable state, as `Task.needs_verdict`. Shape (batch,)."""
@@ -214,12 +215,12 @@ class ExitTable:
             self._blockers = put(unpack(clearance.blockers)[:, :parts].T.astype(np.float32), device)
             self._owner = put((owner[:, None] == np.arange(parts)).astype(np.float32), device)
 
-    def can_leave(self, states: torch.Tensor) -> torch.Tensor:
-        """Return which parts have a free exit direction. Shape (batch, parts)."""
+    def can_leave(self, states: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+        """Return which parts have a free exit, of those that are wanted at least; shape (batch, parts) each."""
         if self._clearance is None:
             return import_torch().ones_like(states, dtype=import_torch().bool)
         if self._blockers is None:
-            return put(np.asarray(self._clearance.can_leave(states.cpu().numpy())), self._device)
+            return put(np.asarray(self._clearance.can_leave(states.cpu().numpy(), wanted.cpu().numpy())), self._device)
         free = ((states != REMOVED).float() @ self._blockers == 0).float()
         return free @ self._owner > 0
 

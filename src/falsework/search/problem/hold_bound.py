@@ -191,7 +191,7 @@ class HoldBound:
         """Return the distinct sets with one part less, in assembly with one more, that the rules allow."""
         moves: Mask = self._removable & (front != REMOVED if end is Direction.DISASSEMBLY else front == REMOVED)
         if self.task.clearance is not None and self.task.moves_out == 1:  # else holds matter
-            moves = moves & self.task.clearance.can_leave(front)
+            moves = moves & self.task.clearance.can_leave(front, moves)
         row, part = np.nonzero(moves)
         states = front[row]
         states[np.arange(len(row)), part] = REMOVED if end is Direction.DISASSEMBLY else INSTALLED

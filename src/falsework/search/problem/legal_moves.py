@@ -34,8 +34,9 @@ class LegalMoves:
     """State to be reached, shape (parts,)."""
     keeps: bool
     """Whether robots hold parts in that."""
-    can_leave: Callable[[Array], Array] | None
-    """Returns which parts of states have a free exit, shape (batch, parts); None where that does not matter."""
+    can_leave: Callable[[Array, Array], Array] | None
+    """Returns which parts of states, of those asked for, have a free exit, shape (batch, parts); None where that does
+    not matter."""
     missing: Array
     """Numbers of the missing parts."""
     postponed: Array
@@ -70,7 +71,7 @@ class LegalMoves:
             take = take & ~(kept & (last & waiting)[:, None])
         hold, remove = (give, take) if self.backward else (take, give)
         if self.can_leave is not None:
-            remove = remove & self.can_leave(states)
+            remove = remove & self.can_leave(states, remove)
         space = import_module(self.space)
         mask = space.concatenate([hold, remove], axis=1)
         if len(self.postponed):

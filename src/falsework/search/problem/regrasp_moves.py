@@ -65,7 +65,7 @@ class RegraspMoves:
         else:
             presence = self._removable & (states == REMOVED) & free
         if task.clearance is not None:
-            presence &= task.clearance.can_leave(states)
+            presence &= task.clearance.can_leave(states, presence)
         presence[:, props] = there | (room & (states[:, under] != REMOVED))
         return np.concatenate([change, presence], axis=1)
 

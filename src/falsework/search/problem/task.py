@@ -274,7 +274,7 @@ class Task:
         if self.clearance is None or direction is Direction.DISASSEMBLY or self.moves_aside:
             return np.zeros(len(states), dtype=bool)
         to_come = (states == REMOVED) & (self.start != REMOVED)
-        return (to_come & ~self.clearance.can_leave(states)).any(axis=1)
+        return (to_come & ~self.clearance.can_leave(states, to_come)).any(axis=1)
 
     def fixes(self, actions: NDArray[np.integer], direction: Direction) -> Mask:
         """Return whether moves fix a part: a hold, and in assembly an insertion. Shape (batch,)."""
@@ -330,7 +330,7 @@ class Task:
         space: str,
         put: Callable[[NDArray[Any]], Any],
         direction: Direction,
-        can_leave: Callable[[Any], Any] | None,
+        can_leave: Callable[[Any, Any], Any] | None,
     ) -> LegalMoves:
         """Return the rules of moves for arrays of some kind.
 
@@ -338,7 +338,7 @@ class Task:
             space: `numpy` or `torch`.
             put: turns an array of numpy into one of these.
             direction: of the moves.
-            can_leave: which parts have a free exit; None where that does not matter.
+            can_leave: which parts of those asked for have a free exit; None where that does not matter.
         """
         touchable = ~self.boundary
         touchable[list(self.fixed)] = False
