@@ -36,9 +36,8 @@ FRAME = Camera(width=480, height=320, zoom=0.94)
 """Camera for the picture of an environment."""
 _LINE = 26
 """Pixels for a line of text."""
-_NOT_INSTALLED = "#f4f1ea"
-PALE = 0.16
-"""Share of their colour with which parts that are not installed are seen."""
+_NOT_INSTALLED, PALE = "#f4f1ea", 0.16
+"""Colour of parts that are not installed in the legend, and share of their own colour with which they are seen."""
 _ARROW = 0.006
 """Thickness of arrows, in diagonals of the structure."""
 
