@@ -66,7 +66,7 @@ class CheckPlan(JudgingCommand):
     examples: ClassVar[tuple[str, ...]] = (
         "falsework check plan.json",
         "falsework check plan.json --replay",
-        "falsework check plan.json --structure my-folder --unit mm",
+        "falsework check plan.json --structure my-folder --steps",
     )
 
     outcomes: ClassVar[tuple[str, str]] = ("verified", "refuted")

@@ -36,9 +36,8 @@ FRAME = Camera(width=480, height=320, zoom=0.94)
 """Camera for the picture of an environment."""
 _LINE = 26
 """Pixels for a line of text."""
-_NOT_INSTALLED = "#f4f1ea"
-_PALE = 0.16
-"""Share of their colour with which parts that are not installed are seen."""
+_NOT_INSTALLED, PALE = "#f4f1ea", 0.16
+"""Colour of parts that are not installed in the legend, and share of their own colour with which they are seen."""
 _ARROW = 0.006
 """Thickness of arrows, in diagonals of the structure."""
 
@@ -93,7 +92,7 @@ def outline_of(timeline: Timeline, camera: Camera, bounds: NDArray[np.float64], 
     """Return the pale picture of all parts that are in place at some time, which shows those that are not yet there."""
     there = np.where((timeline.states != REMOVED).any(axis=0), 1, REMOVED).astype(np.uint8)
     whole = appearance_at(timeline, timeline.begin, state=there, travelling=False)
-    return 1 - _PALE * (1 - render(solids_of(timeline.assembly, whole), camera, bounds, floor=False, samples=samples))
+    return 1 - PALE * (1 - render(solids_of(timeline.assembly, whole), camera, bounds, floor=False, samples=samples))
 
 
 def _scene(

@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
+from falsework.robots.cells.visuals import PLAIN
 from falsework.utils.files.output_file import write_whole
 from falsework.viewer.appearance import bounds_of
-from falsework.viewer.arms import Arms, bounds_with_arms
+from falsework.viewer.arms import TINT, Arms, bounds_with_arms
 from falsework.viewer.arrows import arrows_of_step
 from falsework.viewer.palette import BOUNDARY, INSTALLED, ROBOTS, SLIDING, rgb
 from falsework.viewer.pictures.contact_sheet import (
+    PALE,
     Pixels,
     bounds_with_motions,
     caption,
@@ -180,13 +182,18 @@ def _write_gif(path: Path, pictures: Iterator[Pixels], rate: float) -> int:
 def _gif_colors() -> NDArray[np.uint8]:
     """Return the 256 colours of all frames, so that none flickers: every colour of the scheme in light and shade.
 
-    Shape (256, 3).
+    Links of arms and the outline of what is not installed are in it, too. Shape (256, 3).
     """
-    grey = np.repeat(np.linspace(0, 255, 40)[:, None], 3, axis=1)
     named = np.array([rgb(color) for color in (INSTALLED, BOUNDARY, *ROBOTS, SLIDING)], dtype=float)
-    light = np.linspace(0.4, 1.06, 16)[None, :, None] * named[:, None]
-    pale = 255 - np.linspace(0.25, 0.75, 8)[None, :, None] * (255 - named[:, None])
-    every = np.concatenate([grey, light.reshape(-1, 3), pale.reshape(-1, 3)])
+    links = 255 * (1 - TINT) * np.array(PLAIN) + TINT * named[2 : 2 + len(ROBOTS)]
+
+    def shades(colors: NDArray[np.float64], number: int) -> NDArray[np.float64]:
+        return (np.linspace(0.4, 1.06, number)[None, :, None] * colors[:, None]).reshape(-1, 3)
+
+    grey = np.repeat(np.linspace(0, 255, 24)[:, None], 3, axis=1)
+    pale = 255 - np.linspace(0.25, 0.75, 6)[None, :, None] * (255 - named[:, None])
+    outline = 255 - PALE * (255 - shades(named[:2], 6))
+    every = np.concatenate([grey, shades(named, 14), shades(links, 6), pale.reshape(-1, 3), outline])
     return np.clip(np.concatenate([every, np.zeros((256 - len(every), 3))]), 0, 255).round().astype(np.uint8)
 
 
