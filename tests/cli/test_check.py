@@ -30,38 +30,44 @@ def rewrite(path: Path, **entries: Any) -> None:
     path.write_text(json.dumps({**json.loads(path.read_text()), **entries}))
 
 
-def test_a_plan_is_checked_with_the_options_that_it_records_and_names_them(falsework: Run, tmp_path: Path) -> None:
+def test_options_of_the_plan_are_printed_and_the_exit_code_says_so(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     options = ("--friction", 0.5, "--ground", "--load", "2=0,0,-10")
     assert falsework("plan", "arch:blocks=3", *options, "--out", out).code == 0
     checked = falsework("check", out)
-    assert (checked.code, checked.error) == (0, "")
+    assert checked.code == 3
     assert "all 7 states are stable" in checked.out
     shown = "--friction 0.5 --ground --load 2=0.0,0.0,-10.0"
-    assert f"options of the structure that the plan records: {shown}\n" in checked.out
-    record = falsework("check", out, "--json").answer
+    assert f"options of the structure that the plan sets: {shown}\n" in checked.out
+    assert checked.error == (
+        f"falsework: {out}: good only with options of the structure that the plan sets itself: {shown}; "
+        "give them too, or --accept-overrides\n"
+    )
+    machine = falsework("check", out, "--json")
+    assert machine.code == 3
+    record = machine.answer
     loads = [{"part": "2", "force": [0.0, 0.0, -10.0]}]
     assert record["overrides"] == {"friction": 0.5, "ground": True, "loads": loads}
-    given = ("check", out, "--structure", "arch:blocks=3")
-    for more in (options, shown.split()):
-        assert "options of the structure" not in falsework("check", out, *more).out
-        assert falsework(*given, *more).code == 0
+    for more in (options, shown.split(), ("--accept-overrides",)):
+        accepted = falsework("check", out, *more)
+        assert accepted.code == 0, accepted.error
+        assert accepted.error == ""
     partly = falsework("check", out, "--ground", "--friction", 0.5)
-    assert "the plan records: --load 2=0.0,0.0,-10.0\n" in partly.out
-    # With a structure nothing is taken from the plan.
-    refused = falsework(*given, "--ground", "--friction", 0.5)
-    assert refused.code == 2
-    assert "another structure" in refused.error
+    assert partly.code == 3
+    assert "the plan sets itself: --load 2=0.0,0.0,-10.0;" in partly.error
 
 
-def test_a_plan_with_a_unit_and_a_boundary_is_checked_as_it_is(
+def test_options_that_the_structure_has_anyway_change_nothing(
     falsework: Run, write_structure: Write, tmp_path: Path
 ) -> None:
+    """Such as a ground, a friction and a boundary that its own file names by now."""
     folder, out = write_structure(tmp_path / "loose", boundary=[]), tmp_path / "plan.json"
-    assert falsework("plan", folder, "--unit", "cm", "--boundary", "0", "--out", out).code == 0
-    for command in (("check", out), ("check", out, "--replay"), ("margins", out)):
-        done = falsework(*command)
-        assert (done.code, done.error) == (0, "")
+    assert falsework("plan", folder, "--boundary", "0", "--friction", 0.4, "--out", out).code == 0
+    assert falsework("check", out).code == 3
+    (folder / "assembly.json").write_text(json.dumps({"boundary": ["0"], "friction": 0.4}))
+    checked = falsework("check", out)
+    assert (checked.code, checked.error) == (0, "")
+    assert "options of the structure" not in checked.out
 
 
 def test_a_bad_plan_is_bad_whatever_its_options(falsework: Run, tmp_path: Path) -> None:

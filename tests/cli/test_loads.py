@@ -29,7 +29,7 @@ def test_a_plan_says_its_loads_and_its_check_finds_them(falsework: Run, stack: P
     assert source["earthquake"] == [0.1]
     checked = falsework("check", plan, "--replay", *loads)
     assert checked.code == 0, checked.error
-    assert "--load 2=0.0,0.0,-1000.0 --earthquake 0.1" in falsework("check", plan).out
+    assert "--load 2=0.0,0.0,-1000.0 --earthquake 0.1" in falsework("check", plan).error
     other = falsework("check", plan, "--earthquake", "0.2")
     assert other.code == 2
     assert "another structure" in other.error or "differ" in other.error

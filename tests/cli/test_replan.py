@@ -346,7 +346,7 @@ def test_a_prop_and_a_hold_on_site(falsework: Run, tmp_path: Path) -> None:
     assert f"then insert prop-{part} instead of" in said.out
     assert f"the first {step} steps stay as they were" in said.out
     assert load_plan(new)[step].words == f"insert prop-{part}"
-    assert falsework("check", new).code == 0
+    assert falsework("check", new, "--accept-overrides").code == 0
     again = falsework("replan", new, "--step", step + 1, "--out", tmp_path / "again.json")
     assert again.code == 0
     for options, words in (

@@ -38,10 +38,11 @@ def test_a_plan_records_it_and_its_check_settles_again(falsework: Run, write_str
     assert made.code == 0, made.error
     assert len(made.answer["settlement"]["parts"]) == 2
     assert json.loads(plan.read_text())["structure"]["source"]["settle"] == 0.05
-    # Like any option that a plan records.
+    # Like any option that a plan sets itself.
     check = falsework("check", plan)
-    assert check.code == 0
-    assert "the plan records: --settle 50\n" in check.out
+    assert check.code == 3
+    assert "--settle 50" in check.out + check.error
+    assert falsework("check", plan, "--settle", 50).code == 0
 
 
 def test_the_description_of_a_structure_may_ask_for_it(falsework: Run, write_structure: Any, tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from tyro.conf import Positional, arg
 from falsework.cli.arguments import parse_limits, spell_options
 from falsework.cli.command import UNSET, ConeOption, JudgingCommand, LoadOptions
 from falsework.cli.exit_code import Exit
+from falsework.cli.output import exit_of_good
 from falsework.cli.planning import judge_text, load_record, load_text
 from falsework.errors import InputError
 from falsework.utils.quantity import counted, format_quantity
@@ -48,9 +49,9 @@ class CheckPlan(JudgingCommand):
     The options, not the file, set the criterion; a plan that claims less is refused. A checker that shares no code with
     the solvers evaluates the certificates that the plan carries (`plan --proofs`). Other states are solved: under
     `contact` by displacements from rest, or from those of neighbouring states, which the checker verifies; under
-    `equilibrium` by the exact solver. The structure is the one that the plan names, with the options that the plan
-    records, such as its unit, boundary or friction, which are printed; with --structure nothing of it is taken from the
-    plan. A plan for another structure is refused. Exit code 1 at the first step that fails.
+    `equilibrium` by the exact solver. The structure is the one that the plan names; a plan for another structure is
+    refused. Options of the structure that the plan records, such as its friction, count only if they are given here
+    too. Exit code 1 at the first step that fails; 3 if all is well, but only with such options of the plan.
     """
 
     rare: ClassVar[tuple[str, ...]] = (
@@ -67,6 +68,7 @@ class CheckPlan(JudgingCommand):
         "falsework check plan.json",
         "falsework check plan.json --replay",
         "falsework check plan.json --structure my-folder --steps",
+        "falsework check plan.json --accept-overrides",
     )
 
     outcomes: ClassVar[tuple[str, str]] = ("verified", "refuted")
@@ -74,8 +76,10 @@ class CheckPlan(JudgingCommand):
     plan: Annotated[Positional[Path], arg(metavar="PLAN")]
     """Plan to check, as `falsework plan` wrote it."""
     structure: Annotated[str | None, arg(metavar="STRUCTURE", help_behavior_hint=UNSET)] = None
-    """Structure to check it on, instead of the one that the plan names with its options."""
+    """Structure to check it on, instead of the one that the plan names."""
     reading: LoadOptions
+    accept_overrides: bool = False
+    """Accept the options of the structure that the plan records, as if all were given."""
     cone: ConeOption = None
     tolerance: float = 1e-4
     """Largest acceleration of a part in a stable state, as a share of gravity."""
@@ -107,7 +111,7 @@ class CheckPlan(JudgingCommand):
         from falsework.search.margins.demands import Demands
         from falsework.search.plans.plan_check import validate_plan
         from falsework.search.plans.plan_file import load_plan
-        from falsework.search.plans.plan_source import recorded_options, structure_of_plan
+        from falsework.search.plans.plan_source import structure_to_check
         from falsework.stability.holds import HoldSettings
         from falsework.stability.settings import StabilitySettings
 
@@ -124,9 +128,7 @@ class CheckPlan(JudgingCommand):
         )
         demands = None if self.margin is None else Demands.from_text(self.margin)
         plan = load_plan(self.plan)
-        given = self.reading.given()
-        assembly = structure_of_plan(plan, self.plan, self.structure, **given)
-        overrides = recorded_options(plan, self.structure, **given)
+        assembly, overrides = structure_to_check(plan, self.plan, self.structure, **self.reading.given())
         with output.bar("checking") as show:
             found = validate_plan(
                 plan,
@@ -142,7 +144,7 @@ class CheckPlan(JudgingCommand):
             return Exit.NO
         if self.judge and not self._build(plan, assembly, output):
             return Exit.NO
-        return Exit.DONE
+        return exit_of_good(self.plan, overrides, output, accepted=self.accept_overrides)
 
     def _report(
         self, plan: Plan, assembly: Assembly, found: PlanReport, overrides: dict[str, Any], output: Output
@@ -196,7 +198,7 @@ class CheckPlan(JudgingCommand):
         if found.checked and found.about is not None:
             output.say(self._about(found.about, plan, assembly))
             if overrides:
-                output.say(f"options of the structure that the plan records: {spell_options(overrides)}")
+                output.say(f"options of the structure that the plan sets: {spell_options(overrides)}")
         if borne := load_text(plan, found.loads):
             output.say(borne)
         if found.certified:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from falsework.cli.arguments import ChosenStates, parse_load, parse_numbers, parse_states, split_parts
+from falsework.cli.arguments import ChosenStates, parse_load, parse_numbers, parse_states, spell_options, split_parts
 from falsework.cli.exit_code import Exit
 from falsework.errors import InputError
 from falsework.utils.files.output_file import path_beside
@@ -145,8 +145,8 @@ class StructureOptions(LoadOptions):
             warnings.warn(assembly.settlement.line(assembly.names), stacklevel=2)
         return assembly
 
-    def load_states(self, states: str | None) -> tuple[Assembly, ChosenStates]:
-        """Read a structure and states of it, or a plan and its states.
+    def load_states(self, states: str | None, output: Output) -> tuple[Assembly, ChosenStates]:
+        """Read a structure and states of it, or a plan and its states, and warn of options that only the plan sets.
 
         Args:
             states: as given on the command line; all states of a plan, or the complete one of a structure, if None.
@@ -157,7 +157,7 @@ class StructureOptions(LoadOptions):
         from falsework.files import load_own
         from falsework.search.plans.plan import Plan
         from falsework.search.plans.plan_check import check_identity
-        from falsework.search.plans.plan_source import structure_of_plan
+        from falsework.search.plans.plan_source import structure_to_check
 
         own = load_own(self.spec) if Path(self.spec).suffix.lower() == ".json" else None
         if not isinstance(own, Plan):
@@ -165,8 +165,11 @@ class StructureOptions(LoadOptions):
                 raise InputError(f"{self.spec} is a robot plan; give the plan or the structure")
             assembly = self.load()
             return assembly, parse_states(states or "complete", "--states", assembly)
-        assembly = structure_of_plan(own, self.spec, **self.given())
+        assembly, set_by_plan = structure_to_check(own, self.spec, **self.given())
         check_identity(own, assembly)
+        if set_by_plan:
+            options = spell_options(set_by_plan)
+            output.note(f"falsework: warning: the plan sets options of its structure itself: {options}")
         chosen = ChosenStates(own.states, own) if states is None else parse_states(states, "--states", assembly)
         return assembly, chosen
 

@@ -84,7 +84,7 @@ class FindMargins(Command):
 
         limits = self._limits()
         errors = [parse_quantity(text, "length", "--placement") for text in (self.placement or "").split(",") if text]
-        assembly, chosen = self.structure.load_states(self.states)
+        assembly, chosen = self.structure.load_states(self.states, output)
         plan, states = chosen.plan, chosen.states
         criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
         settings = StabilitySettings(criterion=criterion, cone=self.cone)

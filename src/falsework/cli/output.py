@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from importlib import resources
 from typing import TYPE_CHECKING, Any, TextIO
 
+from falsework.cli.arguments import spell_options
 from falsework.cli.exit_code import Exit
 from falsework.utils.files.printable import printable
 
@@ -28,6 +29,7 @@ _PREFIX = "falsework: "
 """Beginning of notes, which answers leave out."""
 _OUTCOMES = {
     Exit.WRONG_INPUT: "wrong_input",
+    Exit.CONDITIONAL: "conditional",
     Exit.NO_MEMORY: "no_memory",
     Exit.INTERRUPTED: "interrupted",
 }
@@ -197,6 +199,21 @@ class Output:
         # Made anew, since tests and shells exchange the streams; a file is no terminal, and has room for whole tables.
         stream = sys.stderr if error else sys.stdout
         return Console(stderr=error, width=None if stream.isatty() else _FILE_WIDTH)
+
+
+def exit_of_good(plan: Path, overrides: Mapping[str, Any], output: Output, *, accepted: bool) -> Exit:
+    """Return the exit code of a check that found nothing wrong, and say what it depends on.
+
+    Args:
+        overrides: options that the plan sets and the command line does not give, see `structure_to_check`.
+    """
+    if not overrides or accepted:
+        return Exit.DONE
+    output.note(
+        f"falsework: {plan}: good only with options of the structure that the plan sets itself: "
+        f"{spell_options(overrides)}; give them too, or --accept-overrides"
+    )
+    return Exit.CONDITIONAL
 
 
 def _plain(value: Any) -> Any:

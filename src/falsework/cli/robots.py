@@ -11,6 +11,7 @@ from tyro.conf import Positional, arg
 from falsework.cli.arguments import spell_options
 from falsework.cli.command import UNSET, Command, LoadOptions
 from falsework.cli.exit_code import Exit
+from falsework.cli.output import exit_of_good
 from falsework.cli.robot_reports import (
     check_record,
     check_texts,
@@ -38,9 +39,9 @@ class CheckRobots(Command):
     continuity of motions are checked too. A plan with a schedule is checked as a whole as well: every 0.01 s all that
     moves against all else; and for any delays the order of the states, and all positions of two arms that can coincide,
     between samples too. The exact solver checks the stability of the states. Forces and moments that robots bear for
-    held parts are compared with the limits of their grippers. The structure is the one that the plan names, with the
-    options that it records, which are printed; with --structure nothing of it is taken from the plan. Exit code 1 if
-    anything is wrong.
+    held parts are compared with the limits of their grippers. Options of the structure that the plan records, such as
+    its friction, count only if they are given here too. Exit code 1 if anything is wrong; 3 if all is well, but only
+    with such options of the plan.
     """
 
     rare: ClassVar[tuple[str, ...]] = ("resolution", "delays", "max_delay")
@@ -49,6 +50,7 @@ class CheckRobots(Command):
         "falsework robots check robot_plan.json",
         "falsework robots check robot_plan.json --cell cell.toml --steps",
         "falsework robots check robot_plan.json --delays 1000 --json",
+        "falsework robots check robot_plan.json --accept-overrides",
     )
 
     outcomes: ClassVar[tuple[str, str]] = ("verified", "refuted")
@@ -60,6 +62,8 @@ class CheckRobots(Command):
     cell: Annotated[str | None, arg(metavar="CELL", help_behavior_hint=UNSET)] = None
     """Cell to check it in, instead of the one that the plan names."""
     reading: LoadOptions
+    accept_overrides: bool = False
+    """Accept the options of the structure that the plan records, as if all were given."""
     resolution: float = 0.01
     """Largest joint step between two samples, rad."""
     delays: Annotated[int | None, arg(metavar="RUNS", help_behavior_hint=UNSET)] = None
@@ -81,14 +85,12 @@ class CheckRobots(Command):
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.robots.schedule.simulation import simulate
         from falsework.search.plans.plan_check import validate_plan
-        from falsework.search.plans.plan_source import recorded_options, structure_of_plan
+        from falsework.search.plans.plan_source import structure_to_check
 
         if self.delays is None and self.max_delay != 1.0:
             raise InputError("--max-delay is for delayed runs; give their number too, such as --delays 1000")
         plan = load_robot_plan(self.plan)
-        given = self.reading.given()
-        assembly = structure_of_plan(plan.plan, self.plan, self.structure, **given)
-        overrides = recorded_options(plan.plan, self.structure, **given)
+        assembly, overrides = structure_to_check(plan.plan, self.plan, self.structure, **self.reading.given())
         place = self.cell or plan.cell_place(self.plan)
         cell = load_cell(place)
         with output.bar("checking motions") as show:
@@ -137,7 +139,7 @@ class CheckRobots(Command):
             return Exit.NO
         output.say(scope_text(plan, assembly, cell, place))
         if overrides:
-            output.say(f"options of the structure that the plan records: {spell_options(overrides)}")
+            output.say(f"options of the structure that the plan sets: {spell_options(overrides)}")
         for text in check_texts(str(self.plan), report, None if stable is None else stable.states):
             output.say(text)
         if runs is not None:
@@ -146,4 +148,4 @@ class CheckRobots(Command):
             output.say(holds_text(record))
         for claim in open_claims:
             output.say(f"not verified: {claim}")
-        return Exit.DONE
+        return exit_of_good(self.plan, overrides, output, accepted=self.accept_overrides)

@@ -62,7 +62,7 @@ class CheckStability(Command):
         from falsework.stability.verdict import Verdict
         from falsework.viewer.proof import BuildProofs
 
-        assembly, chosen = self.structure.load_states(self.states)
+        assembly, chosen = self.structure.load_states(self.states, output)
         output.record(settlement_record(assembly))
         states, plan = chosen.states, chosen.plan
         criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)

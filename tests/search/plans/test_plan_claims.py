@@ -28,7 +28,7 @@ from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict, save_plan
 from falsework.search.plans.plan_model import plan_schema
 from falsework.search.plans.plan_report import PlanReport
-from falsework.search.plans.plan_source import recorded_options, structure_of_plan
+from falsework.search.plans.plan_source import structure_to_check
 from falsework.search.plans.proofs import prove_build
 from falsework.search.problem.result import Route
 from falsework.stability.settings import EQUILIBRIUM
@@ -99,12 +99,13 @@ def pressed() -> tuple[Assembly, Plan]:
 
 def checked(
     data: Any, settings: StabilitySettings = StabilitySettings(), structure: Assembly | None = None
-) -> PlanReport:
+) -> tuple[PlanReport, dict[str, Any]]:
     """Check a plan as the command does, with `--ground` if the plan has props, which need a floor."""
     plan = plan_from_dict(data)
     if structure is not None:
-        return validate_plan(plan, structure, settings)
-    return validate_plan(plan, structure_of_plan(plan, ground=True if plan.props else None), settings)
+        return validate_plan(plan, structure, settings), {}
+    assembly, overrides = structure_to_check(plan, ground=True if plan.props else None)
+    return validate_plan(plan, assembly, settings), overrides
 
 
 # Every entry, changed one at a time
@@ -243,9 +244,9 @@ def accepted_changes(
 ) -> tuple[int, set[str]]:
     """Change one value at a time; return how many changes there were, and the entries of those that pass."""
     count, accepted, original = 0, set(), plan_from_dict(data)
-    assert checked(data, settings, structure).good
+    assert checked(data, settings, structure)[0].good
     written, rewritten = json.dumps(data), plan_to_dict(original, proofs=True)
-    usual = structure or structure_of_plan(original, ground=True if original.props else None)
+    usual = structure or structure_to_check(original, ground=True if original.props else None)[0]
     for path in paths(data):
         if among and path[:1] and path[0] not in among:
             continue
@@ -259,11 +260,11 @@ def accepted_changes(
             count += 1
             try:
                 known = structure if path[:1] in ((), ("structure",)) else usual
-                report = checked(changed_data, settings, known)
+                report, overrides = checked(changed_data, settings, known)
             except InputError:
                 continue
             found = plan_from_dict(changed_data)
-            if not report.good or plan_to_dict(found, proofs=True) == rewritten:
+            if not report.good or overrides or plan_to_dict(found, proofs=True) == rewritten:
                 continue
             entry = entry_of(path, old, value)
             assert entry in LISTED, (path, value)
@@ -347,7 +348,7 @@ def test_the_documentation_lists_what_claims_nothing() -> None:
 
 def test_a_smaller_tolerance_is_named(plan: Plan, data: dict[str, Any]) -> None:
     tight = 0.5 * (float(plan.residuals.max()) + plan.claim.tolerance)
-    report = checked(changed(data, ("stability", "tolerance"), tight))
+    report, _ = checked(changed(data, ("stability", "tolerance"), tight))
     assert report.good
     assert f"its tolerance {tight:g}" in report.unverified
 
@@ -409,8 +410,8 @@ def test_props_are_where_the_structure_has_them(propped: tuple[Assembly, Plan]) 
             validate_plan(replace(plan, props=(other,)), assembly)
 
 
-def test_options_of_the_plan_are_named_and_not_taken_with_another_structure() -> None:
-    """Whatever makes the arch stand that falls by itself is named; a structure that is given has none of it."""
+def test_options_of_the_plan_count_only_with_the_callers_word() -> None:
+    """Whatever makes the arch stand that falls by itself, the answer names it."""
     spec = "arch:blocks=15,thickness=0.05"
     for options in (
         {"friction": 0.6},
@@ -420,11 +421,16 @@ def test_options_of_the_plan_are_named_and_not_taken_with_another_structure() ->
     ):
         strange = load_structure(spec, **options)
         plan = replace(_drawn(strange), source={"built_in": spec, **options})
-        assert recorded_options(plan) == options
-        assert structure_of_plan(plan).identity == strange.identity
-        assert recorded_options(plan, spec) == recorded_options(plan, **options) == {}
+        assembly, overrides = structure_to_check(plan)
+        assert overrides == options
+        assert assembly.identity == strange.identity
+        assert structure_to_check(plan, None, None, **options)[1] == {}
         with pytest.raises(PlanError, match=r"for another structure|with 18 parts"):
-            validate_plan(plan, structure_of_plan(plan, None, spec))
+            validate_plan(plan, structure_to_check(plan, None, spec)[0])
+    # Options that say what the structure is anyway are no overrides.
+    plain = load_structure(spec)
+    plan = replace(_drawn(plain), source={"built_in": spec, "friction": 0.55, "boundary": [15, 16]})
+    assert structure_to_check(plan)[1] == {}
 
 
 def _drawn(assembly: Any) -> Plan:
@@ -447,7 +453,7 @@ def test_a_name_of_a_folder_is_no_built_in_structure(plan: Plan, tmp_path: Path,
     (tmp_path / "mine").mkdir()
     monkeypatch.chdir(tmp_path)
     with pytest.raises(PlanError, match="names a built-in structure 'mine'"):
-        structure_of_plan(replace(plan, source={"built_in": "mine"}))
+        structure_to_check(replace(plan, source={"built_in": "mine"}))
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,10 @@
-"""Structure of a plan or state graph, loaded from the source that it records, with the options in it."""
+"""Structure of a plan or state graph, loaded from the source that it records, with or without the options in it."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ from falsework.assembly.library import built_in, is_built_in
 from falsework.assembly.load import as_assembly, load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.props import with_props
-from falsework.errors import PlanError
+from falsework.errors import InputError, PlanError
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_model import SourceEntry
 from falsework.search.problem.state_graph import StateGraph
@@ -71,16 +73,41 @@ def structure_of_plan(
     return with_props(load_structure(spec, **{**source, **options}), props)
 
 
-def recorded_options(plan: Plan, structure: object = None, **options: Any) -> dict[str, Any]:
-    """Return the options of its structure that a plan records.
+def structure_to_check(
+    plan: Plan, file: Path | str | None = None, structure: str | Path | Assembly | None = None, **options: Any
+) -> tuple[Assembly, dict[str, Any]]:
+    """Load the structure of a plan for a check, as its own files and the caller describe it if it was planned for that.
+
+    Options that the plan records, such as its friction, are applied only if the plan is for another structure without
+    them. A structure with options is read twice for this.
 
     Args:
         plan: the plan.
-        structure: as for `structure_of_plan`; where one is given, nothing is taken from the plan.
-        options: options of `load_structure` from the caller, which the plan does not set.
+        file, structure: as for `structure_of_plan`.
+        options: options of `load_structure` from the caller.
+
+    Returns:
+        The structure, and the options of the plan that it depends on and that the caller did not give.
+
+    Raises:
+        PlanError: as `structure_of_plan`.
+        InputError: as `structure_of_plan`.
     """
-    own = {} if structure is not None else plan.source or {}
-    return {key: value for key, value in own.items() if key not in PLACES and options.get(key) is None}
+    own = {key: value for key, value in (plan.source or {}).items() if key not in PLACES and options.get(key) is None}
+    if structure is not None or not own:
+        return structure_of_plan(plan, file, structure, **options), {}
+    bare = replace(plan, source={key: value for key, value in (plan.source or {}).items() if key in PLACES})
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            found = structure_of_plan(bare, file, **options)
+        except InputError:  # such as a structure without boundary, which needs a ground
+            found = None
+    if found is None or found.identity != plan.identity:
+        return structure_of_plan(plan, file, **options), own
+    for warning in caught:
+        warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+    return found, {}
 
 
 def check_source(source: SourceEntry, about: str, where: str = "structure.source") -> None:
