@@ -29,6 +29,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal
 
@@ -38,6 +39,7 @@ import tyro
 from experiments.general_cases import CASES, evaluate_case
 from experiments.general_ppo import GeneralPpo, GeneralPpoSettings
 from experiments.general_training import GeneralSettings, GeneralTraining
+from experiments.inference import Inference, RemotePolicy
 from experiments.labelled_states import (
     LabelledStructure,
     LabelSettings,
@@ -46,10 +48,10 @@ from experiments.labelled_states import (
     save_labelled,
 )
 from experiments.structure_batches import StructureBatches
-from experiments.structure_generator import generated
+from experiments.structure_generator import TRAINED, generated, named
 from record import report, spread, write_to
 
-from falsework import Assembly, load_policy
+from falsework import Assembly, load_policy, load_structure
 from falsework.errors import FalseworkError, InputError
 from falsework.learn import PolicySettings
 from falsework.utils.collectives import decided, summed
@@ -90,8 +92,10 @@ class Options:
     """Processes that generate, roll out or evaluate."""
     structures: int = 4000
     """Structures to generate; from then on, or later in training, known ones are improved."""
-    robots: int = 0
-    """For `evaluate`: robots; 0 for those of the case."""
+    plans: bool = False
+    """For `evaluate`: compare searches with and without the policy as a guide, too."""
+    families: tuple[str, ...] = TRAINED
+    """For `data`: families of the structures to generate."""
     cases: tuple[str, ...] = ()
     """For `evaluate`: beginnings of the names of cases; all if not given."""
     layers: int = 0
@@ -192,7 +196,8 @@ class Generator:
         if number is None:
             return
         folder = self.options.folder if self.improving else None
-        self._pool.apply_async(case_label, (number, known, folder), callback=self._done, error_callback=self._failed)
+        asked = number, self.options.families, known, folder
+        self._pool.apply_async(case_label, asked, callback=self._done, error_callback=self._failed)
 
     def _done(self, answer: tuple[int, LabelledStructure | None]) -> None:
         with self._lock:
@@ -223,10 +228,15 @@ def _one_thread() -> None:
 _policies: dict[Path, tuple[float, Any]] = {}
 
 
-def case_label(number: int, known: LabelledStructure | None, folder: Path | None) -> tuple[int, Any]:
+def case_label(
+    number: int,
+    families: tuple[str, ...] = TRAINED,
+    known: LabelledStructure | None = None,
+    folder: Path | None = None,
+) -> tuple[int, Any]:
     """Label one structure; with more robots, up to four, where those drawn do not suffice."""
     try:
-        drawn = generated(number)
+        drawn = generated(number, (known.family,) if known else families)
     except InputError:
         return number, None
     settings, found = LabelSettings(), None
@@ -302,13 +312,16 @@ def make(options: Options) -> None:
 
 def reinforce(options: Options) -> None:
     """Improve the policy by its own rollouts, on the structures of the data; greedy success before and after."""
-    learners = max(torch.cuda.device_count(), 1) if choose_device(options.device).type == "cuda" else 1
+    gpus = torch.cuda.device_count() if choose_device(options.device).type == "cuda" else 0
+    learners = max(gpus // 2, 1)
     with tempfile.TemporaryDirectory() as folder:
         torch.multiprocessing.spawn(_reinforce, (learners, options, f"file://{folder}/meet"), nprocs=learners)
 
 
 def _reinforce(rank: int, learners: int, options: Options, meeting: str) -> None:
-    """Improve the policy in one of several processes, one a GPU; weights are averaged in between.
+    """Improve the policy in one of several processes on half of the GPUs; weights are averaged in between.
+
+    On the other GPUs the network is evaluated for rollouts.
 
     Args:
         rank: number of the process; the first one reports and writes.
@@ -319,8 +332,9 @@ def _reinforce(rank: int, learners: int, options: Options, meeting: str) -> None
     end = time.perf_counter() + 60 * options.minutes
     torch.set_num_threads(1)
     device, host = choose_device(options.device), torch.device("cpu")
+    evaluated_on = device
     if device.type == "cuda":
-        device = torch.device("cuda", rank)
+        device, evaluated_on = (torch.device("cuda", one) for one in (rank, torch.cuda.device_count() - 1 - rank))
         torch.cuda.set_device(device)
     torch.distributed.init_process_group("gloo", init_method=meeting, rank=rank, world_size=learners)
     group = ProcessGroup.from_torch()
@@ -328,7 +342,9 @@ def _reinforce(rank: int, learners: int, options: Options, meeting: str) -> None
     training = continued(options, device)
     settings = GeneralPpoSettings(**({"tokens": options.tokens} if options.tokens else {}))
     known, processes = list(library.structures.values()), max(options.processes // learners, 1)
-    learner = GeneralPpo(training, known, settings, structure_of, processes=processes, seed=rank)
+    learner = GeneralPpo(
+        training, known, settings, assembly_of, processes=processes, evaluated_on=evaluated_on, seed=rank
+    )
 
     valid = list(library.validation.values())[rank::learners]
 
@@ -367,9 +383,9 @@ def _means(sums: dict[str, float]) -> dict[str, float]:
     return {name: sums[name] / per.get(name, 1) for name in SUMS}
 
 
-def structure_of(name: str) -> Assembly:
+def assembly_of(name: str) -> Assembly:
     """Return a generated structure by its name."""
-    return generated(int(name.rpartition("-")[2])).assembly
+    return named(name).assembly
 
 
 def average_states(training: GeneralTraining, group: ProcessGroup) -> None:
@@ -418,8 +434,12 @@ def evaluate(options: Options) -> None:
     done = {json.loads(line)["case"] for line in lines}
     # Large structures come last in the list and take longest.
     names = [name for name in reversed(CASES) if name not in done and name.startswith(options.cases or ("",))]
-    with multiprocessing.get_context("spawn").Pool(options.processes, _one_thread) as pool:
-        pending = [pool.apply_async(evaluate_case, (name, options.folder)) for name in names]
+    policy = load_policy(options.folder, "cpu", assembly=load_structure("arch"))
+    context = multiprocessing.get_context("spawn")
+    inference = Inference(policy.network, policy.settings, options.processes, choose_device(options.device))
+    asking = inference.connections, context.Value("i")
+    with context.Pool(options.processes, _ask_remotely, asking) as pool:
+        pending = [pool.apply_async(_case, (name, options.folder if options.plans else None)) for name in names]
         while pending and time.perf_counter() < end:
             time.sleep(0.2)
             for one in [one for one in pending if one.ready()]:
@@ -429,7 +449,23 @@ def evaluate(options: Options) -> None:
                 with path.open("a", encoding="utf-8") as file:
                     file.write(line + "\n")
         pool.terminate()
+    inference.close()
     print(f"{len(pending)} cases are left", flush=True)
+
+
+def _ask_remotely(connections: tuple[Connection, ...], taken: Any) -> None:
+    _one_thread()
+    with taken.get_lock():
+        _remote.append(RemotePolicy(connections[taken.value % len(connections)]))
+        taken.value += 1
+
+
+_remote: list[RemotePolicy] = []
+"""Of this process, as soon as it tests cases."""
+
+
+def _case(name: str, folder: Path | None) -> dict[str, Any]:
+    return evaluate_case(name, _remote[0], folder)
 
 
 def card(options: Options) -> None:

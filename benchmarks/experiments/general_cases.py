@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from experiments.structure_generator import TRAINED, UNSEEN, generated
+from experiments.inference import RemotePolicy
+from experiments.structure_generator import TRAINED, UNSEEN, named
 from states import REAL, find
 
 from falsework import (
@@ -26,6 +27,8 @@ from falsework import (
 from falsework.errors import FalseworkError
 from falsework.learn import Environment, Policy, roll_out
 from falsework.learn.data.dataset import search_states
+from falsework.learn.env.rollout import PolicyFunction
+from falsework.learn.networks.contact_graph import ContactGraph
 from falsework.learn.training.evaluate import sample
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.search import SupportGuide
@@ -86,12 +89,15 @@ CASES = _cases()
 """By name."""
 
 
-def evaluate_case(name: str, folder: Path, width: int = _WIDTH, most: int = _STATES) -> dict[str, Any]:
+def evaluate_case(
+    name: str, remote: RemotePolicy, folder: Path | None = None, width: int = _WIDTH, most: int = _STATES
+) -> dict[str, Any]:
     """Test a policy on one case.
 
     Args:
         name: of `CASES`.
-        folder: of the run.
+        remote: the policy.
+        folder: of its run, to guide a search, too, which evaluates it in this process; None for success alone.
         width: of the searches whose states are tested.
         most: states that are tested.
 
@@ -109,10 +115,12 @@ def evaluate_case(name: str, folder: Path, width: int = _WIDTH, most: int = _STA
         except (FalseworkError, OSError) as error:
             return {**row, "error": str(error)[:200]}
     row |= {"parts": assembly.part_count, "robots": robots, "criterion": criterion}
-    policy = load_policy(folder, "cpu", assembly=assembly).of_task(robots, equilibrium=criterion == "equilibrium")
     try:
+        policy = remote.of(ContactGraph.from_assembly(assembly), robots, criterion)
         row |= _success(assembly, robots, criterion, policy, width, most)
-        row |= _verdicts(assembly, robots, criterion, policy)
+        if folder is not None:
+            guide = load_policy(folder, "cpu", assembly=assembly)
+            row |= _verdicts(assembly, robots, criterion, guide.of_task(robots, equilibrium=criterion == "equilibrium"))
     except FalseworkError as error:
         row["error"] = str(error)[:200]
     return {**row, "seconds": round(time.perf_counter() - begun, 1)}
@@ -120,14 +128,13 @@ def evaluate_case(name: str, folder: Path, width: int = _WIDTH, most: int = _STA
 
 def _load(case: Case) -> tuple[Assembly, int, Criterion]:
     if case.robots == 0:
-        family, _, number = case.structure.rpartition("-")
-        drawn = generated(int(number), (family,))
+        drawn = named(case.structure)
         return drawn.assembly, drawn.robots, drawn.criterion
     return load_structure(find(case.structure)), case.robots, case.criterion
 
 
 def _success(
-    assembly: Assembly, robots: int, criterion: Criterion, policy: Policy, width: int, most: int
+    assembly: Assembly, robots: int, criterion: Criterion, policy: PolicyFunction, width: int, most: int
 ) -> dict[str, Any]:
     end = time.perf_counter() + _SEARCH
     oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion))

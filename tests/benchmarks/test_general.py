@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from experiments.general_cases import CASES, TESTED, evaluate_case
 from experiments.general_training import GeneralSettings, GeneralTraining
+from experiments.inference import Inference, RemotePolicy
 from experiments.structure_batches import StructureBatches
 from experiments.structure_generator import TRAINED, UNSEEN
 from general import PER_FILE, VALIDATION, Library, Options, card, case_label, number_of
 
+from falsework import load_policy, load_structure
 from falsework.learn import PolicySettings
 
 SMALL = PolicySettings("local", layers=1, channels=16, heads=2)
@@ -24,8 +27,8 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("general")
     library = Library(folder)
     for number in (0, 5, 8):
-        library.add(*case_label(number, None, None))
-    library.add(*case_label(VALIDATION, None, None))
+        library.add(*case_label(number))
+    library.add(*case_label(VALIDATION))
     library.add(17, None)
     library.save()
     training = GeneralTraining(folder, GeneralSettings(SMALL, steps=3, tokens=256))
@@ -45,7 +48,7 @@ def test_a_library_keeps_its_structures(trained: Path) -> None:
 
 def test_known_structures_are_improved_by_rollouts(trained: Path) -> None:
     known = Library.load(trained).structures[0]
-    number, again = case_label(0, known, trained)
+    number, again = case_label(0, known=known, folder=trained)
     assert number == 0
     assert again.success is not None
     assert (again.name, again.robots) == (known.name, known.robots)
@@ -61,7 +64,10 @@ def test_no_case_is_a_structure_of_training() -> None:
 
 
 def test_a_case_has_success_and_verdicts(trained: Path) -> None:
-    row = evaluate_case(f"stack-{TESTED}", trained, width=8, most=6)
+    policy = load_policy(trained, "cpu", assembly=load_structure("arch"))
+    inference = Inference(policy.network, policy.settings, 1, torch.device("cpu"))
+    row = evaluate_case(f"stack-{TESTED}", RemotePolicy(inference.connections[0]), trained, width=8, most=6)
+    inference.close()
     assert 0 <= row["greedy"] <= row["sampled"] <= 1
     assert row["states"] <= 8
     assert row["plans"]["support"]["found"]
