@@ -36,7 +36,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 import tyro
-from experiments.general_cases import CASES, evaluate_case
+from experiments.general_cases import CASES, VALIDATION, evaluate_case
 from experiments.general_ppo import GeneralPpo, GeneralPpoSettings
 from experiments.general_training import GeneralSettings, GeneralTraining
 from experiments.inference import Inference, RemotePolicy
@@ -60,8 +60,8 @@ from falsework.utils.tensors import choose_device
 
 PER_FILE = 1000
 """Structures of one file of data."""
-VALIDATION, VALIDATED = 1_000_000, 64
-"""First number of the structures to validate on, and how many of them there are."""
+VALIDATED = 64
+"""Structures to validate on."""
 REPORT_EVERY = 30.0
 """Seconds of training between two looks at the data."""
 AVERAGE_EVERY = 3.0
@@ -97,7 +97,7 @@ class Options:
     families: tuple[str, ...] = TRAINED
     """For `data`: families of the structures to generate."""
     cases: tuple[str, ...] = ()
-    """For `evaluate`: beginnings of the names of cases; all if not given."""
+    """For `evaluate`: groups, or beginnings of the names of cases; all if not given."""
     layers: int = 0
     """Layers of the network; 0 for the default."""
     channels: int = 0
@@ -432,8 +432,12 @@ def evaluate(options: Options) -> None:
     path = options.folder / "evaluation.jsonl"
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
     done = {json.loads(line)["case"] for line in lines}
+
+    def chosen(name: str, group: str) -> bool:
+        return name.startswith(options.cases) or group in options.cases or not options.cases
+
     # Large structures come last in the list and take longest.
-    names = [name for name in reversed(CASES) if name not in done and name.startswith(options.cases or ("",))]
+    names = [name for name, case in reversed(CASES.items()) if name not in done and chosen(name, case.group)]
     policy = load_policy(options.folder, "cpu", assembly=load_structure("arch"))
     context = multiprocessing.get_context("spawn")
     inference = Inference(policy.network, policy.settings, options.processes, choose_device(options.device))

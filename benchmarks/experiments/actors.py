@@ -9,15 +9,18 @@ from __future__ import annotations
 import multiprocessing
 import os
 import queue
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from experiments.inference import Inference, RemotePolicy
-from experiments.labelled_states import LabelledStructure
+from experiments.labelled_states import LabelledStructure, LabelSettings, search_solvable
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
@@ -26,13 +29,11 @@ from falsework.learn.algorithms.advantages import normalized
 from falsework.learn.algorithms.rollout_storage import collect_transitions
 from falsework.learn.algorithms.start_states import MixedStarts
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.data.dataset import search_states
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import PolicyFunction
 from falsework.learn.networks.local_attention import LocalAttention
-from falsework.learn.training.evaluate import greedy_success
-from falsework.search.device.oracle import HostOracle
+from falsework.learn.training.evaluate import greedy_success, sample
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import NumericalSettings, StabilitySettings
 
@@ -44,8 +45,8 @@ _GAE_LAMBDA = 0.95
 """Decay of generalised advantages."""
 _VISITS = 6
 """Collections of a structure, one after another: its verdicts are in memory then."""
-_WIDTH, _SEARCH = 64, 6.0
-"""States that the search of a visit keeps a level, and seconds after which it ends."""
+_WIDE, _KEPT = LabelSettings(width=64, searches=1, seconds=30.0), 512
+"""Search for states to start from, wider than those for labels, and how many of its states are kept."""
 _TRIED = 64
 """States that greedy success is measured from, at most."""
 _WAITING = 2
@@ -71,19 +72,24 @@ class Playground:
 
     def __init__(self, assembly: Assembly, labelled: LabelledStructure, policy: PolicyFunction) -> None:
         """Begin with the labelled states, which are solvable."""
-        self.name, self.policy = labelled.name, policy
+        self.name, self.policy, self._assembly = labelled.name, policy, assembly
         settings = StabilitySettings(criterion=labelled.criterion, numerics=NumericalSettings(threads=1))
         oracle = StabilityOracle(assembly, settings)
         self.environment = Environment(assembly, labelled.robots, oracle=oracle, device="cpu")
         self.states = torch.from_numpy(labelled.states)
 
-    def search(self, rollouts: int, generator: torch.Generator) -> None:
-        """Prepare to collect: add the states of a wide search from the empty structure, each time of another one."""
-        end, rules = time.perf_counter() + _SEARCH, self.environment.rules
-        seed = int(torch.randint(2**31, (1,), generator=generator))
-        oracle = HostOracle(self.environment.oracle)
-        found, _ = search_states(rules.task, oracle, _WIDTH, seed, stop=lambda: time.perf_counter() > end)
-        states = torch.cat([self.states, torch.from_numpy(found)])
+    def prepare(self, folder: Path, rollouts: int, generator: torch.Generator) -> None:
+        """Begin to collect, from labelled states and those of a wide search, which are kept in a folder."""
+        rules, path = self.environment.rules, folder / f"{self.name}.npy"
+        if not path.exists():
+            end, wide = time.perf_counter() + _WIDE.seconds, SolvableStates(rules)
+            seed = int(torch.randint(2**31, (1,), generator=generator))
+            oracle = self.environment.oracle
+            search_solvable(wide, self._assembly, oracle, _WIDE, seed, lambda: time.perf_counter() > end)
+            with tempfile.NamedTemporaryFile(dir=folder, suffix=".npy", delete=False) as file:
+                np.save(file, sample(wide.states.numpy(), _KEPT))
+            Path(file.name).replace(path)
+        states = torch.cat([self.states, torch.from_numpy(np.load(path))])
         self.solved = SolvableStates(rules, states[~rules.reached(states)])
         self.starts = MixedStarts(self.solved.states, self.solved, rollouts)
 
@@ -115,6 +121,7 @@ class Actors:
         count: int,
         rollouts: int,
         load: Load,
+        folder: Path,
         device: torch.device,
     ) -> None:
         """Start the processes.
@@ -125,13 +132,15 @@ class Actors:
             count: processes.
             rollouts: of each collection.
             load: the structure of a name.
+            folder: keeps states to start from for later visits.
             device: where the network is evaluated.
         """
         context = multiprocessing.get_context("spawn")
         self.inference = Inference(network, settings, count, device)
         self._jobs, self._found, self._hurry = context.Queue(), context.Queue(), context.Event()
         self._most = _WAITING * count
-        options = self._jobs, self._found, self._hurry, rollouts, load
+        folder.mkdir(parents=True, exist_ok=True)
+        options = self._jobs, self._found, self._hurry, rollouts, load, folder
         self._processes = [
             context.Process(target=_act, args=(seed, connection, *options), daemon=True)
             for seed, connection in enumerate(self.inference.connections)
@@ -190,7 +199,9 @@ class Actors:
             one.close()
 
 
-def _act(seed: int, connection: Any, jobs: Any, found: Any, hurry: Any, rollouts: int, load: Load) -> None:
+def _act(
+    seed: int, connection: Any, jobs: Any, found: Any, hurry: Any, rollouts: int, load: Load, folder: Path
+) -> None:
     """Roll out on one structure after another; what goes wrong is sent as words."""
     os.environ["CUDA_VISIBLE_DEVICES"] = ""
     torch.set_num_threads(1)
@@ -203,7 +214,7 @@ def _act(seed: int, connection: Any, jobs: Any, found: Any, hurry: Any, rollouts
             if greedy:
                 found.put(Experience(labelled.name, playground.greedy()))
                 continue
-            playground.search(rollouts, generator)
+            playground.prepare(folder, rollouts, generator)
             for _ in range(_VISITS):
                 found.put(one := playground.collect(rollouts, generator))
                 if one.success >= MASTERED or hurry.is_set():

@@ -37,8 +37,8 @@ from falsework.search.find import PLANS
 from falsework.search.planner import Planner
 from falsework.stability.verdict import Criterion
 
-TESTED = 2_000_000
-"""First number of generated structures to test on."""
+VALIDATION, TESTED = 1_000_000, 2_000_000
+"""First numbers of generated structures to choose weights by, and to test on."""
 PUBLIC = (
     "arch-30", "barrel-vault-121", "cra-A", "cra-H", "cra-bridge", "cra-concave-long", "cra-concave-short", "cra-cubes",
     "cra-cube-curve-short", "cra-cube-curve-tall", "cra-curve-3-blocks", "cra-shelf", "cra-shelf-s1", "cra-shelf-s2",
@@ -70,9 +70,10 @@ def _cases() -> dict[str, Case]:
     for family, group in [
         *((name, "unseen member") for name in TRAINED),
         *((name, "unseen family") for name in UNSEEN),
+        *((name, "validation") for name in TRAINED),
     ]:
-        count = 2 if family in TRAINED else 16
-        for number in range(TESTED, TESTED + count):
+        first, count = (VALIDATION, 4) if group == "validation" else (TESTED, 2 if family in TRAINED else 16)
+        for number in range(first, first + count):
             name = f"{family}-{number}"
             cases[name] = Case(group, name, 0, "contact")
     for group, names in (("paper", REAL), ("public", PUBLIC)):

@@ -108,7 +108,7 @@ class GeneralPpo:
         policy = training.settings.policy.resolved()
         self._sent = time.perf_counter()
         where = evaluated_on or training.device
-        self._actors = Actors(training.network, policy, processes, settings.rollouts, load, where)
+        self._actors = Actors(training.network, policy, processes, settings.rollouts, load, training.folder / "starts", where)
 
     def run(self, seconds: float, progress: tuple[float, float]) -> dict[str, float]:
         """Update for a time, with what the processes send.

@@ -1,4 +1,4 @@
-"""One process that evaluates a network for many others: what several of them ask at once goes in one batch.
+"""Processes that evaluate a network for many others: what several of them ask at once goes in one batch.
 
 On a processor, a network takes thirty times as long as the verdicts on the states that its actions lead to.
 """
@@ -23,9 +23,11 @@ from falsework.learn.networks.contact_graph import ContactGraph
 from falsework.learn.networks.local_attention import GraphTensors, LocalAttention
 from falsework.stability.verdict import Criterion
 
-_SIZES, _SLOTS = (24, 72, 160, 512, 1 << 16), (8, 16)
-"""Largest numbers of parts and of neighbours of structures that are filled up to the same size, to be evaluated
-together."""
+_SIZES, _SLOTS = (40, 160, 512, 1 << 16), 16
+"""Largest numbers of parts of structures that are filled up to the same size, to be evaluated together, and fewest
+neighbours: the time goes by the number of batches."""
+_SERVED = 9
+"""Processes that one process answers, at most."""
 _ROWS = 64
 """States of one structure that are evaluated together."""
 _REFRESH = 0.5
@@ -56,13 +58,13 @@ class RemotePolicy:
 
 
 class Inference:
-    """Process that evaluates a network on one device, and the ways to it."""
+    """Processes that evaluate a network on one device, and the ways to them."""
 
     def __init__(self, network: LocalAttention, settings: PolicySettings, count: int, device: torch.device) -> None:
-        """Start the process.
+        """Start the processes.
 
         Args:
-            network: whose weights it begins with.
+            network: whose weights they begin with.
             settings: of the network, resolved.
             count: processes that will ask.
             device: of the network.
@@ -73,19 +75,24 @@ class Inference:
         self._weights = torch.frombuffer(shared, dtype=torch.float32).view(2, size)
         self.send(network, network)
         ours, self.connections = zip(*(context.Pipe() for _ in range(count)), strict=True)
-        options = ours, shared, settings, str(device)
-        self._process = context.Process(target=_serve, args=options, daemon=True)
-        self._process.start()
+        self._processes = [
+            context.Process(target=_serve, args=(ours[begin : begin + _SERVED], shared, settings, str(device)), daemon=True)
+            for begin in range(0, count, _SERVED)
+        ]
+        for process in self._processes:
+            process.start()
 
     def send(self, network: LocalAttention, averaged: LocalAttention) -> None:
-        """Let it go on with new weights, as they are and averaged."""
+        """Let them go on with new weights, as they are and averaged."""
         for row, one in zip(self._weights, (network, averaged), strict=True):
             row.copy_(parameters_to_vector(one.parameters()).detach())
 
     def close(self) -> None:
-        """End the process."""
-        self._process.terminate()
-        self._process.join()
+        """End the processes."""
+        for process in self._processes:
+            process.terminate()
+        for process in self._processes:
+            process.join()
 
 
 def _serve(connections: Sequence[Connection], shared: Any, settings: PolicySettings, place: str) -> None:
@@ -127,10 +134,9 @@ def _placed(
     graph: ContactGraph, robots: int, criterion: Criterion, averaged: bool, device: torch.device
 ) -> tuple[tuple[bool, int, int], GraphTensors]:
     """Return the size that a structure is filled up to, and its graph of that size."""
-    slots = graph.taken.shape[1]
+    slots = max(graph.taken.shape[1], _SLOTS)
     parts = next(size for size in _SIZES if graph.part_count <= size)
-    width = next((size for size in _SLOTS if slots <= size), slots)
-    return (averaged, parts, width), filled([(graph, robots, criterion)], parts, width, device)
+    return (averaged, parts, slots), filled([(graph, robots, criterion)], parts, slots, device)
 
 
 @torch.no_grad()

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from experiments.general_cases import CASES, TESTED, evaluate_case
+from experiments.general_cases import CASES, TESTED, VALIDATION, evaluate_case
 from experiments.general_training import GeneralSettings, GeneralTraining
 from experiments.inference import Inference, RemotePolicy
 from experiments.structure_batches import StructureBatches
 from experiments.structure_generator import TRAINED, UNSEEN
-from general import PER_FILE, VALIDATION, Library, Options, card, case_label, number_of
+from general import PER_FILE, Library, Options, card, case_label, number_of
 
 from falsework import load_policy, load_structure
 from falsework.learn import PolicySettings
@@ -56,7 +56,7 @@ def test_known_structures_are_improved_by_rollouts(trained: Path) -> None:
 
 def test_no_case_is_a_structure_of_training() -> None:
     groups = {case.group for case in CASES.values()}
-    assert groups == {"unseen member", "unseen family", "paper", "public"}
+    assert groups == {"validation", "unseen member", "unseen family", "paper", "public"}
     assert not set(TRAINED) & set(UNSEEN)
     for case in CASES.values():
         if case.group.startswith("unseen"):
