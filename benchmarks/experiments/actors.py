@@ -74,8 +74,8 @@ class Playground:
         """Begin with the labelled states, which are solvable."""
         self.name, self.policy, self._assembly = labelled.name, policy, assembly
         settings = StabilitySettings(criterion=labelled.criterion, numerics=NumericalSettings(threads=1))
-        oracle = StabilityOracle(assembly, settings)
-        self.environment = Environment(assembly, labelled.robots, oracle=oracle, device="cpu")
+        self._oracle = StabilityOracle(assembly, settings)
+        self.environment = Environment(assembly, labelled.robots, oracle=self._oracle, device="cpu")
         self.states = torch.from_numpy(labelled.states)
 
     def prepare(self, folder: Path, rollouts: int, generator: torch.Generator) -> None:
@@ -84,8 +84,7 @@ class Playground:
         if not path.exists():
             end, wide = time.perf_counter() + _WIDE.seconds, SolvableStates(rules)
             seed = int(torch.randint(2**31, (1,), generator=generator))
-            oracle = self.environment.oracle
-            search_solvable(wide, self._assembly, oracle, _WIDE, seed, lambda: time.perf_counter() > end)
+            search_solvable(wide, self._assembly, self._oracle, _WIDE, seed, lambda: time.perf_counter() > end)
             with tempfile.NamedTemporaryFile(dir=folder, suffix=".npy", delete=False) as file:
                 np.save(file, sample(wide.states.numpy(), _KEPT))
             Path(file.name).replace(path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -90,23 +91,42 @@ CASES = _cases()
 """By name."""
 
 
-def evaluate_case(
-    name: str, remote: RemotePolicy, folder: Path | None = None, width: int = _WIDTH, most: int = _STATES
-) -> dict[str, Any]:
+def evaluate_case(name: str, remote: RemotePolicy, width: int = _WIDTH, most: int = _STATES) -> dict[str, Any]:
     """Test a policy on one case.
 
     Args:
         name: of `CASES`.
         remote: the policy.
-        folder: of its run, to guide a search, too, which evaluates it in this process; None for success alone.
         width: of the searches whose states are tested.
         most: states that are tested.
 
     Returns:
         `greedy` and `sampled`: shares of the states of a search from which the most probable actions, or one of 16
-        drawn rollouts, reach the end; `plans`: verdicts, seconds and whether a plan was found, by guide; `ratio` of
-        the verdicts where both find one.
+        drawn rollouts, reach the end.
     """
+
+    def test(assembly: Assembly, robots: int, criterion: Criterion) -> dict[str, Any]:
+        policy = remote.of(ContactGraph.from_assembly(assembly), robots, criterion)
+        return _success(assembly, robots, criterion, policy, width, most)
+
+    return _tested(name, test)
+
+
+def guide_case(name: str, folder: Path) -> dict[str, Any]:
+    """Search for a plan of one case with and without the policy of a run as a guide.
+
+    Returns:
+        `plans`: verdicts, seconds and whether a plan was found, by guide; `ratio` of the verdicts where both find one.
+    """
+
+    def test(assembly: Assembly, robots: int, criterion: Criterion) -> dict[str, Any]:
+        policy = load_policy(folder, "cpu", assembly=assembly)
+        return _verdicts(assembly, robots, criterion, policy.of_task(robots, equilibrium=criterion == "equilibrium"))
+
+    return _tested(name, test)
+
+
+def _tested(name: str, test: Callable[[Assembly, int, Criterion], dict[str, Any]]) -> dict[str, Any]:
     case, begun = CASES[name], time.perf_counter()
     row: dict[str, Any] = {"case": name, "group": case.group}
     with warnings.catch_warnings():
@@ -117,11 +137,7 @@ def evaluate_case(
             return {**row, "error": str(error)[:200]}
     row |= {"parts": assembly.part_count, "robots": robots, "criterion": criterion}
     try:
-        policy = remote.of(ContactGraph.from_assembly(assembly), robots, criterion)
-        row |= _success(assembly, robots, criterion, policy, width, most)
-        if folder is not None:
-            guide = load_policy(folder, "cpu", assembly=assembly)
-            row |= _verdicts(assembly, robots, criterion, guide.of_task(robots, equilibrium=criterion == "equilibrium"))
+        row |= test(assembly, robots, criterion)
     except FalseworkError as error:
         row["error"] = str(error)[:200]
     return {**row, "seconds": round(time.perf_counter() - begun, 1)}

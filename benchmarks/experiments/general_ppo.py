@@ -18,10 +18,9 @@ import torch
 from experiments.actors import COLUMNS, MASTERED, Actors, Experience, Load
 from experiments.general_training import GeneralTraining
 from experiments.labelled_states import LabelledStructure
-from experiments.structure_batches import StructureBatches
+from experiments.structure_batches import BatchSettings, StructureBatches
 from numpy.typing import NDArray
 
-from falsework.errors import InputError
 from falsework.learn.algorithms.ppo_loss import ppo_loss
 from falsework.learn.algorithms.rollout_storage import Transitions
 
@@ -38,15 +37,11 @@ _UNKNOWN = 0.5
 
 
 @dataclass(frozen=True)
-class GeneralPpoSettings:
+class GeneralPpoSettings(BatchSettings):
     """Settings of the reinforcement of a policy for all structures."""
 
     rollouts: int = 64
     """Rollouts of a collection, which one process makes on one structure with the same weights."""
-    tokens: int = 65536
-    """Parts of all transitions of a step."""
-    mix: int = 16
-    """Pieces of a step, each of one collection."""
     passes: int = 2
     """Steps that a transition takes part in, at most."""
     learning_rate: float = 5e-4
@@ -57,9 +52,7 @@ class GeneralPpoSettings:
     """First weight of the entropy of the policy, which falls like the learning rate."""
 
     def __post_init__(self) -> None:
-        for name in ("rollouts", "tokens", "mix", "passes"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} is {getattr(self, name)}; give at least 1")
+        self.check("rollouts", "passes")
 
 
 @dataclass(eq=False)
@@ -108,7 +101,9 @@ class GeneralPpo:
         policy = training.settings.policy.resolved()
         self._sent = time.perf_counter()
         where = evaluated_on or training.device
-        self._actors = Actors(training.network, policy, processes, settings.rollouts, load, training.folder / "starts", where)
+        self._actors = Actors(
+            training.network, policy, processes, settings.rollouts, load, training.folder / "starts", where
+        )
 
     def run(self, seconds: float, progress: tuple[float, float]) -> dict[str, float]:
         """Update for a time, with what the processes send.

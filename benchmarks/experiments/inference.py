@@ -10,12 +10,13 @@ import time
 from collections import defaultdict
 from collections.abc import Sequence
 from multiprocessing.connection import Connection, wait
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 from experiments.structure_batches import filled
 from numpy.typing import NDArray
+from torch import nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from falsework.learn.config.policy import PolicySettings
@@ -60,11 +61,11 @@ class RemotePolicy:
 class Inference:
     """Processes that evaluate a network on one device, and the ways to them."""
 
-    def __init__(self, network: LocalAttention, settings: PolicySettings, count: int, device: torch.device) -> None:
+    def __init__(self, network: nn.Module, settings: PolicySettings, count: int, device: torch.device) -> None:
         """Start the processes.
 
         Args:
-            network: whose weights they begin with.
+            network: of kind `local`, whose weights they begin with.
             settings: of the network, resolved.
             count: processes that will ask.
             device: of the network.
@@ -76,13 +77,15 @@ class Inference:
         self.send(network, network)
         ours, self.connections = zip(*(context.Pipe() for _ in range(count)), strict=True)
         self._processes = [
-            context.Process(target=_serve, args=(ours[begin : begin + _SERVED], shared, settings, str(device)), daemon=True)
+            context.Process(
+                target=_serve, args=(ours[begin : begin + _SERVED], shared, settings, str(device)), daemon=True
+            )
             for begin in range(0, count, _SERVED)
         ]
         for process in self._processes:
             process.start()
 
-    def send(self, network: LocalAttention, averaged: LocalAttention) -> None:
+    def send(self, network: nn.Module, averaged: nn.Module) -> None:
         """Let them go on with new weights, as they are and averaged."""
         for row, one in zip(self._weights, (network, averaged), strict=True):
             row.copy_(parameters_to_vector(one.parameters()).detach())
@@ -105,14 +108,14 @@ def _serve(connections: Sequence[Connection], shared: Any, settings: PolicySetti
     left, refreshed = set(connections), -_REFRESH
     while left:
         asked: dict[tuple[bool, int, int], list[tuple[Connection, NDArray[np.uint8]]]] = defaultdict(list)
-        for connection in wait(left):
+        for connection in cast(list[Connection], wait(left)):
             try:
                 message = connection.recv()
             except (EOFError, OSError):
                 left.discard(connection)
                 continue
             if isinstance(message, tuple):
-                known[connection] = _placed(*message, device)
+                known[connection] = _placed(message, device)
             else:
                 asked[known[connection][0]].append((connection, message))
         if time.perf_counter() - refreshed > _REFRESH:
@@ -131,9 +134,10 @@ def _serve(connections: Sequence[Connection], shared: Any, settings: PolicySetti
 
 
 def _placed(
-    graph: ContactGraph, robots: int, criterion: Criterion, averaged: bool, device: torch.device
+    asked: tuple[ContactGraph, int, Criterion, bool], device: torch.device
 ) -> tuple[tuple[bool, int, int], GraphTensors]:
     """Return the size that a structure is filled up to, and its graph of that size."""
+    graph, robots, criterion, averaged = asked
     slots = max(graph.taken.shape[1], _SLOTS)
     parts = next(size for size in _SIZES if graph.part_count <= size)
     return (averaged, parts, slots), filled([(graph, robots, criterion)], parts, slots, device)

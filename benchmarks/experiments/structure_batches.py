@@ -20,6 +20,22 @@ _SIZES = (12, 20, 32, 48, 72, 108, 160, 256, 1 << 30)
 """Largest numbers of parts of structures that are filled up to the same size."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class BatchSettings:
+    """Size of the batches of a training."""
+
+    tokens: int = 65536
+    """Parts of all states of a batch."""
+    mix: int = 16
+    """Structures of a batch, at most; one may come twice."""
+
+    def check(self, *names: str) -> None:
+        """Raise unless the size and some other numbers are at least 1."""
+        for name in ("tokens", "mix", *names):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is {getattr(self, name)}; give at least 1")
+
+
 @dataclass(frozen=True, eq=False)
 class StructureBatch:
     """Several structures, and as many states of each."""
@@ -111,8 +127,8 @@ def filled(
     whole = np.stack([graph.whole for graph, _, _ in tasks])
     asked = torch.stack([conditions(robots, criterion == "equilibrium") for _, robots, criterion in tasks])
     robots = torch.tensor([float(robots) for _, robots, _ in tasks])
-    arrays = (put(one, device) for one in (part, neighbour, taken, pair, lever, whole, fixed, real))
-    return GraphTensors(*arrays, asked.to(device), robots.to(device))
+    arrays = [put(one, device) for one in (part, neighbour, taken, pair, lever, whole, fixed, real)]
+    return GraphTensors(*[*arrays, asked.to(device), robots.to(device)])
 
 
 class _Group:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 import torch
-from experiments.general_cases import CASES, TESTED, VALIDATION, evaluate_case
+from experiments.general_cases import CASES, TESTED, VALIDATION, evaluate_case, guide_case
 from experiments.general_training import GeneralSettings, GeneralTraining
 from experiments.inference import Inference, RemotePolicy
 from experiments.structure_batches import StructureBatches
@@ -17,6 +18,7 @@ from general import PER_FILE, Library, Options, card, case_label, number_of
 
 from falsework import load_policy, load_structure
 from falsework.learn import PolicySettings
+from falsework.learn.networks.local_attention import LocalAttentionPolicy
 
 SMALL = PolicySettings("local", layers=1, channels=16, heads=2)
 
@@ -64,15 +66,16 @@ def test_no_case_is_a_structure_of_training() -> None:
 
 
 def test_a_case_has_success_and_verdicts(trained: Path) -> None:
-    policy = load_policy(trained, "cpu", assembly=load_structure("arch"))
+    policy = cast(LocalAttentionPolicy, load_policy(trained, "cpu", assembly=load_structure("arch")))
     inference = Inference(policy.network, policy.settings, 1, torch.device("cpu"))
-    row = evaluate_case(f"stack-{TESTED}", RemotePolicy(inference.connections[0]), trained, width=8, most=6)
+    row = evaluate_case(f"stack-{TESTED}", RemotePolicy(inference.connections[0]), width=8, most=6)
     inference.close()
     assert 0 <= row["greedy"] <= row["sampled"] <= 1
     assert row["states"] <= 8
-    assert row["plans"]["support"]["found"]
-    assert row["ratio"] is None or row["ratio"] > 0
-    json.dumps(row)
+    guided = guide_case(f"stack-{TESTED}", trained)
+    assert guided["plans"]["support"]["found"]
+    assert guided["ratio"] is None or guided["ratio"] > 0
+    json.dumps([row, guided])
 
 
 def test_the_card_is_made_of_the_evaluation(trained: Path, capsys: pytest.CaptureFixture) -> None:
