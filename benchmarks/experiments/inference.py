@@ -1,6 +1,6 @@
 """Processes that evaluate a network for many others: what several of them ask at once goes in one batch.
 
-On a processor, a network takes thirty times as long as the verdicts on the states that its actions lead to.
+On a processor, the network takes many times as long as the verdicts on the states that its actions lead to.
 """
 
 from __future__ import annotations
