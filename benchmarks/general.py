@@ -3,18 +3,20 @@
     python benchmarks/general.py make --folder out/general --minutes 9 --processes 15 --device cuda
     python benchmarks/general.py data --folder out/general --minutes 30 --processes 2
     python benchmarks/general.py reinforce --folder out/general --minutes 9 --total 8 --processes 15 --device cuda
-    python benchmarks/general.py evaluate --folder out/general --processes 15 --minutes 9
+    python benchmarks/general.py evaluate --folder out/general --processes 15 --minutes 9 --device cuda
+    python benchmarks/general.py guide --folder out/general --processes 15 --minutes 9
     python benchmarks/general.py card --folder out/general --out benchmarks/results/general.jsonl
 
 `make` generates structures on the processor while it trains on the data so far; repeat the same command until it says
 that training is done. Once some training is done, the processes roll the policy out: what succeeds becomes data, and
 states from which it fails come first. `data` does the first half alone. `reinforce` goes on with reinforcement: the
-processes roll out on structures of the data, first on those where rollouts fail, and a process for each GPU learns.
-`evaluate` tests on structures that are not trained on, and stops in time; repeat it until no case is left. `card`
-summarises the evaluation by groups.
+processes roll out on structures of the data, from states of a wide search of their own, and first on those where
+rollouts fail. Half of the GPUs evaluate the network for them, a process for each of the others learns.
+`evaluate` tests on structures that are not trained on, and stops in time; repeat it until no case is left. `guide`
+searches for plans with the policy as a guide, and without. `card` summarises both by groups.
 
 The folder holds `data-*.npz`, `validation.npz`, a run that other commands take (`run.json`, `weights.safetensors`), a
-checkpoint, `log.jsonl` and `evaluation.jsonl`.
+checkpoint, `log.jsonl`, `evaluation.jsonl` and `guides.jsonl`; in `starts`, states of wide searches.
 """
 
 from __future__ import annotations
@@ -26,18 +28,20 @@ import tempfile
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 import torch
 import tyro
-from experiments.general_cases import CASES, evaluate_case
+from experiments.general_cases import CASES, VALIDATION, evaluate_case, guide_case
 from experiments.general_ppo import GeneralPpo, GeneralPpoSettings
 from experiments.general_training import GeneralSettings, GeneralTraining
+from experiments.inference import Inference, RemotePolicy
 from experiments.labelled_states import (
     LabelledStructure,
     LabelSettings,
@@ -46,20 +50,21 @@ from experiments.labelled_states import (
     save_labelled,
 )
 from experiments.structure_batches import StructureBatches
-from experiments.structure_generator import generated
+from experiments.structure_generator import TRAINED, generated, named
 from record import report, spread, write_to
 
-from falsework import Assembly, load_policy
+from falsework import Assembly, load_policy, load_structure
 from falsework.errors import FalseworkError, InputError
 from falsework.learn import PolicySettings
+from falsework.learn.networks.local_attention import LocalAttentionPolicy
 from falsework.utils.collectives import decided, summed
 from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import choose_device
 
 PER_FILE = 1000
 """Structures of one file of data."""
-VALIDATION, VALIDATED = 1_000_000, 64
-"""First number of the structures to validate on, and how many of them there are."""
+VALIDATED = 64
+"""Structures to validate on."""
 REPORT_EVERY = 30.0
 """Seconds of training between two looks at the data."""
 AVERAGE_EVERY = 3.0
@@ -78,7 +83,7 @@ IMPROVE_AFTER = 0.3
 class Options:
     """What to do, and for how long."""
 
-    what: tyro.conf.Positional[Literal["make", "data", "reinforce", "evaluate", "card"]]
+    what: tyro.conf.Positional[Literal["make", "data", "reinforce", "evaluate", "guide", "card"]]
     """Command."""
     folder: Path = Path("out/general")
     """Folder of data, checkpoint and results."""
@@ -90,10 +95,10 @@ class Options:
     """Processes that generate, roll out or evaluate."""
     structures: int = 4000
     """Structures to generate; from then on, or later in training, known ones are improved."""
-    robots: int = 0
-    """For `evaluate`: robots; 0 for those of the case."""
+    families: tuple[str, ...] = TRAINED
+    """For `data`: families of the structures to generate."""
     cases: tuple[str, ...] = ()
-    """For `evaluate`: beginnings of the names of cases; all if not given."""
+    """For `evaluate` and `guide`: groups, or beginnings of the names of cases; all if not given."""
     layers: int = 0
     """Layers of the network; 0 for the default."""
     channels: int = 0
@@ -192,7 +197,8 @@ class Generator:
         if number is None:
             return
         folder = self.options.folder if self.improving else None
-        self._pool.apply_async(case_label, (number, known, folder), callback=self._done, error_callback=self._failed)
+        asked = number, self.options.families, known, folder
+        self._pool.apply_async(case_label, asked, callback=self._done, error_callback=self._failed)
 
     def _done(self, answer: tuple[int, LabelledStructure | None]) -> None:
         with self._lock:
@@ -223,10 +229,15 @@ def _one_thread() -> None:
 _policies: dict[Path, tuple[float, Any]] = {}
 
 
-def case_label(number: int, known: LabelledStructure | None, folder: Path | None) -> tuple[int, Any]:
+def case_label(
+    number: int,
+    families: tuple[str, ...] = TRAINED,
+    known: LabelledStructure | None = None,
+    folder: Path | None = None,
+) -> tuple[int, Any]:
     """Label one structure; with more robots, up to four, where those drawn do not suffice."""
     try:
-        drawn = generated(number)
+        drawn = generated(number, (known.family,) if known else families)
     except InputError:
         return number, None
     settings, found = LabelSettings(), None
@@ -302,13 +313,16 @@ def make(options: Options) -> None:
 
 def reinforce(options: Options) -> None:
     """Improve the policy by its own rollouts, on the structures of the data; greedy success before and after."""
-    learners = max(torch.cuda.device_count(), 1) if choose_device(options.device).type == "cuda" else 1
+    gpus = torch.cuda.device_count() if choose_device(options.device).type == "cuda" else 0
+    learners = max(gpus // 2, 1)
     with tempfile.TemporaryDirectory() as folder:
         torch.multiprocessing.spawn(_reinforce, (learners, options, f"file://{folder}/meet"), nprocs=learners)
 
 
 def _reinforce(rank: int, learners: int, options: Options, meeting: str) -> None:
-    """Improve the policy in one of several processes, one a GPU; weights are averaged in between.
+    """Improve the policy in one of several processes on half of the GPUs; weights are averaged in between.
+
+    On the other GPUs the network is evaluated for rollouts.
 
     Args:
         rank: number of the process; the first one reports and writes.
@@ -319,8 +333,9 @@ def _reinforce(rank: int, learners: int, options: Options, meeting: str) -> None
     end = time.perf_counter() + 60 * options.minutes
     torch.set_num_threads(1)
     device, host = choose_device(options.device), torch.device("cpu")
+    evaluated_on = device
     if device.type == "cuda":
-        device = torch.device("cuda", rank)
+        device, evaluated_on = (torch.device("cuda", one) for one in (rank, torch.cuda.device_count() - 1 - rank))
         torch.cuda.set_device(device)
     torch.distributed.init_process_group("gloo", init_method=meeting, rank=rank, world_size=learners)
     group = ProcessGroup.from_torch()
@@ -328,7 +343,9 @@ def _reinforce(rank: int, learners: int, options: Options, meeting: str) -> None
     training = continued(options, device)
     settings = GeneralPpoSettings(**({"tokens": options.tokens} if options.tokens else {}))
     known, processes = list(library.structures.values()), max(options.processes // learners, 1)
-    learner = GeneralPpo(training, known, settings, structure_of, processes=processes, seed=rank)
+    learner = GeneralPpo(
+        training, known, settings, assembly_of, processes=processes, evaluated_on=evaluated_on, seed=rank
+    )
 
     valid = list(library.validation.values())[rank::learners]
 
@@ -367,9 +384,9 @@ def _means(sums: dict[str, float]) -> dict[str, float]:
     return {name: sums[name] / per.get(name, 1) for name in SUMS}
 
 
-def structure_of(name: str) -> Assembly:
+def assembly_of(name: str) -> Assembly:
     """Return a generated structure by its name."""
-    return generated(int(name.rpartition("-")[2])).assembly
+    return named(name).assembly
 
 
 def average_states(training: GeneralTraining, group: ProcessGroup) -> None:
@@ -412,30 +429,70 @@ def _log(options: Options, row: dict[str, Any]) -> None:
 
 def evaluate(options: Options) -> None:
     """Test on structures that are not trained on; cases that are in the file already are left out."""
+    policy = cast(LocalAttentionPolicy, load_policy(options.folder, "cpu", assembly=load_structure("arch")))
+    device, taken = choose_device(options.device), multiprocessing.get_context("spawn").Value("i")
+    inference = Inference(policy.network, policy.settings, options.processes, device)
+    _test(options, "evaluation.jsonl", _evaluate_case, (), (_ask_remotely, (inference.connections, taken)))
+    inference.close()
+
+
+def guide(options: Options) -> None:
+    """Search with the policy as a guide, and without, like `evaluate`."""
+    _test(options, "guides.jsonl", guide_case, (options.folder,), (_one_thread, ()))
+
+
+def _test(options: Options, file: str, job: Callable[..., Any], about: tuple[Any, ...], begin: tuple[Any, Any]) -> None:
+    """Do a job on all cases that are not in a file yet, in processes that begin in some way."""
     end = time.perf_counter() + 60 * options.minutes
-    path = options.folder / "evaluation.jsonl"
-    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    done = {json.loads(line)["case"] for line in lines}
+    done = {row["case"] for row in _rows(options.folder / file)}
+
+    def chosen(name: str, group: str) -> bool:
+        return name.startswith(options.cases) or group in options.cases or not options.cases
+
     # Large structures come last in the list and take longest.
-    names = [name for name in reversed(CASES) if name not in done and name.startswith(options.cases or ("",))]
-    with multiprocessing.get_context("spawn").Pool(options.processes, _one_thread) as pool:
-        pending = [pool.apply_async(evaluate_case, (name, options.folder)) for name in names]
+    names = [name for name, case in reversed(CASES.items()) if name not in done and chosen(name, case.group)]
+    with multiprocessing.get_context("spawn").Pool(options.processes, *begin) as pool:
+        pending = [pool.apply_async(job, (name, *about)) for name in names]
         while pending and time.perf_counter() < end:
             time.sleep(0.2)
             for one in [one for one in pending if one.ready()]:
                 pending.remove(one)
                 line = json.dumps(one.get())
                 print(line, flush=True)
-                with path.open("a", encoding="utf-8") as file:
-                    file.write(line + "\n")
+                with (options.folder / file).open("a", encoding="utf-8") as out:
+                    out.write(line + "\n")
         pool.terminate()
     print(f"{len(pending)} cases are left", flush=True)
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    return [json.loads(line) for line in lines]
+
+
+def _ask_remotely(connections: tuple[Connection, ...], taken: Any) -> None:
+    _one_thread()
+    with taken.get_lock():
+        _remote.append(RemotePolicy(connections[taken.value % len(connections)]))
+        taken.value += 1
+
+
+_remote: list[RemotePolicy] = []
+"""Of this process, as soon as it tests cases."""
+
+
+def _evaluate_case(name: str) -> dict[str, Any]:
+    return evaluate_case(name, _remote[0])
 
 
 def card(options: Options) -> None:
     """Summarise the evaluation by group, and record it."""
     write_to(options.out)
-    rows = [json.loads(line) for line in (options.folder / "evaluation.jsonl").read_text(encoding="utf-8").splitlines()]
+    guided: dict[str, dict[str, Any]] = {row["case"]: row for row in _rows(options.folder / "guides.jsonl")}
+    rows: list[dict[str, Any]] = [
+        {**row, **{name: value for name, value in guided.get(row["case"], {}).items() if name in ("plans", "ratio")}}
+        for row in _rows(options.folder / "evaluation.jsonl")
+    ]
     run = json.loads((options.folder / "run.json").read_text(encoding="utf-8"))
     about = {"network": run["policy"], "training": run["results"]}
     report("general training", device=options.device if options.device != "auto" else "cpu", **about)
@@ -461,11 +518,21 @@ def card(options: Options) -> None:
         report("general case", **row)
 
 
+COMMANDS = {
+    "make": make,
+    "data": data,
+    "reinforce": reinforce,
+    "evaluate": evaluate,
+    "guide": guide,
+    "card": card,
+}
+
+
 def main() -> None:
     """Run the command."""
     options = tyro.cli(Options, description=__doc__)
     try:
-        {"make": make, "data": data, "reinforce": reinforce, "evaluate": evaluate, "card": card}[options.what](options)
+        COMMANDS[options.what](options)
     except FalseworkError as error:
         raise SystemExit(f"general.py: {error}") from None
 

@@ -158,10 +158,9 @@ TABLES = {
         (
             ("cases", "{cases}"),
             ("greedy, %, mean over cases", "{greedy.mean:%}"),
+            ("median and range", "{greedy.median:%} ({greedy.least:%} to {greedy.most:%})"),
             ("one of 16 samples, %, mean over cases", "{sampled.mean:%}"),
-            ("verdicts of the search, policy over support", "{ratio.median}"),
-            ("least", "{ratio.least}"),
-            ("most", "{ratio.most}"),
+            ("median and range", "{sampled.median:%} ({sampled.least:%} to {sampled.most:%})"),
         ),
         benchmark="general group",
     ),

@@ -1,6 +1,7 @@
-"""Processes that roll one policy out on many structures on the processor, while others learn from what they send.
+"""Processes that roll one policy out on many structures, while others learn from what they send.
 
-Weights go one way, through shared memory; transitions come back through a queue. Neither side waits for the other.
+Verdicts are found by these processes, the network is evaluated by another one for all of them. Transitions come back
+through a queue; those who learn do not wait for those who roll out.
 """
 
 from __future__ import annotations
@@ -8,15 +9,19 @@ from __future__ import annotations
 import multiprocessing
 import os
 import queue
+import tempfile
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
-from experiments.labelled_states import LabelledStructure
+from experiments.inference import Inference, RemotePolicy
+from experiments.labelled_states import LabelledStructure, LabelSettings, search_solvable
 from numpy.typing import NDArray
-from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
@@ -26,8 +31,9 @@ from falsework.learn.algorithms.start_states import MixedStarts
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
-from falsework.learn.networks.local_attention import LocalAttention, LocalAttentionPolicy
-from falsework.learn.training.evaluate import greedy_success
+from falsework.learn.env.rollout import PolicyFunction
+from falsework.learn.networks.local_attention import LocalAttention
+from falsework.learn.training.evaluate import greedy_success, sample
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import NumericalSettings, StabilitySettings
 
@@ -37,8 +43,10 @@ MASTERED = 0.99
 """Share of successful rollouts of a structure from which on nothing is learned from it: advantages are noise there."""
 _GAE_LAMBDA = 0.95
 """Decay of generalised advantages."""
-_VISITS = 4
+_VISITS = 6
 """Collections of a structure, one after another: its verdicts are in memory then."""
+_WIDE, _KEPT = LabelSettings(width=64, searches=1, seconds=30.0), 512
+"""Search for states to start from, wider than those for labels, and how many of its states are kept."""
 _TRIED = 64
 """States that greedy success is measured from, at most."""
 _WAITING = 2
@@ -60,21 +68,29 @@ class Experience:
 
 
 class Playground:
-    """Environment of one structure on one core, and a shared network as a policy for it."""
+    """Environment of one structure on one core, and a policy for it."""
 
-    def __init__(self, assembly: Assembly, labelled: LabelledStructure, network: LocalAttention, rollouts: int) -> None:
+    def __init__(self, assembly: Assembly, labelled: LabelledStructure, policy: PolicyFunction) -> None:
         """Begin with the labelled states, which are solvable."""
-        self.name = labelled.name
-        equilibrium = labelled.criterion == "equilibrium"
+        self.name, self.policy, self._assembly = labelled.name, policy, assembly
         settings = StabilitySettings(criterion=labelled.criterion, numerics=NumericalSettings(threads=1))
-        oracle = StabilityOracle(assembly, settings)
-        self.environment = Environment(assembly, labelled.robots, oracle=oracle, device="cpu")
-        self.policy = LocalAttentionPolicy(assembly, PolicySettings("local"))
-        self.policy.of_task(labelled.robots, equilibrium=equilibrium)
-        self.policy.network = network
+        self._oracle = StabilityOracle(assembly, settings)
+        self.environment = Environment(assembly, labelled.robots, oracle=self._oracle, device="cpu")
         self.states = torch.from_numpy(labelled.states)
-        self.solved = SolvableStates(self.environment.rules, self.states)
-        self.starts = MixedStarts(self.states, self.solved, rollouts)
+
+    def prepare(self, folder: Path, rollouts: int, generator: torch.Generator) -> None:
+        """Begin to collect, from labelled states and those of a wide search, which are kept in a folder."""
+        rules, path = self.environment.rules, folder / f"{self.name}.npy"
+        if not path.exists():
+            end, wide = time.perf_counter() + _WIDE.seconds, SolvableStates(rules)
+            seed = int(torch.randint(2**31, (1,), generator=generator))
+            search_solvable(wide, self._assembly, self._oracle, _WIDE, seed, lambda: time.perf_counter() > end)
+            with tempfile.NamedTemporaryFile(dir=folder, suffix=".npy", delete=False) as file:
+                np.save(file, sample(wide.states.numpy(), _KEPT))
+            Path(file.name).replace(path)
+        states = torch.cat([self.states, torch.from_numpy(np.load(path))])
+        self.solved = SolvableStates(rules, states[~rules.reached(states)])
+        self.starts = MixedStarts(self.solved.states, self.solved, rollouts)
 
     def collect(self, rollouts: int, generator: torch.Generator) -> Experience:
         """Sample rollouts, and learn which states are solvable and which are hard."""
@@ -98,7 +114,14 @@ class Actors:
     """Processes that roll out, and the two ways to them."""
 
     def __init__(
-        self, network: LocalAttention, settings: PolicySettings, count: int, rollouts: int, load: Load
+        self,
+        network: LocalAttention,
+        settings: PolicySettings,
+        count: int,
+        rollouts: int,
+        load: Load,
+        folder: Path,
+        device: torch.device,
     ) -> None:
         """Start the processes.
 
@@ -108,17 +131,19 @@ class Actors:
             count: processes.
             rollouts: of each collection.
             load: the structure of a name.
+            folder: keeps states to start from for later visits.
+            device: where the network is evaluated.
         """
         context = multiprocessing.get_context("spawn")
-        size = len(parameters_to_vector(network.parameters()))
-        self._shared = context.RawArray("f", 2 * size)
-        # Rollouts take the weights as they are, greedy ones their average.
-        self._weights = torch.frombuffer(self._shared, dtype=torch.float32).view(2, size)
+        self.inference = Inference(network, settings, count, device)
         self._jobs, self._found, self._hurry = context.Queue(), context.Queue(), context.Event()
         self._most = _WAITING * count
-        self.send(network, network)
-        options = self._jobs, self._found, self._hurry, self._shared, settings, rollouts, load
-        self._processes = [context.Process(target=_act, args=(seed, *options), daemon=True) for seed in range(count)]
+        folder.mkdir(parents=True, exist_ok=True)
+        options = self._jobs, self._found, self._hurry, rollouts, load, folder
+        self._processes = [
+            context.Process(target=_act, args=(seed, connection, *options), daemon=True)
+            for seed, connection in enumerate(self.inference.connections)
+        ]
         for process in self._processes:
             process.start()
 
@@ -126,11 +151,6 @@ class Actors:
     def hungry(self) -> bool:
         """Whether there is room for another structure."""
         return self._jobs.qsize() < self._most
-
-    def send(self, network: LocalAttention, averaged: LocalAttention) -> None:
-        """Let the next rollouts take new weights."""
-        for row, one in zip(self._weights, (network, averaged), strict=True):
-            row.copy_(parameters_to_vector(one.parameters()).detach())
 
     def visit(self, labelled: LabelledStructure, *, greedy: bool = False) -> None:
         """Ask for rollouts on a structure, sampled ones to learn from or greedy ones."""
@@ -172,30 +192,29 @@ class Actors:
             process.terminate()
         for process in self._processes:
             process.join()
+        self.inference.close()
         for one in (self._jobs, self._found):
             one.cancel_join_thread()
             one.close()
 
 
 def _act(
-    seed: int, jobs: Any, found: Any, hurry: Any, shared: Any, settings: PolicySettings, rollouts: int, load: Load
+    seed: int, connection: Any, jobs: Any, found: Any, hurry: Any, rollouts: int, load: Load, folder: Path
 ) -> None:
     """Roll out on one structure after another; what goes wrong is sent as words."""
     os.environ["CUDA_VISIBLE_DEVICES"] = ""
     torch.set_num_threads(1)
-    network = LocalAttention(settings).eval()
-    current, averaged = torch.frombuffer(shared, dtype=torch.float32).view(2, -1)
-    generator = torch.Generator().manual_seed(seed)
+    policy, generator = RemotePolicy(connection), torch.Generator().manual_seed(seed)
     while True:
         labelled, greedy = jobs.get()
         try:
-            playground = Playground(load(labelled.name), labelled, network, rollouts)
+            policy.of(labelled.graph, labelled.robots, labelled.criterion, averaged=greedy)
+            playground = Playground(load(labelled.name), labelled, policy)
             if greedy:
-                vector_to_parameters(averaged.clone(), network.parameters())
                 found.put(Experience(labelled.name, playground.greedy()))
                 continue
+            playground.prepare(folder, rollouts, generator)
             for _ in range(_VISITS):
-                vector_to_parameters(current.clone(), network.parameters())
                 found.put(one := playground.collect(rollouts, generator))
                 if one.success >= MASTERED or hurry.is_set():
                     break

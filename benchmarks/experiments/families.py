@@ -1,6 +1,6 @@
-"""Families of structures beside the built-in ones: walls with an opening, chimneys, Voronoi walls and piles of bricks.
+"""Families beside the built-in ones: walls with an opening, chimneys, Voronoi walls, piles, frames and sail vaults.
 
-Each draws its own parameters and returns an assembly on a ground slab. Whether it stands is for the caller to check.
+Each draws its own parameters and returns an assembly with fixed parts. Whether it stands is for the caller to check.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import shapely
 from numpy.typing import NDArray
 
 from falsework import Assembly
-from falsework.assembly.library.blocks import Solid, box, gather, ground, prism
+from falsework.assembly.library.blocks import Solid, box, gather, ground, loft, prism
 from falsework.errors import InputError
 
 Draw = np.random.Generator
@@ -111,6 +111,60 @@ def pile(draw: Draw) -> Assembly:
     if not solids:
         raise InputError("no brick was drawn that fits the grid")
     return _on_ground(solids, height)
+
+
+def frame(draw: Draw) -> Assembly:
+    """Storeys of posts that carry planks, some of which reach beyond their posts."""
+    width, depth, thick = draw.uniform(0.8, 2.5), draw.uniform(0.15, 0.4), draw.uniform(0.05, 0.12)
+    solids, carriers, level = [], [(0.0, width)], 0.0
+    for _ in range(int(draw.integers(2, 7))):
+        height, post = draw.uniform(0.1, 0.4), draw.uniform(0.08, 0.15)
+        posts: list[float] = []
+        for place in draw.uniform(0, width, size=int(draw.integers(3, 12))):
+            stands = any(low <= place and place + post <= high for low, high in carriers)
+            if stands and all(abs(place - other) > 1.5 * post for other in posts):
+                posts.append(float(place))
+        posts.sort()
+        solids += [box("post", (x, 0.0, level), (x + post, depth, level + height)) for x in posts]
+        level += height
+        carriers = []
+        while posts:
+            count = int(draw.integers(1, 4))
+            mine, posts = posts[:count], posts[count:]
+            before = carriers[-1][1] if carriers else -width
+            after = posts[0] if posts else 2 * width
+            reach = draw.uniform(0, 2 * post, size=2)
+            carriers.append((max(mine[0] - reach[0], before), min(mine[-1] + post + reach[1], after)))
+        solids += [box("plank", (low, 0.0, level), (high, depth, level + thick)) for low, high in carriers]
+        level += thick
+    if not solids:
+        raise InputError("no post was drawn that stands on a plank")
+    return _on_ground(solids, thick)
+
+
+def sail(draw: Draw) -> Assembly:
+    """Shell of courses over a rectangle, on two or four of its sides; all joints are planes through one point."""
+    courses, pieces = (round(float(np.exp(draw.uniform(np.log(4), np.log(11))))) for _ in range(2))
+    opening, thickness = np.radians(draw.uniform(20, 50, size=2)), draw.uniform(0.1, 0.25)
+    flat, shift = draw.uniform(-0.2, 0.5, size=2), 0.5 * draw.integers(2)
+    around = bool(draw.integers(2))
+    rows = np.tan(np.linspace(-opening[0], opening[0], courses + 1))
+
+    def corners(low: float, high: float, left: float, right: float, radius: float) -> NDArray[np.float64]:
+        rays = np.array([(low, left, 1.0), (high, left, 1.0), (high, right, 1.0), (low, right, 1.0)])
+        longer = 1.0 + (rays[:, :2] ** 2) @ flat
+        return rays * (radius * longer / np.linalg.norm(rays, axis=1))[:, None]
+
+    solids = []
+    for course, (low, high) in enumerate(pairwise(rows)):
+        cuts = np.clip(np.arange(pieces + 2) - shift * (course % 2), 0, pieces) / pieces
+        columns = np.tan(np.unique(2 * cuts - 1) * opening[1])
+        for number, (left, right) in enumerate(pairwise(columns)):
+            fixed = course in (0, courses - 1) or (around and number in (0, len(columns) - 2))
+            inner, outer = (corners(low, high, left, right, 1.0 + side * thickness / 2) for side in (-1, 1))
+            solids.append(loft("support" if fixed else "block", inner, outer, fixed=fixed))
+    blocks = gather(solids)
+    return Assembly.from_meshes(list(blocks.meshes), boundary=blocks.boundary)
 
 
 def _outside(start: float, end: float, hole: tuple[float, float] | None) -> Iterator[tuple[float, float]]:

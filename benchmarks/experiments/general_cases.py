@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from experiments.structure_generator import TRAINED, UNSEEN, generated
+from experiments.inference import RemotePolicy
+from experiments.structure_generator import TRAINED, UNSEEN, named
 from states import REAL, find
 
 from falsework import (
@@ -26,6 +28,8 @@ from falsework import (
 from falsework.errors import FalseworkError
 from falsework.learn import Environment, Policy, roll_out
 from falsework.learn.data.dataset import search_states
+from falsework.learn.env.rollout import PolicyFunction
+from falsework.learn.networks.contact_graph import ContactGraph
 from falsework.learn.training.evaluate import sample
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.search import SupportGuide
@@ -34,8 +38,8 @@ from falsework.search.find import PLANS
 from falsework.search.planner import Planner
 from falsework.stability.verdict import Criterion
 
-TESTED = 2_000_000
-"""First number of generated structures to test on."""
+VALIDATION, TESTED = 1_000_000, 2_000_000
+"""First numbers of generated structures to choose weights by, and to test on."""
 PUBLIC = (
     "arch-30", "barrel-vault-121", "cra-A", "cra-H", "cra-bridge", "cra-concave-long", "cra-concave-short", "cra-cubes",
     "cra-cube-curve-short", "cra-cube-curve-tall", "cra-curve-3-blocks", "cra-shelf", "cra-shelf-s1", "cra-shelf-s2",
@@ -67,9 +71,10 @@ def _cases() -> dict[str, Case]:
     for family, group in [
         *((name, "unseen member") for name in TRAINED),
         *((name, "unseen family") for name in UNSEEN),
+        *((name, "validation") for name in TRAINED),
     ]:
-        count = 2 if family in TRAINED else 16
-        for number in range(TESTED, TESTED + count):
+        first, count = (VALIDATION, 4) if group == "validation" else (TESTED, 2 if family in TRAINED else 16)
+        for number in range(first, first + count):
             name = f"{family}-{number}"
             cases[name] = Case(group, name, 0, "contact")
     for group, names in (("paper", REAL), ("public", PUBLIC)):
@@ -86,20 +91,42 @@ CASES = _cases()
 """By name."""
 
 
-def evaluate_case(name: str, folder: Path, width: int = _WIDTH, most: int = _STATES) -> dict[str, Any]:
+def evaluate_case(name: str, remote: RemotePolicy, width: int = _WIDTH, most: int = _STATES) -> dict[str, Any]:
     """Test a policy on one case.
 
     Args:
         name: of `CASES`.
-        folder: of the run.
+        remote: the policy.
         width: of the searches whose states are tested.
         most: states that are tested.
 
     Returns:
         `greedy` and `sampled`: shares of the states of a search from which the most probable actions, or one of 16
-        drawn rollouts, reach the end; `plans`: verdicts, seconds and whether a plan was found, by guide; `ratio` of
-        the verdicts where both find one.
+        drawn rollouts, reach the end.
     """
+
+    def test(assembly: Assembly, robots: int, criterion: Criterion) -> dict[str, Any]:
+        policy = remote.of(ContactGraph.from_assembly(assembly), robots, criterion)
+        return _success(assembly, robots, criterion, policy, width, most)
+
+    return _tested(name, test)
+
+
+def guide_case(name: str, folder: Path) -> dict[str, Any]:
+    """Search for a plan of one case with and without the policy of a run as a guide.
+
+    Returns:
+        `plans`: verdicts, seconds and whether a plan was found, by guide; `ratio` of the verdicts where both find one.
+    """
+
+    def test(assembly: Assembly, robots: int, criterion: Criterion) -> dict[str, Any]:
+        policy = load_policy(folder, "cpu", assembly=assembly)
+        return _verdicts(assembly, robots, criterion, policy.of_task(robots, equilibrium=criterion == "equilibrium"))
+
+    return _tested(name, test)
+
+
+def _tested(name: str, test: Callable[[Assembly, int, Criterion], dict[str, Any]]) -> dict[str, Any]:
     case, begun = CASES[name], time.perf_counter()
     row: dict[str, Any] = {"case": name, "group": case.group}
     with warnings.catch_warnings():
@@ -109,10 +136,8 @@ def evaluate_case(name: str, folder: Path, width: int = _WIDTH, most: int = _STA
         except (FalseworkError, OSError) as error:
             return {**row, "error": str(error)[:200]}
     row |= {"parts": assembly.part_count, "robots": robots, "criterion": criterion}
-    policy = load_policy(folder, "cpu", assembly=assembly).of_task(robots, equilibrium=criterion == "equilibrium")
     try:
-        row |= _success(assembly, robots, criterion, policy, width, most)
-        row |= _verdicts(assembly, robots, criterion, policy)
+        row |= test(assembly, robots, criterion)
     except FalseworkError as error:
         row["error"] = str(error)[:200]
     return {**row, "seconds": round(time.perf_counter() - begun, 1)}
@@ -120,14 +145,13 @@ def evaluate_case(name: str, folder: Path, width: int = _WIDTH, most: int = _STA
 
 def _load(case: Case) -> tuple[Assembly, int, Criterion]:
     if case.robots == 0:
-        family, _, number = case.structure.rpartition("-")
-        drawn = generated(int(number), (family,))
+        drawn = named(case.structure)
         return drawn.assembly, drawn.robots, drawn.criterion
     return load_structure(find(case.structure)), case.robots, case.criterion
 
 
 def _success(
-    assembly: Assembly, robots: int, criterion: Criterion, policy: Policy, width: int, most: int
+    assembly: Assembly, robots: int, criterion: Criterion, policy: PolicyFunction, width: int, most: int
 ) -> dict[str, Any]:
     end = time.perf_counter() + _SEARCH
     oracle = StabilityOracle(assembly, StabilitySettings(criterion=criterion))

@@ -18,15 +18,14 @@ import torch
 from experiments.actors import COLUMNS, MASTERED, Actors, Experience, Load
 from experiments.general_training import GeneralTraining
 from experiments.labelled_states import LabelledStructure
-from experiments.structure_batches import StructureBatches
+from experiments.structure_batches import BatchSettings, StructureBatches
 from numpy.typing import NDArray
 
-from falsework.errors import InputError
 from falsework.learn.algorithms.ppo_loss import ppo_loss
 from falsework.learn.algorithms.rollout_storage import Transitions
 
-_FINAL_LEARNING_RATE = 0.05
-"""Learning rate at the end, as a share of the first."""
+_FINAL = 0.05
+"""Learning rate and weight of the entropy at the end, as a share of the first ones."""
 _SEND_EVERY = 1.0
 """Seconds between two times that the processes get new weights."""
 _WAIT = 0.02
@@ -38,28 +37,22 @@ _UNKNOWN = 0.5
 
 
 @dataclass(frozen=True)
-class GeneralPpoSettings:
+class GeneralPpoSettings(BatchSettings):
     """Settings of the reinforcement of a policy for all structures."""
 
     rollouts: int = 64
     """Rollouts of a collection, which one process makes on one structure with the same weights."""
-    tokens: int = 65536
-    """Parts of all transitions of a step."""
-    mix: int = 16
-    """Pieces of a step, each of one collection."""
     passes: int = 2
     """Steps that a transition takes part in, at most."""
     learning_rate: float = 5e-4
     """First learning rate, which falls linearly."""
     average: float = 0.998
     """Decay of the moving average of the weights."""
-    entropy: float = 0.003
-    """Weight of the entropy of the policy."""
+    entropy: float = 0.01
+    """First weight of the entropy of the policy, which falls like the learning rate."""
 
     def __post_init__(self) -> None:
-        for name in ("rollouts", "tokens", "mix", "passes"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} is {getattr(self, name)}; give at least 1")
+        self.check("rollouts", "passes")
 
 
 @dataclass(eq=False)
@@ -84,6 +77,7 @@ class GeneralPpo:
         load: Load,
         *,
         processes: int,
+        evaluated_on: torch.device | None = None,
         seed: int = 0,
     ) -> None:
         """Start processes that roll out with the weights of the training.
@@ -94,6 +88,7 @@ class GeneralPpo:
             settings: of the updates.
             load: the structure of a name.
             processes: that roll out.
+            evaluated_on: where the network of the rollouts is; None for the device of the training.
             seed: of the choice of structures and of pieces, on top of that of the training.
         """
         self.training, self.settings = training, settings
@@ -105,7 +100,10 @@ class GeneralPpo:
         self._tried: dict[str, float] = {}
         policy = training.settings.policy.resolved()
         self._sent = time.perf_counter()
-        self._actors = Actors(training.network, policy, processes, settings.rollouts, load)
+        where = evaluated_on or training.device
+        self._actors = Actors(
+            training.network, policy, processes, settings.rollouts, load, training.folder / "starts", where
+        )
 
     def run(self, seconds: float, progress: tuple[float, float]) -> dict[str, float]:
         """Update for a time, with what the processes send.
@@ -121,7 +119,7 @@ class GeneralPpo:
             TrainingError: a step was not finite.
             RuntimeError: a process that rolls out has failed.
         """
-        begun, first = time.perf_counter(), self.settings.learning_rate
+        begun = time.perf_counter()
         counts = defaultdict[str, float](float)
         sums = torch.zeros(5, device=self.training.device)
         while (spent := time.perf_counter() - begun) < seconds:
@@ -131,7 +129,7 @@ class GeneralPpo:
                 self._keep(one, counts)
             if group is not None:
                 place = progress[0] + (progress[1] - progress[0]) * spent / seconds
-                sums += self._step(group, first * (1.0 - (1.0 - _FINAL_LEARNING_RATE) * place))
+                sums += self._step(group, 1.0 - (1.0 - _FINAL) * place)
                 counts["updates"] += 1
         self.training.optimizer.check()
         _, _, counts["entropy"], counts["divergence"], _ = sums.tolist()
@@ -139,7 +137,7 @@ class GeneralPpo:
 
     def validate(self, structures: Sequence[LabelledStructure], seconds: float) -> list[float]:
         """Return the greedy success of the averaged weights on structures, of those that are done in some time."""
-        self._actors.send(self.training.network, self.training.averaged())
+        self._actors.inference.send(self.training.network, self.training.averaged())
         self._tried = {}
         with self._actors.interrupted():
             for one in structures:
@@ -157,7 +155,7 @@ class GeneralPpo:
     def _feed(self) -> None:
         """Give the processes weights from time to time, and structures, those where rollouts fail more often."""
         if time.perf_counter() - self._sent > _SEND_EVERY:
-            self._actors.send(self.training.network, self.training.network)
+            self._actors.inference.send(self.training.network, self.training.network)
             self._sent = time.perf_counter()
         if self._actors.hungry:
             names = list(self._success)
@@ -193,8 +191,13 @@ class GeneralPpo:
         batches = np.array([len(waiting) // self.settings.mix for waiting in self._waiting], dtype=float)
         return int(self._rng.choice(len(batches), p=batches / batches.sum())) if batches.any() else None
 
-    def _step(self, group: int, rate: float) -> torch.Tensor:
-        """Take one step on pieces of a size, and return the statistics of the loss."""
+    def _step(self, group: int, share: float) -> torch.Tensor:
+        """Take one step on pieces of a size, and return the statistics of the loss.
+
+        Args:
+            group: the size.
+            share: of the first learning rate and weight of the entropy.
+        """
         settings, training, waiting = self.settings, self.training, self._waiting[group]
         self._rng.shuffle(waiting)  # type: ignore[arg-type]
         chosen = waiting[: settings.mix]
@@ -217,8 +220,9 @@ class GeneralPpo:
             value.flatten().float(),
             moves,
             weight=weight,
-            entropy_weight=settings.entropy * weight,
+            entropy_weight=share * settings.entropy * weight,
         )
+        rate = share * settings.learning_rate
         training.optimizer.step(loss.total, learning_rate=rate, average=settings.average)
         return loss.statistics
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from experiments.structure_batches import StructureBatch, StructureBatches
+from experiments.structure_batches import BatchSettings, StructureBatch, StructureBatches
 from torch import nn
 
 from falsework.errors import InputError
@@ -30,7 +30,7 @@ _AVERAGE = 0.999
 
 
 @dataclass(frozen=True)
-class GeneralSettings:
+class GeneralSettings(BatchSettings):
     """Settings of the training of a policy for all structures."""
 
     policy: PolicySettings = field(default_factory=lambda: PolicySettings("local"))
@@ -39,10 +39,6 @@ class GeneralSettings:
     """Time of the whole training, over which the learning rate falls; pieces of it add up."""
     steps: int = 0
     """Steps of the optimizer in place of a time; 0: go by `seconds`."""
-    tokens: int = 65536
-    """Parts of all states of a batch."""
-    mix: int = 16
-    """Structures of a batch, at most."""
     learning_rate: float = 1e-3
     """Largest step of AdamW."""
     warm_up: int = 300
@@ -53,9 +49,7 @@ class GeneralSettings:
     def __post_init__(self) -> None:
         if self.policy.kind != "local" or self.policy.goal_conditioned:
             raise InputError("one policy for all structures is of kind local and has no goals; leave the kind as it is")
-        for name in ("tokens", "mix", "warm_up"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} is {getattr(self, name)}; give at least 1")
+        self.check("warm_up")
         if not self.seconds > 0:
             raise InputError(f"training for {self.seconds:g} s learns nothing; give a time above zero")
         check_seed(self.seed)

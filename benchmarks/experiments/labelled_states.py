@@ -112,7 +112,7 @@ def label_states(
     solved, generator = SolvableStates(environment.rules), environment.generator(seed)
     if known is not None:
         solved.add(torch.from_numpy(known.states))
-    elif not _search(solved, assembly, oracle, settings, seed, late):
+    elif not search_solvable(solved, assembly, oracle, settings, seed, late):
         return None
     _walk(solved, environment, settings.around, generator, late)
     hard, success = solved.states[:0], None
@@ -134,7 +134,7 @@ def label_states(
     return LabelledStructure(assembly.name, family, robots, criterion, graph, chosen.numpy(), valid.numpy(), success)
 
 
-def _search(
+def search_solvable(
     solved: SolvableStates, assembly: Assembly, oracle: StabilityOracle, settings: LabelSettings, seed: int, late: Stop
 ) -> bool:
     """Add the states of searches, and return whether one of them reached the complete structure."""

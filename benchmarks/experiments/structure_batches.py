@@ -11,12 +11,29 @@ from experiments.labelled_states import LabelledStructure, legal_actions
 from torch import Tensor
 
 from falsework.errors import InputError
-from falsework.learn.networks.contact_graph import PAIR_FEATURES, PART_FEATURES
+from falsework.learn.networks.contact_graph import PAIR_FEATURES, PART_FEATURES, ContactGraph
 from falsework.learn.networks.local_attention import GraphTensors, conditions
+from falsework.stability.verdict import Criterion
 from falsework.utils.tensors import put
 
 _SIZES = (12, 20, 32, 48, 72, 108, 160, 256, 1 << 30)
 """Largest numbers of parts of structures that are filled up to the same size."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchSettings:
+    """Size of the batches of a training."""
+
+    tokens: int = 65536
+    """Parts of all states of a batch."""
+    mix: int = 16
+    """Structures of a batch, at most; one may come twice."""
+
+    def check(self, *names: str) -> None:
+        """Raise unless the size and some other numbers are at least 1."""
+        for name in ("tokens", "mix", *names):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is {getattr(self, name)}; give at least 1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +109,28 @@ class StructureBatches:
         return group.draw(mix, max(1, tokens // (mix * group.parts)), generator)
 
 
+def filled(
+    tasks: Sequence[tuple[ContactGraph, int, Criterion]], parts: int, slots: int, device: torch.device
+) -> GraphTensors:
+    """Return the graphs of structures with their robots and criteria, filled up to some parts and neighbours."""
+    shape = len(tasks), parts
+    part = np.zeros((*shape, PART_FEATURES), dtype=np.float32)
+    neighbour, taken = np.zeros((*shape, slots), dtype=np.int64), np.zeros((*shape, slots), dtype=bool)
+    pair = np.zeros((*shape, slots, PAIR_FEATURES), dtype=np.float32)
+    lever = np.zeros((*shape, slots, 2), dtype=np.float32)
+    real, fixed = np.zeros(shape, dtype=bool), np.ones(shape, dtype=bool)
+    for row, (graph, _, _) in enumerate(tasks):
+        place = row, slice(graph.part_count), slice(graph.taken.shape[1])
+        neighbour[place], taken[place], pair[place] = graph.neighbour, graph.taken, graph.pair
+        lever[place], part[place[:2]] = graph.lever, graph.part
+        real[place[:2]], fixed[place[:2]] = True, graph.boundary
+    whole = np.stack([graph.whole for graph, _, _ in tasks])
+    asked = torch.stack([conditions(robots, criterion == "equilibrium") for _, robots, criterion in tasks])
+    robots = torch.tensor([float(robots) for _, robots, _ in tasks])
+    arrays = [put(one, device) for one in (part, neighbour, taken, pair, lever, whole, fixed, real)]
+    return GraphTensors(*[*arrays, asked.to(device), robots.to(device)])
+
+
 class _Group:
     """Structures filled up to one size."""
 
@@ -99,34 +138,8 @@ class _Group:
         self.count = len(structures)
         self.parts = max(one.graph.part_count for one in structures)
         slots = max(one.graph.taken.shape[1] for one in structures)
-        shape = self.count, self.parts
-        part = np.zeros((*shape, PART_FEATURES), dtype=np.float32)
-        neighbour, taken = np.zeros((*shape, slots), dtype=np.int64), np.zeros((*shape, slots), dtype=bool)
-        pair = np.zeros((*shape, slots, PAIR_FEATURES), dtype=np.float32)
-        lever = np.zeros((*shape, slots, 2), dtype=np.float32)
-        real, fixed = np.zeros(shape, dtype=bool), np.ones(shape, dtype=bool)
-        for row, one in enumerate(structures):
-            graph = one.graph
-            place = row, slice(graph.part_count), slice(graph.taken.shape[1])
-            neighbour[place], taken[place], pair[place] = graph.neighbour, graph.taken, graph.pair
-            lever[place], part[place[:2]] = graph.lever, graph.part
-            real[place[:2]], fixed[place[:2]] = True, graph.boundary
-        whole = np.stack([one.graph.whole for one in structures])
-        asked = torch.stack([conditions(one.robots, one.criterion == "equilibrium") for one in structures])
-        robots = torch.tensor([float(one.robots) for one in structures])
-        self._graph = GraphTensors(
-            put(part, device),
-            put(neighbour, device),
-            put(taken, device),
-            put(pair, device),
-            put(lever, device),
-            put(whole, device),
-            put(fixed, device),
-            put(real, device),
-            asked.to(device),
-            robots.to(device),
-        )
-
+        tasks = [(one.graph, one.robots, one.criterion) for one in structures]
+        self._graph = filled(tasks, self.parts, slots, device)
         counts = np.array([len(one.states) for one in structures])
         self.total = int(counts.sum())
         states = np.zeros((self.total, self.parts), dtype=np.uint8)

@@ -90,15 +90,17 @@ def _built_in(recipe: Callable[[Draw], str], draw: Draw) -> Assembly:
 
 
 _BUILT_IN = (_arch, _catenary, _wall, _dome, _vault, _stack, _corbel, _bottle, _polycube, _house)
-TRAINED: dict[str, Callable[[Draw], Assembly]] = {
+FAMILIES: dict[str, Callable[[Draw], Assembly]] = {
     **{recipe.__name__[1:]: partial(_built_in, recipe) for recipe in _BUILT_IN},
     **{family.__name__: family for family in (families.opening, families.chimney, families.voronoi, families.pile)},
-    "barrel": SHELLS["barrel"],
-    "arcade": SHELLS["arcade"],
+    **{name: SHELLS[name] for name in ("barrel", "arcade", "groin")},
+    **{family.__name__: family for family in (families.frame, families.sail)},
 }
-"""Families to train on, by name."""
-UNSEEN: dict[str, Callable[[Draw], Assembly]] = {"groin": SHELLS["groin"]}
+"""By name; what is drawn depends on the place in this list, so new ones come last."""
+UNSEEN = ("groin",)
 """Families that no training sees."""
+TRAINED = tuple(name for name in FAMILIES if name not in UNSEEN)
+"""Families to train on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,34 +115,39 @@ class GeneratedTask:
     criterion: Criterion
 
 
-def generated(number: int, choice: tuple[str, ...] = tuple(TRAINED)) -> GeneratedTask:
+def generated(number: int, choice: tuple[str, ...] = TRAINED) -> GeneratedTask:
     """Return the structure of a number.
 
     Args:
         number: zero or more.
-        choice: families, of `TRAINED` and `UNSEEN`, which take turns.
+        choice: families, which take turns.
 
     Raises:
         InputError: an unknown family, or a hundred draws none of which stands.
     """
-    known = {**TRAINED, **UNSEEN}
     for family in choice:
-        if family not in known:
-            raise InputError(f"no family of structures is called {family!r}; there are {', '.join(known)}")
+        if family not in FAMILIES:
+            raise InputError(f"no family of structures is called {family!r}; there are {', '.join(FAMILIES)}")
     family = choice[number % len(choice)]
-    draw = np.random.default_rng([number, tuple(known).index(family)])
+    draw = np.random.default_rng([number, tuple(FAMILIES).index(family)])
     robots = 1 + int(draw.choice(len(_ROBOTS), p=_ROBOTS))
     criterion: Criterion = "equilibrium" if draw.integers(2) else "contact"
     for _ in range(100):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ContactWarning)
             try:
-                assembly = known[family](draw).at_friction(float(draw.uniform(*_FRICTION)))
+                assembly = FAMILIES[family](draw).at_friction(float(draw.uniform(*_FRICTION)))
             except InputError:
                 continue
         if _LEAST <= int((~assembly.boundary).sum()) <= _MOST and stands(assembly, criterion):
             return GeneratedTask(f"{family}-{number}", family, assembly, robots, criterion)
     raise InputError(f"no draw of {family}-{number} stands and has {_LEAST} to {_MOST} parts")
+
+
+def named(name: str) -> GeneratedTask:
+    """Return the structure of a name such as `arch-17`."""
+    family, _, number = name.rpartition("-")
+    return generated(int(number), (family,))
 
 
 def stands(assembly: Assembly, criterion: Criterion) -> bool:

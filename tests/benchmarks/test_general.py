@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
-from experiments.general_cases import CASES, TESTED, evaluate_case
+import torch
+from experiments.general_cases import CASES, TESTED, VALIDATION, evaluate_case, guide_case
 from experiments.general_training import GeneralSettings, GeneralTraining
+from experiments.inference import Inference, RemotePolicy
 from experiments.structure_batches import StructureBatches
 from experiments.structure_generator import TRAINED, UNSEEN
-from general import PER_FILE, VALIDATION, Library, Options, card, case_label, number_of
+from general import PER_FILE, Library, Options, card, case_label, number_of
 
+from falsework import load_policy, load_structure
 from falsework.learn import PolicySettings
+from falsework.learn.networks.local_attention import LocalAttentionPolicy
 
 SMALL = PolicySettings("local", layers=1, channels=16, heads=2)
 
@@ -24,8 +29,8 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("general")
     library = Library(folder)
     for number in (0, 5, 8):
-        library.add(*case_label(number, None, None))
-    library.add(*case_label(VALIDATION, None, None))
+        library.add(*case_label(number))
+    library.add(*case_label(VALIDATION))
     library.add(17, None)
     library.save()
     training = GeneralTraining(folder, GeneralSettings(SMALL, steps=3, tokens=256))
@@ -45,7 +50,7 @@ def test_a_library_keeps_its_structures(trained: Path) -> None:
 
 def test_known_structures_are_improved_by_rollouts(trained: Path) -> None:
     known = Library.load(trained).structures[0]
-    number, again = case_label(0, known, trained)
+    number, again = case_label(0, known=known, folder=trained)
     assert number == 0
     assert again.success is not None
     assert (again.name, again.robots) == (known.name, known.robots)
@@ -53,7 +58,7 @@ def test_known_structures_are_improved_by_rollouts(trained: Path) -> None:
 
 def test_no_case_is_a_structure_of_training() -> None:
     groups = {case.group for case in CASES.values()}
-    assert groups == {"unseen member", "unseen family", "paper", "public"}
+    assert groups == {"validation", "unseen member", "unseen family", "paper", "public"}
     assert not set(TRAINED) & set(UNSEEN)
     for case in CASES.values():
         if case.group.startswith("unseen"):
@@ -61,12 +66,16 @@ def test_no_case_is_a_structure_of_training() -> None:
 
 
 def test_a_case_has_success_and_verdicts(trained: Path) -> None:
-    row = evaluate_case(f"stack-{TESTED}", trained, width=8, most=6)
+    policy = cast(LocalAttentionPolicy, load_policy(trained, "cpu", assembly=load_structure("arch")))
+    inference = Inference(policy.network, policy.settings, 1, torch.device("cpu"))
+    row = evaluate_case(f"stack-{TESTED}", RemotePolicy(inference.connections[0]), width=8, most=6)
+    inference.close()
     assert 0 <= row["greedy"] <= row["sampled"] <= 1
     assert row["states"] <= 8
-    assert row["plans"]["support"]["found"]
-    assert row["ratio"] is None or row["ratio"] > 0
-    json.dumps(row)
+    guided = guide_case(f"stack-{TESTED}", trained)
+    assert guided["plans"]["support"]["found"]
+    assert guided["ratio"] is None or guided["ratio"] > 0
+    json.dumps([row, guided])
 
 
 def test_the_card_is_made_of_the_evaluation(trained: Path, capsys: pytest.CaptureFixture) -> None:
