@@ -201,6 +201,17 @@ def test_a_burr_is_planned_and_checked() -> None:
     assert validate_plan(plan, assembly, settings).good
 
 
+@pytest.mark.parametrize("name", BURRS)
+def test_whole_burrs_are_planned_from_nothing_held(name: str) -> None:
+    """The first stick in its level, and no way longer."""
+    level, (sticks, first) = BURRS[name][1], opened(name)
+    assembly = structure(*(solid(stick, fixed=part == (first + 1) % 6) for part, stick in enumerate(sticks)))
+    settings = StabilitySettings(criterion="equilibrium")
+    (plan,) = find_plans(assembly, robots=5, moves=level, stability=settings).plans
+    assert max(map(len, plan.exit_paths)) == level
+    assert validate_plan(plan, assembly, settings).good
+
+
 PELIKAN = """
 00000000 00000000 00552200 00552200 00552200 00552200 00000000 00000000
 00000000 0......0 0...2..0 0......0 0......0 0.5.2..0 0......0 00000000
@@ -250,6 +261,15 @@ def test_the_pelikan_burr_has_its_level() -> None:
     found = PathSearch(alone, (3,), np.arange(7) == 0, (1, 2, 4, 5, 6))
     assert found.run(98).way is None, "one piece alone needs a move more"
     assert found.run(99).way is not None
+
+
+def test_the_pelikan_burr_is_planned_and_checked() -> None:
+    """Piece by piece; a way begins where all that are left are in place."""
+    assembly = structure(*(solid(cells, fixed=piece == 0) for piece, cells in enumerate(pelikan())))
+    settings = StabilitySettings(criterion="equilibrium")
+    (plan,) = find_plans(assembly, robots=6, moves=99, stability=settings, start=np.full(7, 2)).plans
+    assert sorted(map(len, plan.exit_paths)) == sorted([99, 15, 6, 5, 2, 0])
+    assert validate_plan(plan, assembly, settings).good
 
 
 @pytest.mark.parametrize("name", KEYED)

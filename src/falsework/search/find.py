@@ -61,7 +61,7 @@ PLANS = StabilitySettings(reserve=1.1)
 Backend = Literal["cpu", "cuda"]
 """Device that solves for the verdicts of a search: the processor, or a GPU for those asked for in batches."""
 _SHORT = 10_000
-"""Poses that a short search for a way in several moves tries."""
+"""Poses that a search for a way in several moves tries at first: most without a result go on for long, in vain."""
 _CHOICE_SECONDS = 1.0
 """Seconds in which to choose among plans where the deadline leaves less."""
 
@@ -139,8 +139,8 @@ def find_plans(
         weaker = replace(stability, reserve=1.0)
         first = StabilityOracle(assembly, stability)
         again = stability.reserve > 1.0 and first.replayer is not None
-        share = None if deadline is None else deadline - (time.perf_counter() - begun)  # ways out may take long
-        share = None if share is None else max(FIRST_SHARE * share if again else share, 1e-3)
+        share = None if deadline is None else max(deadline - (time.perf_counter() - begun), 1e-3)  # ways take time
+        share = FIRST_SHARE * share if again and share is not None else share
         found = find_plans(assembly, task, oracle=first, deadline=share, checkpoint=checkpoint, **more)
         left = None if deadline is None else deadline - (time.perf_counter() - begun)
         late = left is not None and left <= 0
@@ -153,7 +153,6 @@ def find_plans(
     clock = Deadline(deadline)
     task = task or make_task(assembly, 2 if robots is None else robots, **rules)
     if task.moves_out > 1 and task.clearance is not None and np.isinf(task.clearance.most) and checkpoint is None:
-        # Short searches for ways come first: most that end without one would go on for long, and are not needed.
         quick = replace(task, clearance=task.clearance.within(_SHORT))
         options: dict[str, Any] = {"settings": settings, "guide": guide, "progress": progress, "stop": stop}
         options |= {"deadline": deadline, "forces": forces, "backend": backend}

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from falsework.errors import InputError
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.plans.route_tests import RouteTests
-from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.guide import Guide, NoveltyGuide, SupportGuide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import (
@@ -30,7 +29,7 @@ from falsework.search.problem.result import (
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
-from falsework.search.strategies import EDGES, TOGETHER, Portfolio, Turn, regrasps, start
+from falsework.search.strategies import EDGES, TOGETHER, Pace, Portfolio, Turn, regrasps, start
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
@@ -40,8 +39,6 @@ MOST_FALLS = 64
 """Routes of one search, or plans with motions, whose replay may fail before it is given up."""
 _NUMBERS = "_round", "_turn", "_rank", "_high", "_trial_reached"
 """Numbers that say where a search stands."""
-_PIECES = 64
-"""Pieces of searches for ways out in the first turn of a strategy; each further turn has twice as many."""
 
 
 class Planner:
@@ -75,9 +72,8 @@ class Planner:
         """
         self.regrasps, self.together = regrasps(task, settings), task.together is not None
         """Whether plans may hold parts again, and whether steps may move several parts."""
-        self._pieces = np.inf
-        """Pieces of searches for ways out that are left in a turn."""
-        self.task = self._paced(task.judged_by(oracle))
+        self._pace = Pace(lambda: len(self._left) > 1)
+        self.task = self._pace.of(task.judged_by(oracle))
         self.settings = settings
         self.routes: list[Route] = []
         """Plans found so far; the first keeps missing parts out longest."""
@@ -253,7 +249,6 @@ class Planner:
             rules = self.task.postpone(self._trial), self._oracle, portfolio, self.settings.seed
             self._beams[name] = start(name, *rules, self.beam_guide)
         beam, turn, paused = self._beams[name], self._turns.setdefault(name, Turn()), False
-        self._pieces = _PIECES * 2**self._round
         others = [self._beams[other].work for other in self._left if other in self._beams and other != name]
         least = min(filter(None, others), default=np.inf)
 
@@ -263,9 +258,9 @@ class Planner:
             paused = portfolio.is_over(self._round, turn, beam.work, least)
             return paused or (stop is not None and stop())
 
-        result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
-        paused, self._pieces = paused or self._pieces < 0, np.inf
-        if paused and not result.found:
+        with self._pace.turn(self._round) as slow:
+            result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
+        if (paused or slow()) and not result.found:
             self._turn, turn.owed = self._turn + 1, 0.0
         elif result.interrupted:
             return True
@@ -276,20 +271,6 @@ class Planner:
         if self._turn >= len(self._left):
             self._round, self._turn = self._round + 1, 0
         return False
-
-    def _paced(self, task: Task) -> Task:
-        """Return a task whose searches for ways out end a turn that has made its pieces; they go on where they were."""
-        if task.clearance is None:
-            return task
-        given = task.clearance.check
-
-        def check() -> None:
-            given()
-            self._pieces -= 1
-            if self._pieces < 0 and len(self._left) > 1:
-                raise DeadlineExceeded
-
-        return task.until(check)
 
     def _drop_beams(self) -> None:
         """Forget the beams of a search that is over, but not the work that they did."""

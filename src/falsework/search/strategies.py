@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.regrasp_beam import RegraspBeam
 from falsework.search.beam.settings import WIDENING, BeamSettings
 from falsework.search.beam.state_beam import StateBeam
+from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.search import Search
@@ -37,6 +39,10 @@ _LEAD = 2
 399 parts with three and four robots, and on perturbed shells of 37 and 53 parts that the second strategy solves."""
 
 
+_PIECES = 64
+"""Pieces of searches for ways out in the first turn of a strategy; each further turn has twice as many."""
+
+
 @dataclass
 class Turn:
     """What a strategy asked for in its turn and how far it got, since the strategy began."""
@@ -52,6 +58,37 @@ class Turn:
         worth = _LEVEL_WORTH * width * max(search.level - self.level, 0)
         self.owed = max(self.owed + search.asked - self.asked - worth, 0.0)
         self.asked, self.level = search.asked, max(search.level, self.level)
+
+
+class Pace:
+    """Pieces of searches for ways out, after which the turn of a strategy is over too; they go on where they were."""
+
+    def __init__(self, others: Callable[[], bool]) -> None:
+        """Take what says whether there are other strategies."""
+        self._others, self._left = others, np.inf
+
+    def of(self, task: Task) -> Task:
+        """Return a task whose searches for ways keep the pace."""
+        if task.clearance is None:
+            return task
+        given = task.clearance.check
+
+        def check() -> None:
+            given()
+            self._left -= 1
+            if self._left < 0 and self._others():
+                raise DeadlineExceeded
+
+        return task.until(check)
+
+    @contextmanager
+    def turn(self, round: int) -> Iterator[Callable[[], bool]]:
+        """Count the pieces of a turn, of a round from 0; what it yields says whether they were too many."""
+        self._left = _PIECES * 2.0**round
+        try:
+            yield lambda: over
+        finally:
+            over, self._left = self._left < 0, np.inf
 
 
 @dataclass(frozen=True)

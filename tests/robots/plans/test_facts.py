@@ -24,7 +24,7 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.shapes import block
-from falsework.robots.plans.robot_plan import Partner, records_of
+from falsework.robots.plans.robot_plan import Keyframe, Partner, RobotStep, records_of
 from falsework.robots.plans.robot_plan_file import robot_plan_from_dict, robot_plan_to_dict
 from falsework.search.plans.plan_check import validate_plan
 from falsework.stability.holds import Press
@@ -312,11 +312,30 @@ def blocked(case: Case) -> Case:
     return case.in_cell(obstacles=(Obstacle("pillar", (block(tip - 0.03, tip + 0.03),)),))
 
 
+def lifted(case: Case) -> Case:
+    """Call the line on which a part leaves one on which it is moved aside, although no part needs that."""
+    plan, step = case.plan, case.plan.steps[REMOVE]
+    (line, *legs), frame = step.trajectories, plan.keyframes[REMOVE]
+    values, held = list(frame.configurations), list(frame.held)
+    carried: list[int | None] = [None] * len(held)
+    values[step.robot], held[step.robot], carried[step.robot] = line.positions[-1], None, line.part
+    aside = Keyframe(tuple(values), tuple(held), tuple(carried))
+    steps = (RobotStep(step.robot, (line,), transit=True), replace(step, trajectories=tuple(legs)))
+    forged = replace(
+        plan,
+        steps=(*plan.steps[:REMOVE], *steps, *plan.steps[REMOVE + 1 :]),
+        keyframes=(*plan.keyframes[: REMOVE + 1], aside, *plan.keyframes[REMOVE + 1 :]),
+        schedule=None,
+    )
+    return replace(case, plan=forged)
+
+
 FORGED: dict[str, Callable[[Case], Case | str]] = {
     "a part that has no straight way out follows the moves of its way, which is swept": lambda case: replace(
         case,
         plan=replace(case.plan, plan=replace(case.plan.plan, exit_paths=((UP,) * 4,) * len(case.plan.plan))),
     ),
+    "held parts are moved aside, and back, on the moves of a way alone": lifted,
     "robots move at the same instant only where each has a part that leaves or comes, and by one clock": (
         lambda case: case.stepped(HOLD, partners=(Partner(1, case.plan.steps[HOLD].trajectories),))
     ),
