@@ -1,76 +1,175 @@
-"""Searches over single states, each kept with the one that it was reached from, and with its contact history."""
+"""Best-first search over single states: with several parts in one step, or repeated holds."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from heapq import heapify, heappop, heappush, heapreplace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from falsework.assembly.state import States, state_of_key
+from falsework.assembly.state import HELD, States, state_of_key
+from falsework.errors import InputError
+from falsework.search.beam.nogoods import Jumps
 from falsework.search.beam.settings import MEMORY
+from falsework.search.problem.deadline import PIECE
+from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import CountingOracle, Oracle
-from falsework.search.problem.result import Progress, Route, SearchResult, Stop, unstable_end
+from falsework.search.problem.regrasp_moves import RegraspMoves
+from falsework.search.problem.result import (
+    REPORTED_STATES,
+    Outcome,
+    Progress,
+    Route,
+    SearchCounters,
+    SearchResult,
+    Stop,
+    beam_failure,
+    unstable_end,
+)
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
+from falsework.search.together.moves import TaskMoves
 
 if TYPE_CHECKING:
     from falsework.stability.contact.history import History
     from falsework.stability.contact.varied_replay import AnyReplayer
 
 
+@dataclass(eq=False)
+class _Steps:
+    """Steps from a state to others with as many parts."""
+
+    origin: bytes
+    """The state; empty where there is none before."""
+    after: States
+    """States that they lead to, best first, shape (steps, parts)."""
+    fixes: list[bool]
+    """Which only fix parts."""
+    worth: list[tuple[float, ...]]
+    """Of each state; the least comes first."""
+    at: int = 0
+    """The first that waits."""
+
+
+_Heap = list[tuple[tuple[float, ...], int, _Steps]]
+
+
 class StateSearch(Search):
-    """Search over single states, each kept with the one that it was reached from."""
+    """Best-first search over single states, until none is left.
 
-    width: float
-    """States, or sets of parts, that are kept of those equally far away."""
+    A state is the better the more parts are removed, or in assembly placed; then the smaller
+    `RegraspMoves.burden`, then by the guide's score of the step that leads to it. The best one is judged, and the
+    states that steps lead to from it wait for their turns. None is judged twice. Where none is left of those with the
+    most parts removed, the search jumps back over levels as `LevelSearch` does over choices; the states that it leaves
+    out come last. So a search that ends has examined every state.
+    """
 
-    def __init__(self, task: Task, oracle: Oracle, direction: Direction, *, batch: int = 1024) -> None:
-        """Begin at the origin of a direction; of some verdicts that are asked for at once, `batch` are given at a time.
+    def __init__(
+        self,
+        task: Task,
+        oracle: Oracle,
+        direction: Direction = Direction.DISASSEMBLY,
+        *,
+        guide: Guide | None = None,
+        state_limit: int = 200_000,
+    ) -> None:
+        """Begin at the origin of a direction.
 
-        In the order of assembly, states come with their contact history, and those that do not come to rest are
+        In the order of assembly states come with their contact history, and those that do not come to rest are
         dropped.
+
+        Args:
+            task: rules between start and target.
+            oracle: decides stability.
+            direction: end to begin at.
+            guide: scores actions.
+            state_limit: give up once more states than this were found.
+
+        Raises:
+            InputError: a limit below one.
         """
+        if state_limit < 1:
+            raise InputError(f"a limit of {state_limit} states allows no search; give at least 1")
         self.task, self.direction = task.judged_by(oracle), direction
-        self.judge = CountingOracle(oracle, batch=batch)
-        self._oracle = oracle
+        self.judge, self._oracle = CountingOracle(oracle), oracle
+        self._replayer = oracle.replayer if direction is Direction.ASSEMBLY else None
+        if self._replayer is not None:
+            self.judge.replayed = True
+            self.task = replace(self.task, holds_keep_stable=True)  # a part that is fixed changes no force
+        self.moves = TaskMoves(self.task, oracle)
+        self._counts = RegraspMoves(self.task)
+        self._guide, self._limit = guide, state_limit
         self._stable: dict[bytes, bool] = {}
         """Verdicts so far."""
-        self._forget()
+        self._kept = self._seen = 0
+        self._farthest, self._deepest, self._rejected = 0, list[bytes](), list[bytes]()
+        self._begin()
 
-    def _forget(self) -> None:
+    def _begin(self) -> None:
         """Begin anew without states; verdicts are kept."""
+        origin = self.task.origin(self.direction)
         self.parent: dict[bytes, bytes] = {}
         """States found to be stable, each with the one that it was reached from, empty for the origin."""
-        replayer = self._oracle.replayer if self.direction is Direction.ASSEMBLY else None
-        self._histories = None if replayer is None else PathHistories(replayer, self.parent)
-
-    @abstractmethod
-    def _restart(self, width: float) -> None:
-        """Begin again with some width; verdicts are kept."""
+        self._histories = None if self._replayer is None else PathHistories(self._replayer, self.parent)
+        self._stable[origin.tobytes()] = True
+        self._waiting: dict[int, _Heap] = {0: [((), 0, _Steps(b"", origin[None], [True], [()]))]}
+        """By the parts removed, or placed: states that wait for their turns."""
+        self._left_out: list[tuple[int, _Heap]] = []
+        """Of these, those that jumps left out."""
+        self._jumps, self._level = Jumps(), 0
+        self._refused = False
+        """Whether a state did not come to rest on the path by which it was reached."""
 
     def forbid(self, states: States) -> None:
         """Exclude states and restart; the search then proves nothing. See `Search.forbid`."""
         excluded = [state.tobytes() for state in states]
         self.judge.forbidden.update(excluded)
         self._stable.update(dict.fromkeys(excluded, False))
-        self._forget()
-        self._restart(self.width)
-
-    def _open(self) -> tuple[int, int]:
-        return self.judge.undecided, self.judge.sliding + len(self.judge.forbidden)
+        self._begin()
 
     @property
     def found(self) -> bool:
         """See `Search.found`."""
         return self.task.goal(self.direction).tobytes() in self.parent
 
+    @property
+    def gave_up(self) -> bool:
+        """Whether the limit on states was exceeded."""
+        return len(self.parent) > self._limit
+
+    @property
+    def done(self) -> bool:
+        """See `Search.done`."""
+        return self.found or self.gave_up or not self._waiting
+
+    @property
+    def examined_all(self) -> bool:
+        """See `Search.examined_all`."""
+        return not (self._waiting or self._refused or self.gave_up or self.judge.forbidden)
+
+    @property
+    def steps(self) -> int:
+        """With repeated holds two for each part to be removed, which every plan needs at least."""
+        return self.task.steps if self.moves.again is None else 2 * self._counts.removals
+
+    @property
+    def counters(self) -> SearchCounters:
+        """See `Search.counters`."""
+        return SearchCounters(self._kept, self._seen, self.judge.asked, self.judge.rejected, self.judge.work)
+
     def run(self, widest: int = 0, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
         """See `Search.run`."""
+        self.moves.stop = stop
         failed = unstable_end(self.task, self._oracle)
         return failed or super().run(widest, progress=progress, stop=stop)
+
+    def step(self) -> bool:
+        """Judge the best states up to the first that stands, a few at most."""
+        return any(self._examine() for _ in range(PIECE) if self._waiting)
 
     def route(self) -> Route:
         """See `Search.route`."""
@@ -82,6 +181,129 @@ class StateSearch(Search):
 
     def _of_keys(self, keys: Sequence[bytes]) -> States:
         return np.array([state_of_key(key) for key in keys], dtype=np.uint8).reshape(-1, self.task.part_count)
+
+    def _failure(self) -> tuple[Outcome, str]:
+        if self.gave_up:
+            again, several = self.moves.again is not None, self.moves.largest > 1
+            more = " with holding again" * again + f" with up to {self.moves.largest} parts at once" * several
+            return Outcome.NOT_FOUND, f"gave up after {self._limit} states{more}"
+        return beam_failure(0, True, *self._open(), self.moves.caveat)
+
+    def _open(self) -> tuple[int, int]:
+        return self.judge.undecided, self.judge.sliding + len(self.judge.forbidden)
+
+    def _farthest_states(self) -> tuple[int, States, States]:
+        deepest, rejected = (self._of_keys(keys[:REPORTED_STATES]) for keys in (self._deepest, self._rejected))
+        return self._farthest, deepest, rejected
+
+    def _place(self) -> tuple[int, int, int]:
+        return 2 * self._level, len(self.parent), 0
+
+    def _notes(self, outcome: Outcome) -> tuple[str, ...]:
+        # Where a disassembly ends, turns or ways in several moves might lead on.
+        ends = outcome is Outcome.PROVED_IMPOSSIBLE and self.direction is Direction.DISASSEMBLY and not self._rejected
+        told = ends and self.moves.again is None
+        return (self.moves.first_motions(state_of_key(self._deepest[0])),) if told else ()
+
+    def _moved(self, states: States) -> NDArray[np.int64]:
+        """Return how many parts are removed, or in assembly placed, shape (batch,)."""
+        removed = self._counts.removed(states)
+        return removed if self.direction is Direction.DISASSEMBLY else self._counts.removals - removed
+
+    def _reached(self, state: States) -> int:
+        """Return how far a state, shape (parts,), is from the origin, of `steps`."""
+        if self.moves.again is not None:
+            return 2 * int(self._moved(state))
+        return abs(int(self.task.steps_done(state) - self.task.steps_done(self.task.origin(self.direction))))
+
+    def _examine(self) -> bool:
+        """Judge the best state that waits; where it stands, have the steps out of it wait. Return whether it does."""
+        self._level = level = max(self._waiting)
+        _, number, steps = self._waiting[level][0]
+        state, before = steps.after[steps.at], steps.origin
+        key = state.tobytes()
+        new = key not in self.parent
+        stands = new and self._stands(key, before, fixed=steps.fixes[steps.at])
+        following = self._following(state) if stands else []
+        # An interruption before leaves the state to the next run.
+        steps.at += 1
+        if steps.at < len(steps.after):
+            heapreplace(self._waiting[level], (steps.worth[steps.at], number, steps))
+        else:
+            heappop(self._waiting[level])
+        if new:
+            self._note(key, before, self._reached(state), stands=stands)
+        for to, some in following:
+            self._seen += len(some.after)
+            heappush(self._waiting.setdefault(to, []), (some.worth[0], self._seen, some))
+        if not self._waiting[level]:
+            del self._waiting[level]
+            if max(self._waiting, default=-1) < level:
+                self._jump_back(level)
+        return stands
+
+    def _jump_back(self, level: int) -> None:
+        """Leave out the levels before one of which no state is left, as many as `Jumps` says; at last take them up."""
+        back = level - self._jumps.distance(level)
+        self._jumps.since += 1
+        self._left_out += [(number, self._waiting.pop(number)) for number in [*self._waiting] if number > back]
+        if not self._waiting:
+            for number, heap in self._left_out:
+                self._waiting.setdefault(number, []).extend(heap)
+            for heap in self._waiting.values():
+                heapify(heap)
+            self._left_out, self._jumps = [], Jumps()
+
+    def _stands(self, key: bytes, before: bytes, *, fixed: bool) -> bool:
+        """Return whether a state reached from another is stable, and at rest with its contact history too."""
+        state = state_of_key(key)[None]
+        if key not in self._stable:
+            free = fixed and self.task.holds_keep_stable
+            self._stable[key] = free or bool(self.judge.stable(state, state_of_key(before)[None])[0])
+        if not self._stable[key] or self._histories is None or not before:
+            return self._stable[key]
+        if self._histories.reaches(before, state[0]):
+            return True
+        self._refused = True
+        self.judge.sliding += 1
+        return False
+
+    def _note(self, key: bytes, before: bytes, reached: int, *, stands: bool) -> None:
+        """Keep a state that stands, or note one that does not."""
+        if stands:
+            self.parent[key] = before
+            self._kept += 1
+        if stands and reached > self._farthest:
+            self._farthest, self._deepest, self._rejected = reached, [], []
+        if stands and reached == self._farthest:
+            self._deepest.append(key)
+        elif not stands and reached > self._farthest:
+            self._rejected.append(key)
+
+    def _following(self, state: States) -> list[tuple[int, _Steps]]:
+        """Return the steps from a state that lead to new ones, by how many parts are removed or placed after them."""
+        _, after, actions = self.moves.after(state[None], self.direction)
+        new = np.array([one.tobytes() not in self.parent for one in after], dtype=bool)
+        after, actions, counts = after[new], actions[new], self._counts
+        moved = self._moved(after)
+        lacking = (after != self.task.goal(self.direction)).sum(axis=1)
+        burden = np.where(moved == counts.removals, lacking, counts.burden(after))
+        rank = [burden, -self._scores(state, actions)]
+        fixes = ((after == state) | (after == HELD)).all(axis=1)
+        order, found = np.lexsort(rank[::-1]), []
+        for level in np.unique(moved).tolist():
+            rows = order[moved[order] == level]
+            worth = list(zip(*(values[rows].tolist() for values in rank), strict=True))
+            found.append((level, _Steps(state.tobytes(), after[rows], fixes[rows].tolist(), worth)))
+        return found
+
+    def _scores(self, state: States, actions: NDArray[np.int64]) -> NDArray[np.floating]:
+        """Return the guide's scores of steps from a state; a set counts as the part by which it is named."""
+        if self._guide is None:
+            return np.zeros(len(actions))
+        allowed = np.zeros((1, 2 * self.task.part_count), dtype=bool)
+        allowed[0, actions] = True
+        return np.asarray(self._guide(state[None], allowed, self.direction))[0, actions].astype(np.float64)
 
 
 class PathHistories:
@@ -97,42 +319,34 @@ class PathHistories:
         self._replayer, self._parent = replayer, parent
         self._known: OrderedDict[bytes, History] = OrderedDict()
 
-    def along(self, origin: bytes, states: Sequence[States]) -> list[History] | None:
-        """Return the histories after each of some moves from a state; None where one does not come to rest."""
-        history, before = self._of(origin), state_of_key(origin)
-        found = []
-        for after in states:
-            stands, history = (False, None) if history is None else self._replayer.step(history, before, after)
-            if not stands or history is None:
-                return None
-            found.append(history)
-            before = after
-        return found
+    def reaches(self, before: bytes, after: States) -> bool:
+        """Return whether the step from one state to another comes to rest; keep the history if so."""
+        return self._step(self._of(before), before, after.tobytes()) is not None
 
-    def keep(self, states: Sequence[States], histories: Sequence[History]) -> None:
-        """Store the histories of states that were reached for the first time."""
-        for state, history in zip(states, histories, strict=True):
-            self._known.setdefault(state.tobytes(), history)
-        while histories and len(self._known) > max(MEMORY // max(histories[-1].nbytes, 1), 4):
+    def _step(self, history: History | None, before: bytes, after: bytes) -> History | None:
+        """Return the history after a step, which is kept; None where it does not come to rest."""
+        if history is None:
+            return None
+        rests, history = self._replayer.step(history, state_of_key(before), state_of_key(after))
+        if not rests:
+            return None
+        self._known[after] = history
+        while len(self._known) > max(MEMORY // max(history.nbytes, 1), 4):
             self._known.popitem(last=False)
+        return history
 
     def _of(self, state: bytes) -> History | None:
         """Return the history of a state, along its path from the last state whose history is known."""
         path = [state]
         while path[-1] not in self._known and self._parent[path[-1]]:
             path.append(self._parent[path[-1]])
-        first = path.pop()
-        if first not in self._known:
-            start = self._replayer.replay(state_of_key(first)[None])
+        before = path.pop()
+        history = self._known.get(before)
+        if history is None:
+            start = self._replayer.replay(state_of_key(before)[None])
             if not start.histories:
                 return None
-            self._known[first] = start.histories[0]
-        states = [state_of_key(key) for key in reversed(path)]
-        history = self._known[first]
-        if states:
-            found = self.along(first, states)
-            if found is None:
-                return None
-            self.keep(states, found)
-            history = found[-1]
+            history = self._known[before] = start.histories[0]
+        for after in reversed(path):
+            history, before = self._step(history, before, after), after
         return history
