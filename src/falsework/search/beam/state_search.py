@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from heapq import heapify, heappop, heappush, heapreplace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +12,11 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, States, state_of_key
 from falsework.errors import InputError
 from falsework.search.beam.nogoods import Jumps
-from falsework.search.beam.settings import MEMORY
+from falsework.search.beam.paths import PathHistories
 from falsework.search.problem.deadline import PIECE
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import CountingOracle, Oracle
+from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.regrasp_moves import RegraspMoves
 from falsework.search.problem.result import (
     REPORTED_STATES,
@@ -33,10 +32,6 @@ from falsework.search.problem.result import (
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 from falsework.search.together.moves import TaskMoves
-
-if TYPE_CHECKING:
-    from falsework.stability.contact.history import History
-    from falsework.stability.contact.varied_replay import AnyReplayer
 
 
 @dataclass(eq=False)
@@ -114,7 +109,9 @@ class StateSearch(Search):
         origin = self.task.origin(self.direction)
         self.parent: dict[bytes, bytes] = {}
         """States found to be stable, each with the one that it was reached from, empty for the origin."""
-        self._histories = None if self._replayer is None else PathHistories(self._replayer, self.parent)
+        self._histories = None
+        if self._replayer is not None:
+            self._histories = PathHistories(self._replayer, lambda key: self.parent[key] or None, state_of_key)
         self._stable[origin.tobytes()] = True
         self._waiting: dict[int, _Heap] = {0: [((), 0, _Steps(b"", origin[None], [True], [()]))]}
         """By the parts removed, or placed: states that wait for their turns."""
@@ -174,6 +171,11 @@ class StateSearch(Search):
     def route(self) -> Route:
         """See `Search.route`."""
         return Route.back_from(self.task.goal(self.direction), self.parent, self.direction)
+
+    def replay_summary(self) -> PlanReplay | None:
+        """See `Search.replay_summary`."""
+        goal = self.task.goal(self.direction).tobytes()
+        return self._histories.summary(goal) if self.found and self._histories is not None else None
 
     def states(self) -> States:
         """See `Search.states`."""
@@ -262,7 +264,9 @@ class StateSearch(Search):
             self._stable[key] = free or bool(self.judge.stable(state, state_of_key(before)[None])[0])
         if not self._stable[key] or self._histories is None or not before:
             return self._stable[key]
-        if self._histories.reaches(before, state[0]):
+        history = self._histories.step(before, state[0])
+        if history is not None:
+            self._histories.keep(key, history)
             return True
         self._refused = True
         self.judge.sliding += 1
@@ -304,49 +308,3 @@ class StateSearch(Search):
         allowed = np.zeros((1, 2 * self.task.part_count), dtype=bool)
         allowed[0, actions] = True
         return np.asarray(self._guide(state[None], allowed, self.direction))[0, actions].astype(np.float64)
-
-
-class PathHistories:
-    """Contact history of each state, along the path by which it was reached first."""
-
-    def __init__(self, replayer: AnyReplayer, parent: Mapping[bytes, bytes]) -> None:
-        """Begin with nothing.
-
-        Args:
-            replayer: of the structure.
-            parent: state that each state was reached from, empty for the origin; the search that owns it adds to it.
-        """
-        self._replayer, self._parent = replayer, parent
-        self._known: OrderedDict[bytes, History] = OrderedDict()
-
-    def reaches(self, before: bytes, after: States) -> bool:
-        """Return whether the step from one state to another comes to rest; keep the history if so."""
-        return self._step(self._of(before), before, after.tobytes()) is not None
-
-    def _step(self, history: History | None, before: bytes, after: bytes) -> History | None:
-        """Return the history after a step, which is kept; None where it does not come to rest."""
-        if history is None:
-            return None
-        rests, history = self._replayer.step(history, state_of_key(before), state_of_key(after))
-        if not rests:
-            return None
-        self._known[after] = history
-        while len(self._known) > max(MEMORY // max(history.nbytes, 1), 4):
-            self._known.popitem(last=False)
-        return history
-
-    def _of(self, state: bytes) -> History | None:
-        """Return the history of a state, along its path from the last state whose history is known."""
-        path = [state]
-        while path[-1] not in self._known and self._parent[path[-1]]:
-            path.append(self._parent[path[-1]])
-        before = path.pop()
-        history = self._known.get(before)
-        if history is None:
-            start = self._replayer.replay(state_of_key(before)[None])
-            if not start.histories:
-                return None
-            history = self._known[before] = start.histories[0]
-        for after in reversed(path):
-            history, before = self._step(history, before, after), after
-        return history
