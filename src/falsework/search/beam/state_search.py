@@ -9,7 +9,7 @@ from heapq import heapify, heappop, heappush, heapreplace
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, States, state_of_key
+from falsework.assembly.state import HELD, Mask, States, state_of_key
 from falsework.errors import InputError
 from falsework.search.beam.nogoods import Jumps
 from falsework.search.beam.paths import PathHistories
@@ -36,18 +36,42 @@ from falsework.search.together.moves import TaskMoves
 
 @dataclass(eq=False)
 class _Steps:
-    """Steps from a state to others with as many parts."""
+    """Steps from a state to others with as many parts, best first, stored as what they change."""
 
     origin: bytes
     """The state; empty where there is none before."""
-    after: States
-    """States that they lead to, best first, shape (steps, parts)."""
-    fixes: list[bool]
-    """Which only fix parts."""
-    worth: list[tuple[float, ...]]
-    """Of each state; the least comes first."""
+    part: NDArray[np.int32]
+    """Parts that change, those of one step after those of another."""
+    value: NDArray[np.uint8]
+    """Their values after it."""
+    begin: NDArray[np.int32]
+    """Place of the first part of each step, and the number of all, shape (steps + 1,)."""
+    fixes: Mask
+    """Which steps only fix parts, shape (steps,)."""
+    rank: NDArray[np.float64]
+    """What decides their order, the least first, shape (steps, keys)."""
     at: int = 0
     """The first that waits."""
+
+    @classmethod
+    def from_states(cls, origin: States, after: States, fixes: Mask, rank: NDArray[np.float64]) -> _Steps:
+        """Return the steps from a state, shape (parts,), to others, shape (steps, parts)."""
+        row, part = np.nonzero(after != origin)
+        begin = np.searchsorted(row, np.arange(len(after) + 1)).astype(np.int32)
+        return cls(origin.tobytes(), part.astype(np.int32), after[row, part], begin, fixes, rank)
+
+    @property
+    def state(self) -> States:
+        """State that the first step leads to, shape (parts,)."""
+        state = state_of_key(self.origin).copy() if self.origin else np.zeros(len(self.part), np.uint8)
+        changes = slice(self.begin[self.at], self.begin[self.at + 1])
+        state[self.part[changes]] = self.value[changes]
+        return state
+
+    @property
+    def worth(self) -> tuple[float, ...]:
+        """Rank of the first step."""
+        return tuple(self.rank[self.at].tolist())
 
 
 _Heap = list[tuple[tuple[float, ...], int, _Steps]]
@@ -113,7 +137,9 @@ class StateSearch(Search):
         if self._replayer is not None:
             self._histories = PathHistories(self._replayer, lambda key: self.parent[key] or None, state_of_key)
         self._stable[origin.tobytes()] = True
-        self._waiting: dict[int, _Heap] = {0: [((), 0, _Steps(b"", origin[None], [True], [()]))]}
+        ends = np.array([0, len(origin)], np.int32)
+        first = _Steps(b"", np.arange(len(origin), dtype=np.int32), origin, ends, np.ones(1, bool), np.zeros((1, 0)))
+        self._waiting: dict[int, _Heap] = {0: [((), 0, first)]}
         """By the parts removed, or placed: states that wait for their turns."""
         self._left_out: list[tuple[int, _Heap]] = []
         """Of these, those that jumps left out."""
@@ -222,22 +248,22 @@ class StateSearch(Search):
         """Judge the best state that waits; where it stands, have the steps out of it wait. Return whether it does."""
         self._level = level = max(self._waiting)
         _, number, steps = self._waiting[level][0]
-        state, before = steps.after[steps.at], steps.origin
+        state, before = steps.state, steps.origin
         key = state.tobytes()
-        new = key not in self.parent
-        stands = new and self._stands(key, before, fixed=steps.fixes[steps.at])
+        new = key not in self.parent and self._stable.get(key, True)
+        stands = new and self._stands(key, before, fixed=bool(steps.fixes[steps.at]))
         following = self._following(state) if stands else []
         # An interruption before leaves the state to the next run.
         steps.at += 1
-        if steps.at < len(steps.after):
-            heapreplace(self._waiting[level], (steps.worth[steps.at], number, steps))
+        if steps.at < len(steps.fixes):
+            heapreplace(self._waiting[level], (steps.worth, number, steps))
         else:
             heappop(self._waiting[level])
         if new:
             self._note(key, before, self._reached(state), stands=stands)
         for to, some in following:
-            self._seen += len(some.after)
-            heappush(self._waiting.setdefault(to, []), (some.worth[0], self._seen, some))
+            self._seen += len(some.fixes)
+            heappush(self._waiting.setdefault(to, []), (some.worth, self._seen, some))
         if not self._waiting[level]:
             del self._waiting[level]
             if max(self._waiting, default=-1) < level:
@@ -292,13 +318,12 @@ class StateSearch(Search):
         moved = self._moved(after)
         lacking = (after != self.task.goal(self.direction)).sum(axis=1)
         burden = np.where(moved == counts.removals, lacking, counts.burden(after))
-        rank = [burden, -self._scores(state, actions)]
+        rank = np.stack([burden, -self._scores(state, actions)], axis=1)
         fixes = ((after == state) | (after == HELD)).all(axis=1)
-        order, found = np.lexsort(rank[::-1]), []
+        order, found = np.lexsort(rank.T[::-1]), []
         for level in np.unique(moved).tolist():
             rows = order[moved[order] == level]
-            worth = list(zip(*(values[rows].tolist() for values in rank), strict=True))
-            found.append((level, _Steps(state.tobytes(), after[rows], fixes[rows].tolist(), worth)))
+            found.append((level, _Steps.from_states(state, after[rows], fixes[rows], rank[rows])))
         return found
 
     def _scores(self, state: States, actions: NDArray[np.int64]) -> NDArray[np.floating]:
