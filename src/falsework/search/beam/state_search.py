@@ -80,11 +80,11 @@ _Heap = list[tuple[tuple[float, ...], int, _Steps]]
 class StateSearch(Search):
     """Best-first search over single states, until none is left.
 
-    A state is the better the more parts are removed, or in assembly placed; then the smaller
-    `RegraspMoves.burden`, then by the guide's score of the step that leads to it. The best one is judged, and the
-    states that steps lead to from it wait for their turns. None is judged twice. Where none is left of those with the
-    most parts removed, the search jumps back over levels as `LevelSearch` does over choices; the states that it leaves
-    out come last. So a search that ends has examined every state.
+    A state is the better the more parts are removed, or in assembly placed; then the smaller `RegraspMoves.burden`, and
+    then by the guide's score of the step that leads to it. The best one is judged, and the states that steps lead to
+    from it wait for their turns. None is judged twice. Where none is left of those with the most parts removed, the
+    search jumps back over levels as `LevelSearch` does over choices; the states that it leaves out come last. So a
+    search that ends has examined every state.
     """
 
     def __init__(
@@ -172,7 +172,12 @@ class StateSearch(Search):
     @property
     def examined_all(self) -> bool:
         """See `Search.examined_all`."""
-        return not (self._waiting or self._refused or self.gave_up or self.judge.forbidden)
+        return not (self._waiting or self._as_built or self.gave_up or self.judge.forbidden)
+
+    @property
+    def _as_built(self) -> bool:
+        """Whether states were rejected as they are built, which may stand otherwise."""
+        return self._refused or (self.judge.replayed and self.judge.rejected > 0)
 
     @property
     def steps(self) -> int:
@@ -215,7 +220,10 @@ class StateSearch(Search):
             again, several = self.moves.again is not None, self.moves.largest > 1
             more = " with holding again" * again + f" with up to {self.moves.largest} parts at once" * several
             return Outcome.NOT_FOUND, f"gave up after {self._limit} states{more}"
-        return beam_failure(0, True, *self._open(), self.moves.caveat)
+        outcome, limit = beam_failure(0, True, *self._open(), self.moves.caveat)
+        if self._as_built and not limit:
+            return Outcome.NOT_FOUND, "states were examined as they are built, which proves nothing of others"
+        return outcome, limit
 
     def _open(self) -> tuple[int, int]:
         return self.judge.undecided, self.judge.sliding + len(self.judge.forbidden)
