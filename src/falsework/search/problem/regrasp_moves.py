@@ -42,9 +42,9 @@ class RegraspMoves:
         return ((states == HELD) & self._counted).sum(axis=-1)
 
     def burden(self, states: States) -> NDArray[np.int64]:
-        """Return the number of held parts, and twice that of props that are not under held parts, shape (batch,)."""
+        """Return the number of held parts, and of props that are not under held parts, shape (batch,)."""
         props, above = states[..., self._props] != REMOVED, states[..., list(self.task.props)]
-        return self.held(states) + 2 * (props & (above != HELD)).sum(axis=-1)
+        return self.held(states) + (props & (above != HELD)).sum(axis=-1)
 
     def removed(self, states: States) -> NDArray[np.int64]:
         """Return the number of parts removed since the start, shape (batch,)."""
