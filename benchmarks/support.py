@@ -43,7 +43,7 @@ from falsework.assembly import prop_places, with_props
 from falsework.assembly.props import keep_props
 from falsework.errors import AssemblyError
 from falsework.search import ExhaustiveSearch
-from falsework.search.beam.state_beam import StateBeam
+from falsework.search.beam.state_search import StateSearch
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.problem.result import SearchResult
@@ -160,7 +160,7 @@ def exhaustively(options: Options, assembly: Assembly, props: int | None) -> int
             result = ExhaustiveSearch(make_task(assembly, robots), oracle, state_limit=STATES).run(stop=stop).result
         else:
             task = make_task(assembly, robots, allow_regrasp=True, props=props)
-            result = StateBeam(task, oracle, state_limit=STATES).run(stop=stop)
+            result = StateSearch(task, oracle, state_limit=STATES).run(stop=stop)
         if result.found:
             return robots
         # Even where a state slides, which is no proof, the search has visited everything that it may.

@@ -12,7 +12,6 @@ import pytest
 
 from falsework import (
     Assembly,
-    Direction,
     Outcome,
     PlannerSettings,
     StabilityOracle,
@@ -34,30 +33,17 @@ from falsework.stability.settings import EQUILIBRIUM
 
 
 def test_an_arch_needs_two(small_arch: Assembly, arch_oracle: StabilityOracle) -> None:
-    """One robot has nothing left to hold once it has removed a part, and no arch stands without a part."""
+    """One robot has nothing left to hold while it places a part, and no stone of the arch stands alone."""
     answer = min_robots(small_arch, oracle=arch_oracle)
     assert (answer.value, answer.bound, answer.proven) == (2, 2, True)
     assert answer.plan is not None
     assert answer.plan.robots == 2
     assert validate_plan(answer.plan, small_arch, arch_oracle.settings).good
     assert answer.barrier is not None
-    assert (answer.barrier.robots, answer.barrier.parts, answer.barrier.end) == (1, 1, Direction.DISASSEMBLY)
+    assert answer.barrier.robots == 1
+    assert set(answer.barrier.core) <= set(np.flatnonzero(~small_arch.boundary).tolist())
     census = ExhaustiveSearch(make_task(small_arch, 1), StabilityOracle(small_arch, EQUILIBRIUM)).run()
     assert census.result.outcome is Outcome.PROVED_IMPOSSIBLE
-
-
-@pytest.mark.parametrize("structure", ["arch:blocks=5", "arch:blocks=7", "house", "bottle"])
-def test_no_barrier_where_there_is_a_plan(structure: str) -> None:
-    """The bound is a necessary condition: what an exhaustive search under equilibrium can do, it never refutes."""
-    assembly = load_structure(structure)
-    oracle = StabilityOracle(assembly, EQUILIBRIUM)
-    for robots in (1, 2):
-        task = make_task(assembly, robots)
-        barrier = HoldBound(assembly, task, oracle.settings, Deadline()).barrier(robots, 300)
-        if barrier is not None:
-            assert not find_plans(assembly, task, oracle=oracle).found
-        else:
-            assert robots == 2 or structure in ("house", "bottle")
 
 
 @pytest.mark.parametrize("structure", ["arch:blocks=5", "arch:blocks=7", "house", "bottle", "dome:rings=2,blocks=5"])
@@ -83,9 +69,9 @@ def test_two_robots_cannot_close_the_top_ring(public_structure_path: Callable[[s
     """
     assembly = load_structure(public_structure_path("dome-90"))
     oracle = StabilityOracle(assembly)
-    barrier = HoldBound(assembly, make_task(assembly), oracle.settings, Deadline()).barrier(2, 90)
+    barrier = HoldBound(assembly, make_task(assembly), oracle.settings, Deadline()).barrier(2)
     assert barrier is not None
-    assert (barrier.robots, barrier.parts, barrier.core) == (2, 2, tuple(range(80, 90)))
+    assert (barrier.robots, barrier.core) == (2, tuple(range(80, 90)))
     assert barrier.to_dict()["core"] == list(barrier.core)
     assert "of the 10 parts 80, 81, 82, 83, 84 and 5 more" in barrier.text
     rng = np.random.default_rng(0)
@@ -161,7 +147,7 @@ def test_the_deadline_ends_every_search() -> None:
     assert planning.result.interrupted
     assert not planning.plans
     with pytest.raises(DeadlineExceeded):
-        HoldBound(assembly, make_task(assembly), StabilitySettings(), Deadline(1e-9)).barrier(1, 10)
+        HoldBound(assembly, make_task(assembly), StabilitySettings(), Deadline(1e-9)).barrier(1)
 
 
 def test_an_interruption_leaves_the_best_so_far(small_arch: Assembly, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,13 +186,13 @@ def test_a_plan_with_too_few_robots_ends_with_the_proof(
 def test_a_search_that_pauses_for_the_bound_finds_the_same_plan(
     small_arch: Assembly, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    core_barrier, asked = HoldBound.core_barrier, list[int]()
+    barrier, asked = HoldBound.barrier, list[int]()
 
     def counted(bound: HoldBound, robots: int) -> Any:
         asked.append(robots)
-        return core_barrier(bound, robots)
+        return barrier(bound, robots)
 
-    monkeypatch.setattr(HoldBound, "core_barrier", counted)
+    monkeypatch.setattr(HoldBound, "barrier", counted)
     usual = find_plans(small_arch)
     assert asked == []
     paused = find_plans(small_arch, settings=PlannerSettings(bound_after=0.0))
@@ -218,7 +204,7 @@ def test_an_interruption_in_the_bound(small_arch: Assembly, monkeypatch: pytest.
     def interrupted(bound: HoldBound, robots: int) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(HoldBound, "core_barrier", interrupted)
+    monkeypatch.setattr(HoldBound, "barrier", interrupted)
     planning = find_plans(small_arch, settings=PlannerSettings(bound_after=0.0))
     assert planning.result.interrupted
     assert not planning.found

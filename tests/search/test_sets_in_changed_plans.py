@@ -13,7 +13,7 @@ from falsework.assembly.library import shelf as built_in_shelf
 from falsework.assembly.props import prop_places, with_props
 from falsework.replanning import difference
 from falsework.replanning.since import SiteSteps
-from falsework.search.beam.state_beam import StateBeam
+from falsework.search.beam.state_search import StateSearch
 from falsework.search.plans.alternatives import order_distance
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.result import Route
@@ -129,7 +129,7 @@ def test_props_and_repeated_holds_with_several_parts(shelf: Assembly) -> None:
     assert found.value is not None
     assert found.value.parts_at_once == 2
     task = make_task(propped, 1, parts_at_once=2, allow_regrasp=True, props=1)
-    search = StateBeam(task, EveryStateStands())
+    search = StateSearch(task, EveryStateStands())
     assert search.run().found
     bare = shelf.part_count
     for before, after in pairwise(search.route().states):
@@ -139,7 +139,7 @@ def test_props_and_repeated_holds_with_several_parts(shelf: Assembly) -> None:
             assert not standing & set(gone.tolist())
     bars, frame = three_bars()
     locked = make_task(assembly_of(bars, frame), 2, parts_at_once=2, allow_regrasp=True)
-    assert StateBeam(locked, EveryStateStands()).run().outcome is Outcome.PROVED_IMPOSSIBLE
+    assert StateSearch(locked, EveryStateStands()).run().outcome is Outcome.PROVED_IMPOSSIBLE
 
 
 def test_a_timeline_goes_on_with_sets(shelf: Assembly, plan: Plan) -> None:

@@ -39,7 +39,7 @@ from falsework.errors import AssemblyError, InputError, PlanError
 from falsework.interop.instruction_table import instructions_csv
 from falsework.interop.tracks import tracks_of
 from falsework.search import Demands, ExhaustiveSearch, Oracle
-from falsework.search.beam.state_beam import StateBeam
+from falsework.search.beam.state_search import StateSearch
 from falsework.search.margins.demands import MarginOracle
 from falsework.search.plans import plan_rules
 from falsework.search.plans.plan_check import validate_plan
@@ -305,7 +305,7 @@ def test_three_parts_that_leave_only_together(robots: int) -> None:
     bars, frame = three_bars()
     assembly = assembly_of(bars, frame)
     assert Enumeration(bars, robots, 2, fixed=frame).plans() == 0
-    two = StateBeam(make_task(assembly, robots, parts_at_once=2), EveryStateStands(), width=1)
+    two = StateSearch(make_task(assembly, robots, parts_at_once=2), EveryStateStands())
     result = two.run(64)
     assert result.outcome is Outcome.PROVED_IMPOSSIBLE
     assert result.notes == ("no part there, and no set of up to 2, can begin to move, not even by turning",)
@@ -331,7 +331,7 @@ def test_beams_find_a_plan_where_there_is_one(seed: int, count: int, possible: b
     assembly = assembly_of(pieces)
     expected = Enumeration(pieces, 1, 2).plans() > 0
     assert possible is None or expected == possible
-    beam = StateBeam(make_task(assembly, 1, parts_at_once=2), EveryStateStands(), direction, width=1)
+    beam = StateSearch(make_task(assembly, 1, parts_at_once=2), EveryStateStands(), direction)
     result = beam.run(64)
     assert result.found == expected
     assert beam.examined_all or expected

@@ -369,7 +369,7 @@ def _run(
         return result
     test, begun = bound(), time.perf_counter()
     try:
-        barrier = test.core_barrier(task.robots)
+        barrier = test.barrier(task.robots)
     except DeadlineExceeded:
         barrier = None
     except KeyboardInterrupt:

@@ -36,8 +36,6 @@ _FIRST_SHARE, _BELOW_SHARE = 0.1, 0.5
 one robot fewer before refuting that."""
 _SPAN = 4
 """Numbers of robots that are tried at first, one after the other; in each further round one more."""
-_QUICK, _THOROUGH = 1, 10_000
-"""Verdicts per part spent on the bound before the search for a plan, and after a plan with one robot more."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,7 +55,7 @@ class MinRobots(Result[int]):
     certain: bool = True
     """Whether that is proven; not where the start or the target was found to slide."""
     barrier: Barrier | None = None
-    """Sets of parts that `bound - 1` robots cannot cross, where that is the proof."""
+    """Parts that `bound - 1` robots cannot place, where that is the proof."""
     verdicts: int = 0
     """Verdicts requested."""
     seconds: float = 0.0
@@ -243,7 +241,7 @@ class _Query:
         while self._plan is None and not all(self._over(n) for n in range(self._least, self._most + 1)):
             for number in range(self._least, min(self._least + span, self._most + 1)):
                 # If a number is not refuted, no larger one is.
-                if number == self._least and self._refuted(number, _QUICK):
+                if number == self._least and self._refuted(number):
                     continue
                 if self._plan is None and not self._over(number):
                     self._look(number, min(_FIRST_SHARE * self._left, seconds))
@@ -254,7 +252,7 @@ class _Query:
                 self._look(below, min(_BELOW_SHARE * self._left, seconds))
             if self._plan.robots <= below:
                 continue
-            if not self._refuted(below, _THOROUGH) and not self._over(below):
+            if not self._refuted(below) and not self._over(below):
                 self._look(below, np.inf)
             if self._plan.robots > below:
                 return
@@ -263,13 +261,13 @@ class _Query:
         """Return whether a search with so many robots is at its end."""
         return robots in self._planners and self._planners[robots].done
 
-    def _refuted(self, robots: int, budget: int) -> bool:
-        """Return whether it is proven that no plan exists with so many robots, after another attempt if need be."""
+    def _refuted(self, robots: int) -> bool:
+        """Return whether it is proven that no plan exists with so many robots."""
         if robots < self._least:
             return True
         if self._task.prop_limit or self._task.together is not None:  # which the bound does not cover
             return False
-        barrier = self._bound.barrier(robots, budget * self._assembly.part_count)
+        barrier = self._bound.barrier(robots)
         if barrier is None:
             return False
         self._refute(robots, barrier.text)

@@ -11,9 +11,8 @@ import numpy as np
 from falsework.assembly.state import held_count
 from falsework.errors import InputError
 from falsework.search.beam.beam import BeamSearch
-from falsework.search.beam.regrasp_beam import RegraspBeam
 from falsework.search.beam.settings import WIDENING, BeamSettings
-from falsework.search.beam.state_beam import StateBeam
+from falsework.search.beam.state_search import StateSearch
 from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import Oracle
@@ -24,11 +23,10 @@ from falsework.search.settings import PlannerSettings
 EDGES = "edges"
 """Beam that closes free edges first, see `EdgeGuide`."""
 REGRASP = "regrasp-"
-"""Before the name of a direction: beam in which parts may be held again."""
-EVERYWHERE = "everywhere"
-"""Exhaustive search in which parts may be held again. Beams are named after their direction."""
+"""Before the name of a direction: search through single states in which parts may be held again."""
 TOGETHER = "together-"
-"""Before the name of a direction: beam in which steps may move several parts, at last without a limit."""
+"""Before the name of a direction: search through single states in which steps may move several parts. Beams are named
+after their direction."""
 
 _LEVEL_WORTH = 4
 """Verdicts for each state kept at a level that the search for it may cost: some two to three times what it costs where
@@ -149,8 +147,8 @@ class Portfolio:
         patience = settings.patience * task.part_count
         if regrasps(task, settings):
             again = [REGRASP + name for name in names]
-            once = names[:1] if (STAGE[task.target] >= STAGE[task.start]).all() else []
-            return cls((again[0], EVERYWHERE, *again[1:], *once, *(sets if once else ())), 1, settings.width, patience)
+            once = [*names[:1], *sets] if (STAGE[task.target] >= STAGE[task.start]).all() else []
+            return cls((*again, *once), 1, settings.width, patience)
         names += sets  # plans that move one part at a time come first, as they are simpler
         if edges and Direction.ASSEMBLY in settings.directions:
             names.insert(0, EDGES)
@@ -177,8 +175,6 @@ def regrasps(task: Task, settings: PlannerSettings) -> bool:
 
 def direction_of(name: str) -> Direction:
     """Return the direction in which a strategy searches."""
-    if name == EVERYWHERE:
-        return Direction.DISASSEMBLY
     return Direction.ASSEMBLY if name == EDGES else Direction(name.removeprefix(REGRASP).removeprefix(TOGETHER))
 
 
@@ -192,13 +188,10 @@ def start(
 ) -> Search:
     """Return a strategy at its beginning; `guide_of` returns the guide of each."""
     direction, guide = direction_of(name), guide_of(name)
-    if name == EVERYWHERE:
-        return StateBeam(task, oracle)
     if name.startswith(REGRASP):
-        assert guide is not None
-        return RegraspBeam(task, oracle, direction, guide=guide, width=portfolio.narrowest)
+        return StateSearch(task, oracle, direction, guide=guide)
+    once = replace(task, allow_regrasp=False)
     if name.startswith(TOGETHER):
-        once = replace(task, allow_regrasp=False)
-        return StateBeam(once, oracle, direction, guide=guide, width=portfolio.narrowest)
+        return StateSearch(once, oracle, direction, guide=guide)
     settings = BeamSettings.from_width(portfolio.narrowest, direction, seed=seed)
-    return BeamSearch(replace(task, allow_regrasp=False, together=None), oracle, settings, guide=guide)
+    return BeamSearch(replace(once, together=None), oracle, settings, guide=guide)

@@ -62,23 +62,6 @@ def same(a: Plan, b: Plan) -> bool:
     )
 
 
-def test_plans_of_version_1_are_under_equilibrium(small_arch: Assembly, tmp_path: Path) -> None:
-    oracle = StabilityOracle(small_arch, EQUILIBRIUM)
-    made = find_plans(small_arch, oracle=oracle).plans[0]
-    assert made.replay is None
-    save_plan(made, tmp_path / "plan.json", proofs=True)
-    content = json.loads((tmp_path / "plan.json").read_text())
-    content |= {"format": "falsework.plan/1", "direction": "assembly"}
-    for later in ("criterion", "stiffness_ratio", "reserve"):
-        del content["stability"][later]
-    content["stability"]["tolerance"] = 1e-3  # m/s2 then
-    (tmp_path / "old.json").write_text(json.dumps(content))
-    old = load_plan(tmp_path / "old.json")
-    assert old.claim == made.claim
-    assert validate_plan(old, small_arch, EQUILIBRIUM).good
-    assert "claims equilibrium only" in validate_plan(old, small_arch).reason
-
-
 def test_every_state_is_proven_anew(plan: Plan, small_arch: Assembly) -> None:
     report = validate_plan(plan, small_arch)
     assert report.good

@@ -19,7 +19,7 @@ from msgspec import structs
 
 from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, Task, find_plans, load_structure
 from falsework.assembly import prop_places, with_props
-from falsework.errors import InputError, PlanError, ReadWarning
+from falsework.errors import InputError, PlanError
 from falsework.geometry import TriangleMesh
 from falsework.search import Demands, PlanMargins
 from falsework.search.plans import plan_check
@@ -379,12 +379,12 @@ def test_what_a_plan_says_of_the_structure_must_be_so(plan: Plan, change: Any, m
 def test_free_parts_that_a_plan_calls_boundary_support_nothing() -> None:
     """The keystone of an arch in mid-air, with one robot."""
     assembly = load_structure("arch:blocks=5")
-    record = {"verdict": "stable", "proof": "displacement", "residual": 0.0}
+    record = {"verdict": "stable", "proof": "history", "residual": 0.0}
     claim = plan_to_dict(find_plans(load_structure(SPEC)).plans[0])["stability"]
     steps = [{"do": do, "part": part, **record} for part in (1, 3, 0, 4) for do in ("hold", "remove")]
     structure = {"name": assembly.name, "identity": assembly.identity, "friction": 0.55, "boundary": [2, 5, 6]}
     forged = {
-        "format": "falsework.plan/2",
+        "format": "falsework.plan/3",
         "direction": "disassembly",
         "structure": {**structure, "parts": list(assembly.names), "source": {"built_in": "arch:blocks=5"}},
         "robots": 1,
@@ -519,17 +519,6 @@ def test_a_certificate_that_proves_nothing_is_no_good(plan: Plan, value: float, 
     assert "is not proven: the displacements in the plan prove nothing: " in report.reason
     short = replace(plan, displacement=plan.displacement[:-1], margins=None)
     assert "displacements of shape" in validate_plan(short, load_structure(SPEC)).reason
-
-
-def test_certificates_of_version_2_are_left_out_with_a_warning(data: dict[str, Any]) -> None:
-    """They prove single states from rest: a check that is silent about them seems to have looked at them."""
-    old = json.loads(json.dumps(data).replace('"history"', '"displacement"'))
-    old |= {"format": "falsework.plan/2", "direction": "assembly"}
-    for entry in ("reserve", "holds"):
-        del old["stability"][entry]
-    old["displacements"] = {"parts": 5, "zlib_base64": "no proof"}
-    with pytest.warns(ReadWarning, match="displacements of plans of version 2 prove single states and no build"):
-        assert plan_from_dict(old).displacement is None
 
 
 def test_an_unstable_state_is_told_from_a_wrong_certificate(plan: Plan) -> None:

@@ -30,7 +30,7 @@ from falsework.assembly import prop_places, with_props
 from falsework.assembly.props import keep_props
 from falsework.errors import AssemblyError, InputError, PlanError
 from falsework.interop.tracks import tracks_of
-from falsework.search.beam.state_beam import StateBeam
+from falsework.search.beam.state_search import StateSearch
 from falsework.search.find import prove_route
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict, save_plan
@@ -103,7 +103,7 @@ def test_from_and_to_states_with_holds(small_arch: Assembly, arch_oracle: Stabil
 def test_no_plan_is_proven(small_arch: Assembly, arch_oracle: StabilityOracle) -> None:
     """With one robot the arch falls at the first stone; the search with holding again says so, for two states too."""
     equilibrium = StabilityOracle(small_arch, replace(arch_oracle.settings, criterion="equilibrium", cone=None))
-    result = StateBeam(make_task(small_arch, 1, allow_regrasp=True), equilibrium).run()
+    result = StateSearch(make_task(small_arch, 1, allow_regrasp=True), equilibrium).run()
     assert result.outcome is Outcome.PROVED_IMPOSSIBLE
     assert result.reached == 0
     answer = min_robots(small_arch, oracle=arch_oracle, allow_regrasp=True)
@@ -111,11 +111,11 @@ def test_no_plan_is_proven(small_arch: Assembly, arch_oracle: StabilityOracle) -
 
 
 def test_a_limit_on_states(small_arch: Assembly, arch_oracle: StabilityOracle) -> None:
-    result = StateBeam(make_task(small_arch, 2, allow_regrasp=True), arch_oracle, state_limit=5).run()
+    result = StateSearch(make_task(small_arch, 2, allow_regrasp=True), arch_oracle, state_limit=5).run()
     assert result.outcome is Outcome.NOT_FOUND
     assert "gave up after 5 states" in result.limit
     with pytest.raises(InputError, match="a limit of 0 states"):
-        StateBeam(make_task(small_arch, 2, allow_regrasp=True), arch_oracle, state_limit=0)
+        StateSearch(make_task(small_arch, 2, allow_regrasp=True), arch_oracle, state_limit=0)
 
 
 def test_what_does_not_go_together(small_arch: Assembly, tmp_path: Path) -> None:

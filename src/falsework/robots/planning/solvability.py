@@ -24,7 +24,7 @@ from falsework.robots.keyframes.joint_holds import HoldingOracle, JointHolds
 from falsework.robots.keyframes.keyframes import set_action, state_after
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
-from falsework.search.beam.state_beam import StateBeam
+from falsework.search.beam.state_search import StateSearch
 from falsework.search.planner import MOST_FALLS, Planner
 from falsework.search.plans.acceptance import Acceptance
 from falsework.search.problem.guide import Guide, SupportGuide
@@ -269,7 +269,7 @@ class SolvabilityCheck:
         """Return a beam over the states of a task, by default with the guide of this search."""
         guide = guide or self._guide
         if task.together is not None:
-            return StateBeam(replace(task, allow_regrasp=False), self.oracle, direction, guide=guide, width=1)
+            return StateSearch(replace(task, allow_regrasp=False), self.oracle, direction, guide=guide)
         return BeamSearch(task, self.oracle, BeamSettings.from_width(1, direction, seed=seed), guide=guide)
 
     def _search(self, beam: Search, widest: int, verdicts: float = np.inf) -> Sequence[Route]:

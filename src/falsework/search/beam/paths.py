@@ -1,14 +1,16 @@
-"""Paths by which a beam reaches its states: deferred verdicts, and in the order of assembly contact histories."""
+"""Paths by which a search reaches its states: deferred verdicts, and in the order of assembly contact histories."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.search.beam.frontier import Frontier, Level, PackedLevel, Rows
+from falsework.search.beam.settings import MEMORY
 from falsework.search.problem.oracle import CountingOracle
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.contact.build_verifier import StepCertificate
@@ -18,8 +20,104 @@ if TYPE_CHECKING:
     from falsework.stability.contact.varied_replay import AnyReplayer
 
 Array = NDArray[np.float64]
+K = TypeVar("K")
 
 _NOTHING: Array = np.zeros((0, 0, 6))
+
+
+class PathHistories(Generic[K]):
+    """Contact histories of states along the paths by which a search reached them; the oldest are forgotten first."""
+
+    def __init__(
+        self,
+        replayer: AnyReplayer,
+        before: Callable[[K], K | None],
+        state: Callable[[K], States],
+        room: int = MEMORY,
+    ) -> None:
+        """Begin with nothing.
+
+        Args:
+            replayer: of the structure.
+            before: returns what names the state from which a state was reached; None for the first.
+            state: returns the state of a name, shape (parts,).
+            room: memory for histories, bytes.
+        """
+        self._replayer, self._before, self._state, self._room = replayer, before, state, room
+        self._known: dict[K, History | None] = {}
+        """None where the path to a state does not come to rest."""
+        self._steps: dict[K, tuple[float, int, StepCertificate]] = {}
+        """Of the states at rest: the largest movement of a part, that part, and the certificate of the step, whose
+        displacement is empty beyond the memory for them."""
+        self._still = _NOTHING
+
+    def step(self, before: K, after: States) -> History | None:
+        """Return the history of a state reached from another; None where the path to it does not come to rest."""
+        history = self._of(before)
+        if history is None:
+            return None
+        rests, history = self._replayer.step(history, self._state(before), after)
+        return history if rests else None
+
+    def keep(self, name: K, history: History | None) -> None:
+        """Remember the history of a state."""
+        self._known[name] = history
+        if history is None:
+            return
+        step = StepCertificate(self._kept(history.track), history.torn.copy(), history.presses)
+        self._steps[name] = history.moved, history.part, step
+        while len(self._known) > max(self._room // max(history.nbytes, 1), 4):
+            del self._known[next(iter(self._known))]
+
+    def forget(self, gone: Callable[[K], bool]) -> None:
+        """Forget states that are no longer reached as they were."""
+        for known in (self._known, self._steps):
+            for name in [name for name in known if gone(name)]:
+                del known[name]
+
+    def summary(self, last: K) -> PlanReplay | None:
+        """Return the replay of the path to a state; None where it does not come to rest."""
+        if self._of(last) is None:
+            return None
+        most: tuple[float, int] = (0.0, -1)
+        steps: list[StepCertificate] = []
+        name: K | None = last
+        while name is not None:
+            moved, part, step = self._steps[name]
+            most = max(most, (moved, part))
+            steps.append(step)
+            name = self._before(name)
+        steps.reverse()
+        known = all(len(step.displacement) for step in steps)
+        return PlanReplay(True, *most, None, tuple(step.presses for step in steps), tuple(steps) if known else ())
+
+    def _of(self, name: K) -> History | None:
+        """Return the history of a state, along its path from the last state whose history is known."""
+        path = [name]
+        while path[-1] not in self._known and (before := self._before(path[-1])) is not None:
+            path.append(before)
+        last = path.pop()
+        if last not in self._known:
+            start = self._replayer.replay(self._state(last)[None])
+            self.keep(last, start.histories[0] if start.histories else None)
+        history = self._known[last]
+        for after in reversed(path):
+            if history is not None:
+                rests, history = self._replayer.step(history, self._state(last), self._state(after))
+                history = history if rests else None
+            self.keep(after, history)
+            last = after
+        return history
+
+    def _kept(self, track: Array | None) -> Array:
+        """Return the displacement of a step to keep: most steps only hold a part, and share one of zeros."""
+        if track is None or len(self._steps) * track.nbytes > 2 * self._room:
+            return _NOTHING
+        if track.any():
+            return track.copy()
+        if self._still.shape != track.shape:
+            self._still = np.zeros_like(track)
+        return self._still
 
 
 class BeamPaths:
@@ -40,18 +138,21 @@ class BeamPaths:
             replayer: of the structure; None where contact histories do not matter.
             history_bytes: memory for histories.
         """
-        self._history_bytes = history_bytes
-        self._levels, self._judge, self._replayer = levels, judge, replayer
+        self._levels, self._judge = levels, judge
         self.refused = False
         """Whether a candidate for the next level failed the test of its path."""
         self._next: dict[int, History] = {}
         """Histories of candidates for the next level."""
-        self._most: float = np.inf
-        self._still = _NOTHING
-        self._known: list[dict[int, History | None]] = []
-        self._known_steps: list[dict[int, tuple[float, int, StepCertificate]]] = []
-        """Of the states at rest: the largest movement of a part, that part, and the certificate of the step, whose
-        displacement is empty beyond the memory for them."""
+        self._histories: PathHistories[tuple[int, int]] | None = None
+        """By level and row."""
+        if replayer is not None:
+            self._histories = PathHistories(
+                replayer, self._before, lambda at: levels[at[0]].states[at[1]], history_bytes
+            )
+
+    def _before(self, at: tuple[int, int]) -> tuple[int, int] | None:
+        level, row = at
+        return (level - 1, int(self._levels[level].parent[row])) if level else None
 
     def stable_ancestors(self) -> States:
         """Return for each state of the last level the nearest on the path to it that is known to be stable."""
@@ -88,100 +189,33 @@ class BeamPaths:
     def verifier(self, frontier: Frontier, rows: Rows) -> Mask:
         """Return which stable candidates are reached by paths that are stable too, and come to rest. Shape (rows,)."""
         good = self.stable(frontier.parent(rows))
-        if self._replayer is not None and good.any():
+        if self._histories is not None and good.any():
             rows, level = rows[good], len(self._levels) - 1
             rests = np.zeros(len(rows), dtype=bool)
-            origins = self._levels[level].states
             for k, (row, origin, state) in enumerate(
                 zip(rows, frontier.parent(rows), frontier.states(rows), strict=True)
             ):
-                history = self._history(level, int(origin))
+                history = self._histories.step((level, int(origin)), state)
                 if history is not None:
-                    rests[k], after = self._replayer.step(history, origins[origin], state)
-                    if rests[k]:
-                        self._next[int(row)] = after
+                    rests[k], self._next[int(row)] = True, history
             self._judge.sliding += int((~rests).sum())
             good[good] = rests
         self.refused = self.refused or not good.all()
         return good
 
     def keep(self, rows: Rows) -> None:
-        """Take over the histories of the candidates that became the last level, and forget the earliest beyond room."""
+        """Take over the histories of the candidates that became the last level."""
         for place, row in enumerate(rows.tolist()):
-            if row in self._next:
-                self._put(len(self._levels) - 1, place, self._next[row])
+            if self._histories is not None and row in self._next:
+                self._histories.keep((len(self._levels) - 1, place), self._next[row])
         self._next = {}
-        count = sum(map(len, self._known))
-        for known in self._known[1:-1]:
-            if count <= self._most:
-                break
-            count -= len(known)
-            known.clear()
 
     def rewind(self, level: int) -> None:
         """Forget all levels after `level`."""
         self._next = {}
-        del self._known[level + 1 :], self._known_steps[level + 1 :]
+        if self._histories is not None:
+            self._histories.forget(lambda at: at[0] > level)
 
     def summary(self) -> PlanReplay | None:
         """Return the replay of the path to the first state of the last level; None where it does not come to rest."""
-        row, level = 0, len(self._levels) - 1
-        if self._replayer is None or self._history(level, row) is None:
-            return None
-        most: tuple[float, int] = (0.0, -1)
-        steps: list[StepCertificate] = []
-        for number in range(level, -1, -1):
-            moved, part, step = self._known_steps[number][row]
-            most = max(most, (moved, part))
-            steps.append(step)
-            row = int(self._levels[number].parent[row])
-        steps.reverse()
-        known = all(len(step.displacement) for step in steps)
-        presses = tuple(step.presses for step in steps)
-        return PlanReplay(True, *most, None, presses, tuple(steps) if known else ())
-
-    def _history(self, level: int, row: int) -> History | None:
-        """Return the history of a state of a level; None where the path to it does not stand."""
-        replayer = self._replayer
-        assert replayer is not None
-        self._fit(len(self._levels))
-        path = [row]  # back to a state whose history is known, or to the first level
-        while path[-1] not in self._known[level + 1 - len(path)] and len(path) <= level:
-            path.append(int(self._levels[level + 1 - len(path)].parent[path[-1]]))
-        first = level + 1 - len(path)
-        if path[-1] not in self._known[first]:
-            start = replayer.replay(self._levels[0].states[path[-1]][None])
-            self._put(0, path[-1], start.histories[0] if start.histories else None)
-        history = self._known[first][path[-1]]
-        for at in range(first + 1, level + 1):
-            before, after = path[level + 1 - at], path[level - at]
-            if history is not None:
-                states = self._levels[at - 1].states[before], self._levels[at].states[after]
-                rests, history = replayer.step(history, *states)
-                history = history if rests else None
-            self._put(at, after, history)
-        return history
-
-    def _put(self, level: int, row: int, history: History | None) -> None:
-        """Remember the history of a state, None where the path to it does not stand."""
-        self._fit(level + 1)
-        self._known[level][row] = history
-        if history is not None:
-            self._most = self._history_bytes // max(history.nbytes, 1)
-            step = StepCertificate(self._kept(history.track), history.torn.copy(), history.presses)
-            self._known_steps[level][row] = history.moved, history.part, step
-
-    def _kept(self, track: Array | None) -> Array:
-        """Return the displacement of a step to keep: most steps only hold a part, and share one of zeros."""
-        if track is None or len(self._levels) * track.nbytes > 2 * self._history_bytes:
-            return _NOTHING
-        if track.any():
-            return track.copy()
-        if self._still.shape != track.shape:
-            self._still = np.zeros_like(track)
-        return self._still
-
-    def _fit(self, count: int) -> None:
-        """Make room for the histories of `count` levels."""
-        self._known.extend({} for _ in range(count - len(self._known)))
-        self._known_steps.extend({} for _ in range(count - len(self._known_steps)))
+        return None if self._histories is None else self._histories.summary((len(self._levels) - 1, 0))

@@ -1,44 +1,25 @@
-"""Plan files of older versions, converted to the newest one."""
+"""Plan files of the former version, converted to the newest one."""
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
-from falsework.errors import ReadWarning
 from falsework.search.plans.plan_model import FORMAT, UNPROVEN
 from falsework.search.plans.steps import Action
 from falsework.stability.holds import HoldMode
-from falsework.stability.stiffness import TANGENTIAL_RATIO
 
 THIRD_FORMAT = "falsework.plan/3"
-"""Plans of version 3 and before are in the order of assembly or of disassembly, and say in which. They say only whether
-robots press, under force control, and not what they bear."""
-SECOND_FORMAT = "falsework.plan/2"
-"""Plans of version 2 are for robots that hold parts rigidly, without limits, and never press; under `contact` each of
-their states was proved from rest."""
-FIRST_FORMAT = "falsework.plan/1"
-"""Plans of version 1 are under the criterion `equilibrium` and carry no replay."""
-
-_SHARE = 0.1
-"""Shares of gravity in 1 m/s2, rounded down."""
+"""Plans of version 3 are in the order of assembly or of disassembly, and say in which. They say only whether robots
+press, under force control, and not what they bear."""
 
 
-def upgraded(data: dict[str, Any], source: str) -> tuple[dict[str, Any], bool | None]:
-    """Return a plan of any version in the newest one; malformed entries are left for the reader to report.
-
-    Args:
-        data: entries of the file.
-        source: name of the file in warnings.
+def upgraded(data: dict[str, Any]) -> tuple[dict[str, Any], bool | None]:
+    """Return a plan of either version in the newest one; malformed entries are left for the reader to report.
 
     Returns:
         The entries, and whether the packed proofs among them are still in the order of disassembly; None for a plan
         in neither order.
     """
-    if data.get("format") == FIRST_FORMAT:
-        data = _from_version_1(data)
-    if data.get("format") == SECOND_FORMAT:
-        data = _from_version_2(data, source)
     if data.get("format") != THIRD_FORMAT:
         return data, False
     direction = data.get("direction")
@@ -48,39 +29,6 @@ def upgraded(data: dict[str, Any], source: str) -> tuple[dict[str, Any], bool | 
     data["stability"] = _with_mode(data.get("stability"))
     backwards = direction == "disassembly"
     return _reversed(data) if backwards else data, backwards
-
-
-def _from_version_1(data: dict[str, Any]) -> dict[str, Any]:
-    """Convert a plan of version 1 to version 2; malformed entries are left for the reader to report."""
-    # Version 1 gave residuals and tolerance in m/s2, of which a tenth is about a share of gravity.
-    stability, start, steps = data.get("stability"), data.get("start"), data.get("steps")
-    if isinstance(stability, dict):
-        stability = {"criterion": "equilibrium", "stiffness_ratio": TANGENTIAL_RATIO} | stability
-        if isinstance(stability.get("tolerance"), (int, float)):
-            stability["tolerance"] *= _SHARE
-    if isinstance(steps, list):
-        steps = [_scaled(step) for step in steps]
-    return data | {"format": SECOND_FORMAT, "stability": stability, "start": _scaled(start), "steps": steps}
-
-
-def _from_version_2(data: dict[str, Any], source: str) -> dict[str, Any]:
-    """Convert a plan of version 2; proofs of single states from rest are left out, they prove no build."""
-    stability = data.get("stability")
-    if isinstance(stability, dict):
-        stability = stability | {"reserve": 1.0}
-        if stability.get("criterion") == "contact":
-            stability["holds"] = {"stiffness": None, "force": None, "moment": None, "press": False}
-            if "displacements" in data:
-                warnings.warn(
-                    f"{source}: displacements of plans of version 2 prove single states and no build: left out",
-                    ReadWarning,
-                    stacklevel=5,
-                )
-            data = {key: value for key, value in data.items() if key != "displacements"}
-            data["start"] = _from_rest(data.get("start"))
-            if isinstance(data.get("steps"), list):
-                data["steps"] = [_from_rest(step) for step in data["steps"]]
-    return data | {"format": THIRD_FORMAT, "stability": stability}
 
 
 def _with_mode(stability: Any) -> Any:
@@ -117,14 +65,3 @@ def _reversed(data: dict[str, Any]) -> dict[str, Any]:
 
 def _undone(word: Any) -> Any:
     return Action(word).undone.value if isinstance(word, str) and word in set(Action) else word
-
-
-def _from_rest(record: Any) -> Any:
-    known = isinstance(record, dict) and record.get("proof") == "displacement"
-    return record | {"proof": "history"} if known else record
-
-
-def _scaled(record: Any) -> Any:
-    if not isinstance(record, dict) or not isinstance(record.get("residual"), (int, float)):
-        return record
-    return record | {"residual": record["residual"] * _SHARE}

@@ -59,7 +59,7 @@ class PlanReader:
             PlanError: they are no plan; the message names the entry.
         """
         self._about = f"{source} is not a valid plan: "
-        data, self._backwards = upgraded(data, source) if isinstance(data, dict) else (data, False)
+        data, self._backwards = upgraded(data) if isinstance(data, dict) else (data, False)
         if self._backwards is None:
             self._fail(f"direction is {data.get('direction')!r}", "it must be disassembly or assembly")
         check_format(data, FORMAT, self._about, "falsework plan")

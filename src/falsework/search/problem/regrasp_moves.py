@@ -41,9 +41,10 @@ class RegraspMoves:
         """Return the number of parts that robots hold, shape (batch,)."""
         return ((states == HELD) & self._counted).sum(axis=-1)
 
-    def standing(self, states: States) -> NDArray[np.int64]:
-        """Return the number of props in place, shape (batch,)."""
-        return (states[..., self._props] != REMOVED).sum(axis=-1)
+    def burden(self, states: States) -> NDArray[np.int64]:
+        """Return the number of held parts, and of props that are not under held parts, shape (batch,)."""
+        props, above = states[..., self._props] != REMOVED, states[..., list(self.task.props)]
+        return self.held(states) + (props & (above != HELD)).sum(axis=-1)
 
     def removed(self, states: States) -> NDArray[np.int64]:
         """Return the number of parts removed since the start, shape (batch,)."""

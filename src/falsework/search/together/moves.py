@@ -46,8 +46,7 @@ class TaskMoves:
 
         Args:
             states: shape (batch, parts).
-            direction: in disassembly steps lead out of the states; in assembly they are undone. With repeated holds
-                and several parts in one step, disassembly alone.
+            direction: in disassembly steps lead out of the states; in assembly they are undone.
 
         Raises:
             DeadlineExceeded: `stop` returned true.
@@ -120,7 +119,8 @@ class TaskMoves:
     def _insertions(self, state: States) -> Iterator[tuple[States, int]]:
         if self._rule is None:
             return
-        free = self.task.robots - int(held_count(state[None], self.task.boundary)[0])
+        moving = np.arange(len(state)) < self._bare  # props are no parts that robots hold
+        free = self.task.robots - int(held_count(state[None], self.task.boundary | ~moving)[0])
         for parts in self.sets if free > 0 else ():
             if self.stop is not None and self.stop():
                 raise DeadlineExceeded
