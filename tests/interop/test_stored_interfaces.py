@@ -125,7 +125,7 @@ def test_a_plan_remembers_where_its_contacts_came_from(written: Path, tmp_path: 
     assert main(["plan", str(written), "--interfaces", "stored", "--out", plan]) == 0
     assert json.loads(Path(plan).read_text())["structure"]["source"]["interfaces"] == "stored"
     assert main(["check", plan, "--interfaces", "stored"]) == 0
-    assert main(["check", plan]) == 0
+    assert main(["check", plan]) == 3
     assert main(["check", plan, "--interfaces", "found"]) == 2
 
 

@@ -287,7 +287,7 @@ def test_the_doctor_prints_reach_and_proposes_bases(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["arch", "--cell", "nowhere.toml"], "cell file nowhere.toml cannot be read"),
+        (["arch", "--cell", "nowhere.toml"], "there is no cell file nowhere.toml"),
         (["arch", "--cell", "dome-99"], "unknown cell dome-99"),
         (["arch", "--cell", "dome-37", "--picture", "reach.gif"], "give a file that ends in .png, .svg or .pdf"),
         (["arch", "--cell", "dome-37", "--picture", "no-folder/reach.png"], "there is no folder no-folder"),

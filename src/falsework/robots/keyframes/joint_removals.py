@@ -38,7 +38,7 @@ Paths = dict[int, Array]
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class CommonMotions:
     """Common motions so far, one after the other."""
 
     scene: Scene
@@ -103,7 +103,7 @@ class JointRemovals:
             if away is not None:
                 yield Edge(-1, robot, (away,), node.moved(robot, away.path[-1], None), transit=True)
 
-    def _edge(self, node: Node, holders: dict[int, int], stage: Stage) -> Edge:
+    def _edge(self, node: Node, holders: dict[int, int], stage: CommonMotions) -> Edge:
         parts = sorted(holders)
         segments = {
             robot: tuple(PathSegment("line", paths[robot], part=part) for paths in stage.paths)
@@ -121,7 +121,7 @@ class JointRemovals:
 
     def _stages(
         self, scene: Scene, node: Node, holders: dict[int, int], moves: Sequence[PathMove], contact: Contact
-    ) -> Iterator[Stage]:
+    ) -> Iterator[CommonMotions]:
         """Yield common motions along a way, which begins in proportion to some moves, after which robots go alone."""
         parts = list(holders)
         apart = any(move.direction != moves[0].direction or move.distance != moves[0].distance for move in moves)
@@ -130,7 +130,7 @@ class JointRemovals:
                 holders[part]: move.until(times * self.cell.margins.approach)
                 for part, move in zip(parts, moves, strict=True)
             }
-            out = self.moved(Stage(scene, (), 0.0), holders, some, contact, times)
+            out = self.moved(CommonMotions(scene, (), 0.0), holders, some, contact, times)
             if out is None:
                 return
             beside = frozenset() if apart else frozenset(holders.values())
@@ -138,7 +138,9 @@ class JointRemovals:
                 continue
             yield from (out,) if apart else self._separated(out, node, holders, parts)
 
-    def _separated(self, stage: Stage, node: Node, holders: dict[int, int], left: list[int]) -> Iterator[Stage]:
+    def _separated(
+        self, stage: CommonMotions, node: Node, holders: dict[int, int], left: list[int]
+    ) -> Iterator[CommonMotions]:
         """Yield common motions after which parts that have left along one direction no longer touch."""
         if len(left) == 1:
             yield from (stage,) if self._clear(stage.scene, holders, frozenset()) else ()
@@ -160,13 +162,13 @@ class JointRemovals:
 
     def moved(
         self,
-        stage: Stage,
+        stage: CommonMotions,
         holders: dict[int, int],
         moves: dict[int, PathMove],
         contact: Contact,
         times: float,
         what: str = "way out with others",
-    ) -> Stage | None:
+    ) -> CommonMotions | None:
         """Return a common motion further; None if an arm cannot follow, or arms are not proven to keep apart."""
         paths, points = dict[int, Array](), 2
         for _ in range(_ROUNDS):
@@ -192,7 +194,7 @@ class JointRemovals:
         scene = stage.scene
         for robot, path in paths.items():
             scene = scene.with_configuration(robot, path[-1])
-        return Stage(scene, (*stage.paths, paths), stage.length + times)
+        return CommonMotions(scene, (*stage.paths, paths), stage.length + times)
 
     def _keep_apart(self, scene: Scene, holders: dict[int, int], paths: Paths) -> bool:
         """Return whether arms that move at the same instant are proven to keep apart, the parts aside.

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from falsework.geometry.clearance.moves import ExitPath
-from falsework.robots.keyframes.joint_removals import JointRemovals, Paths, Stage
+from falsework.robots.keyframes.joint_removals import JointRemovals, Paths, CommonMotions
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.keyframes.withdrawal import told
 from falsework.robots.motion.collision_world import Contact, Scene, withdrawal_contact
@@ -44,7 +44,7 @@ class WaysInTurn:
         scene = self._joint.carrying(node, holders)
         moves = dict.fromkeys(holders.values(), move)
         what = told(way, number, "way out")
-        stage = self._joint.moved(Stage(scene, (), 0.0), holders, moves, _contact(scene, of_way), 0.0, what)
+        stage = self._joint.moved(CommonMotions(scene, (), 0.0), holders, moves, _contact(scene, of_way), 0.0, what)
         if stage is None:
             return None
         (paths,) = stage.paths
