@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from falsework.geometry.clearance.moves import ExitPath
-from falsework.robots.keyframes.joint_removals import JointRemovals, Paths, CommonMotions
+from falsework.robots.keyframes.joint_removals import CommonMotions, JointRemovals, Paths
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
 from falsework.robots.keyframes.withdrawal import told
 from falsework.robots.motion.collision_world import Contact, Scene, withdrawal_contact
