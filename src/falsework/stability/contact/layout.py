@@ -22,7 +22,7 @@ class StepSchedule(NamedTuple):
     growth: float
     """Least growth of the time step after a full step; it grows by the decrease of the residual where that is more."""
     patience: int
-    """Iterations after which the least growth is `late_growth`."""
+    """Iterations after which the least growth is `late_growth` where a contact point opens, closes, or slides anew."""
     late_growth: float
     growth_after_rise: float
     """Largest of the least growth where a full step raised the residual."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.stability.contact.hold_kernel import LOCKED, along_line, resist_across
-from falsework.stability.contact.law import contact_force
+from falsework.stability.contact.law import contact_force, gauge
 from falsework.stability.contact.tangent import assemble_tangent
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.layout import FAST, add_force, add_pair_wrench, pair_velocity, point_velocity
@@ -128,6 +128,19 @@ def moves_far(law, contact, pairs, moved):
     return moved > SETTLEMENTS * settles * law.scale
 
 
+@njit(fastmath=FAST, cache=True)
+def _switches(cone, contact, pairs):
+    """Return whether a contact point opens, closes, begins to slide or ceases to between two sets of trial forces."""
+    work, now, ahead = contact.work, contact.trial, contact.next_trial
+    for j in range(work.start[pairs]):
+        mu, pull, stick = work.friction[j], contact.pull[j], contact.stick[j]
+        n, m = now[j, 0] + pull, ahead[j, 0] + pull
+        slides = gauge(cone, now[j, 1], now[j, 2]) > mu * max(n, 0.0) + stick
+        if (n > 0.0) != (m > 0.0) or slides != (gauge(cone, ahead[j, 1], ahead[j, 2]) > mu * max(m, 0.0) + stick):
+            return True
+    return False
+
+
 @njit(cache=True)
 def _at_rest(law, contact, pairs):
     """Return `RESTS`, or `MOVES_AWAY` where parts came to rest only beyond the displacement limit."""
@@ -195,7 +208,8 @@ def equilibrate(law, contact, pairs, steps, tolerance, first_step, schedule):
             time *= _CUT
             continue
         if length == 1.0:
-            least = schedule.growth if iteration < schedule.patience else schedule.late_growth
+            late = iteration >= schedule.patience and _switches(structure.cone, contact, pairs)
+            least = schedule.late_growth if late else schedule.growth
             if next_size > size:
                 least = min(least, schedule.growth_after_rise)
             time = min(time * max(least, size / max(next_size, 1e-300)), 1.0 / RIDGE)
