@@ -166,26 +166,30 @@ def _least_outside(
     Returns:
         Whitened wrenches, shape (6 n,), and whether they leave much less energy outside the cones than `still`.
     """
-    count, wrenches = len(errors), len(forces) - 1
-    flat = forces[1:].transpose(0, 2, 1).reshape(wrenches, -1)
-    response = np.concatenate([(error.T @ flat).reshape(wrenches, 3, -1) for error in errors], axis=2)
-    base = np.tile(forces[0].T, count)
-    weight, friction, stick = np.tile(compliance, count) / count, np.tile(friction, count), np.tile(stick, count)
-    weak = _WEAK * max(float(((response**2).sum(axis=1) @ weight).mean()), 1e-300)
+    response = forces[1:].reshape(len(forces) - 1, -1)
+    base, count = np.tile(forces[0], (len(errors), 1)), len(errors)
+    weight, friction, stick = (
+        np.tile(np.repeat(compliance, 3), count) / count,
+        np.tile(friction, count),
+        np.tile(stick, count),
+    )
+    response = np.concatenate([error.T @ response for error in errors], axis=1)
+    weak = _WEAK * max(float(np.einsum("ij,j,ij->i", response, weight, response).mean()), 1e-300)
 
     def measure(x: Array) -> tuple[float, float, Array]:
-        outside = _outside(base + (x @ response.reshape(wrenches, -1)).reshape(3, -1), friction, stick)
-        energy = 0.5 * float((outside**2).sum(axis=0) @ weight)
+        force = base + (x @ response).reshape(-1, 3)
+        outside = (force - _into_cones(force, friction, stick)).ravel()
+        energy = 0.5 * float(weight @ outside**2)
         return energy + 0.5 * weak * float((x - still) @ (x - still)), energy, outside
 
     x = still
     value, energy, outside = measure(x)
     without = energy
     for _ in range(_STEPS):
-        active = np.flatnonzero((outside != 0).any(axis=0))
-        some, share = response[:, :, active].reshape(wrenches, -1), np.tile(weight[active], 3)
-        gradient = some @ (share * outside[:, active].ravel()) + weak * (x - still)
-        step = np.linalg.solve((some * share) @ some.T + weak * np.eye(len(x)), -gradient)
+        gradient = response @ (weight * outside) + weak * (x - still)
+        active = np.repeat((outside.reshape(-1, 3) != 0).any(axis=1), 3)
+        some = response[:, active]
+        step = np.linalg.solve((some * weight[active]) @ some.T + weak * np.eye(len(x)), -gradient)
         length = 1.0
         while length > 1e-3:
             ahead = _within(x + length * step, limit)
@@ -209,14 +213,15 @@ def _within(x: Array, limit: Array) -> Array:
     return (wrench * np.minimum(1.0, limit / np.maximum(size, 1e-300))[:, None]).ravel()
 
 
-def _outside(force: Array, friction: Array, stick: Array) -> Array:
-    """Return what forces have outside of quadratic cones that are widened by `stick`, shape (3, points) as theirs."""
-    normal, size = force[0], np.sqrt(force[1] ** 2 + force[2] ** 2)
+def _into_cones(force: Array, friction: Array, stick: Array) -> Array:
+    """Return the closest forces inside quadratic cones that are widened by `stick`, shape (points, 3)."""
+    normal, tangent = force[:, 0], force[:, 1:]
+    size = np.linalg.norm(tangent, axis=1)
+    inside = (normal >= 0) & (size <= friction * normal + stick)
     onto = np.maximum((normal + friction * (size - stick)) / (1 + friction**2), 0.0)
     share = (friction * onto + stick) / np.maximum(size, 1e-300)
-    found = force * (1.0 - np.minimum(share, 1.0))
-    found[0] = normal - onto
-    return np.where((normal >= 0) & (size <= friction * normal + stick), 0.0, found)
+    normal = np.where(inside, normal, onto)
+    return np.column_stack([normal, tangent * np.where(inside, 1.0, np.minimum(share, 1.0))[:, None]])
 
 
 __all__ = ["PressPlanner"]
