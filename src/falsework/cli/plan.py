@@ -195,7 +195,7 @@ class MakePlan(Command):
                     settings=settings,
                     guide=guide,
                     progress=report,
-                    deadline=max(clock.left, 1e-3) if clock.limited else None,
+                    deadline=clock.rest,
                     checkpoint=checkpoint,
                     forces=self.proofs,
                 )

@@ -28,7 +28,7 @@ from falsework.search.plans.alternatives import Alternatives, choose_alternative
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.proofs import prove, prove_build
 from falsework.search.plans.route_tests import barred_state
-from falsework.search.problem.deadline import Deadline, DeadlineExceeded, check_deadline
+from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.hold_bound import HoldBound
 from falsework.search.problem.part_sets import InterlockedSets
@@ -123,40 +123,31 @@ def find_plans(
         raise InputError(f"find_plans takes no {odd!r}" + (f"; did you mean {meant[0]!r}?" if meant else ""))
     if backend not in get_args(Backend):
         raise InputError(f"there is no backend {backend!r}; give {' or '.join(get_args(Backend))}")
-    assembly, begun = as_assembly(assembly), time.perf_counter()
-    progress = or_notebook(progress, "searching")
+    assembly, clock = as_assembly(assembly), Deadline(deadline)
+    more: dict[str, Any] = {
+        "settings": settings,
+        "guide": guide,
+        "progress": or_notebook(progress, "searching"),
+        "stop": stop,
+        "forces": forces,
+        "backend": backend,
+    }
+    task = task or make_task(assembly, 2 if robots is None else robots, **rules)
     if oracle is None:
-        check_deadline(deadline)
-        task = task or make_task(assembly, 2 if robots is None else robots, **rules)
-        more: dict[str, Any] = {
-            "settings": settings,
-            "guide": guide,
-            "progress": progress,
-            "stop": stop,
-            "forces": forces,
-            "backend": backend,
-        }
         weaker = replace(stability, reserve=1.0)
         first = StabilityOracle(assembly, stability)
         again = stability.reserve > 1.0 and first.replayer is not None
-        share = None if deadline is None else max(deadline - (time.perf_counter() - begun), 1e-3)  # ways take time
-        share = FIRST_SHARE * share if again and share is not None else share
+        share = clock.rest if not again or clock.rest is None else FIRST_SHARE * clock.rest
         found = find_plans(assembly, task, oracle=first, deadline=share, checkpoint=checkpoint, **more)
-        left = None if deadline is None else deadline - (time.perf_counter() - begun)
-        late = left is not None and left <= 0
-        if found.accepted or not again or late or (found.result.interrupted and not found.deadline_passed):
+        if found.accepted or not again or clock.passed or (found.result.interrupted and not found.deadline_passed):
             return found
-        other = find_plans(assembly, task, oracle=StabilityOracle(assembly, weaker), deadline=left, **more)
+        other = find_plans(assembly, task, oracle=StabilityOracle(assembly, weaker), deadline=clock.rest, **more)
         return found if found.found and not other.accepted else other
     if backend == "cuda":
         oracle.use_gpu()
-    clock = Deadline(deadline)
-    task = task or make_task(assembly, 2 if robots is None else robots, **rules)
     if task.moves_out > 1 and task.clearance is not None and np.isinf(task.clearance.most) and checkpoint is None:
         quick = replace(task, clearance=task.clearance.within(_SHORT))
-        options: dict[str, Any] = {"settings": settings, "guide": guide, "progress": progress, "stop": stop}
-        options |= {"deadline": deadline, "forces": forces, "backend": backend}
-        found = find_plans(assembly, quick, oracle=oracle, **options)
+        found = find_plans(assembly, quick, oracle=oracle, deadline=clock.rest, **more)
         if found.found or found.result.interrupted or not (quick.clearance and quick.clearance.were_cut):
             return found
     guide = guide or SupportGuide(assembly)
@@ -172,7 +163,7 @@ def find_plans(
         lambda: HoldBound(
             assembly, task, oracle.settings, Deadline(max(min(settings.bound_after / 2, clock.left), 1e-3))
         ),
-        progress=_saving(planner, checkpoint, progress),
+        progress=_saving(planner, checkpoint, more["progress"]),
         stop=lambda: clock.passed or (stop is not None and stop()),
     )
     if checkpoint is not None:

@@ -258,9 +258,12 @@ class Planner:
             paused = portfolio.is_over(self._round, turn, beam.work, least)
             return paused or (stop is not None and stop())
 
-        with self._pace.turn(self._round) as slow:
+        self._pace.begin(self._round)
+        try:
             result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
-        if (paused or slow()) and not result.found:
+        finally:
+            slow = self._pace.end()
+        if (paused or slow) and not result.found:
             self._turn, turn.owed = self._turn + 1, 0.0
         elif result.interrupted:
             return True

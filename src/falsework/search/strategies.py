@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,14 +78,14 @@ class Pace:
 
         return task.until(check)
 
-    @contextmanager
-    def turn(self, round: int) -> Iterator[Callable[[], bool]]:
-        """Count the pieces of a turn, of a round from 0; what it yields says whether they were too many."""
+    def begin(self, round: int) -> None:
+        """Count the pieces of a turn, of a round from 0."""
         self._left = _PIECES * 2.0**round
-        try:
-            yield lambda: over
-        finally:
-            over, self._left = self._left < 0, np.inf
+
+    def end(self) -> bool:
+        """Count no more, and return whether there were too many."""
+        over, self._left = self._left < 0, np.inf
+        return over
 
 
 @dataclass(frozen=True)

@@ -176,7 +176,7 @@ def _keeping_reserve(
     if not result.no_order or stability.reserve <= 1.0 or clock.passed:
         return result
     plain = stability_in(cell, assembly, replace(stability, reserve=1.0))
-    return search(StabilityOracle(assembly, plain), clock.left if clock.limited else None)
+    return search(StabilityOracle(assembly, plain), clock.rest)
 
 
 def _concurrent(
@@ -257,8 +257,7 @@ def _plan_by(
 ) -> HybridResult:
     """Return the result where sets move by one rule."""
     settings = stability_in(cell, assembly, stability)
-    left = clock.left if clock.limited else None
-    found = find_plans(assembly, task, stability=settings, deadline=left, forces=False)
+    found = find_plans(assembly, task, stability=settings, deadline=clock.rest, forces=False)
     if found.value is None:
         proved = found.result.outcome is Outcome.PROVED_IMPOSSIBLE
         outcome = "interrupted" if found.deadline_passed else "proved_impossible" if proved else "not_found"
@@ -268,7 +267,7 @@ def _plan_by(
     joined = join_parts(assembly, carried)
     several = max((len(step.robots) for step in sets), default=1)
     within = _joined_task(task, joined, several if rule.each_held else 1)
-    result = plan(joined, within, clock.left if clock.limited else None)
+    result = plan(joined, within, clock.rest)
     groups = groups_of(joined)
     if groups is None:
         return result

@@ -68,6 +68,11 @@ class Deadline:
         return np.inf if self._deadline is None else self._deadline - self.seconds
 
     @property
+    def rest(self) -> float | None:
+        """Deadline of a request that takes up what is left, at least a millisecond; None without one."""
+        return None if self._deadline is None else max(self.left, 1e-3)
+
+    @property
     def passed(self) -> bool:
         """Whether to stop searching."""
         return self.left <= self.reserve
