@@ -15,6 +15,7 @@ from falsework import Assembly, check, make_task, plan_robots
 from falsework.assembly import HELD
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.library.voxels import surface
+from falsework.errors import PlanError
 from falsework.robots import Cell, RobotPlan
 from falsework.robots.exports.export import export_plan
 from falsework.robots.kinematics.forward import tool_pose
@@ -133,6 +134,15 @@ def test_an_interruption_waits_until_what_is_aside_is_back(capped: RobotPlan) ->
         assert all(grip is None for grip in now.gripped)
         aside = [k for k, node in enumerate(schedule_of(capped).nodes) if moved_aside(capped, node.step)]
         assert (now.done == 0) == (seconds < starts[aside[0]])
+
+
+def test_a_plan_in_which_a_part_stays_aside_is_not_continued(capped: RobotPlan) -> None:
+    frames = (
+        capped.keyframes[0],
+        *(replace(frame, carried=capped.keyframes[1].carried) for frame in capped.keyframes[1:]),
+    )
+    with pytest.raises(PlanError, match="never comes back"):
+        interruption(replace(capped, keyframes=frames), capped.makespan / 2)
 
 
 def test_the_page_and_exports_know_what_is_aside(capped: RobotPlan, cell: Cell, tmp_path: Path) -> None:

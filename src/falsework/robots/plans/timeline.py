@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.state import States
+from falsework.errors import PlanError
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.loads import Load, load_at_rest, load_of, moved_aside
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -245,14 +246,19 @@ def interruption(plan: RobotPlan, seconds: float) -> Interruption:
     Args:
         plan: the robot plan; without a schedule its motions come one after the other.
         seconds: time from its start.
+
+    Raises:
+        PlanError: a part is aside to the end.
     """
     graph, events = schedule_of(plan), nodes_of(plan)[1]
-    starts = graph.starts()
+    starts, row = graph.starts(), -1
     while True:
-        begun = starts <= seconds
+        before, begun = row, starts <= seconds
         row = int(sum(begun[event.node] for event in events))  # a motion begins after the events before its own
         if not plan.aside(row):
             break
+        if row == before:
+            raise PlanError("a part that is moved aside never comes back, so the plan cannot be continued")
         # Arms go on until what is aside is back in place.
         seconds = max(starts[k] for k, node in enumerate(graph.nodes) if node.step <= row)
     held, configurations, grips = list(plan.keyframes[row].held), [], []
