@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence, Set
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -34,9 +35,15 @@ class RuleReplayer:
     varies = False
 
     def __init__(
-        self, falls: Set[tuple[int, ...]], varied: Set[tuple[int, ...]] = frozenset(), slow: Sequence[float] = ()
+        self,
+        falls: Set[tuple[int, ...]],
+        varied: Set[tuple[int, ...]] = frozenset(),
+        slow: Sequence[float] = (),
+        slips: Set[tuple[int, ...]] = frozenset(),
     ) -> None:
         self.falls = falls
+        self.slips = slips
+        """States in which parts come to rest far from where they were."""
         self.slow = list(slow)
         """Seconds that steps take, one after the other."""
         self.varied = varied
@@ -66,7 +73,11 @@ class RuleReplayer:
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
         if self.slow:
             time.sleep(self.slow.pop())
-        return tuple(after.tolist()) not in self.falls, history
+        here = tuple(after.tolist())
+        return here not in self.falls, replace(history, moved=float(here in self.slips))
+
+    def slip(self, before: History, after: History) -> float:
+        return after.moved
 
 
 def tower(rules: Any, falls: set[tuple[int, ...]]) -> tuple[Task, Any]:
@@ -89,6 +100,21 @@ def test_a_route_avoids_what_falls(rules: Any, direction: Direction) -> None:
     assert result.found
     assert middle not in set(map(tuple, result.routes[0].states.tolist()))
     assert oracle.replayer.replay(result.routes[0].states[::-1]).good
+
+
+def test_parts_slip_far_only_where_nothing_else_is_left(rules: Any) -> None:
+    settings = PlannerSettings(directions=(Direction.ASSEMBLY,))
+    task, oracle = tower(rules, set())
+    first = Planner(task, oracle, settings).run().routes[0].states
+    free = [tuple(state.tolist()) for state in first if (state[1:] != 2).all()]
+    slips = free[-2]  # after the first part
+    oracle.replayer = RuleReplayer(set(), slips={slips})
+    around = Planner(task, oracle, settings).run()
+    assert around.found
+    assert slips not in set(map(tuple, around.routes[0].states.tolist()))
+    complete = tuple(task.start.tolist())
+    oracle.replayer = RuleReplayer(set(), slips={complete})  # every plan ends there
+    assert Planner(task, oracle, settings).run().found
 
 
 @pytest.mark.parametrize("direction", list(Direction))

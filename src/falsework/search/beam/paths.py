@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.search.beam.frontier import Frontier, Level, PackedLevel, Rows
-from falsework.search.beam.settings import MEMORY
+from falsework.search.beam.settings import MEMORY, SLIP
 from falsework.search.problem.oracle import CountingOracle
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.contact.build_verifier import StepCertificate
@@ -58,6 +58,11 @@ class PathHistories(Generic[K]):
             return None
         rests, history = self._replayer.step(history, self._state(before), after)
         return history if rests else None
+
+    def slips(self, before: K, history: History) -> bool:
+        """Return whether the step from a state to one with this history moves parts far, though they come to rest."""
+        known = self._of(before)
+        return known is not None and self._replayer.slip(known, history) > SLIP
 
     def keep(self, name: K, history: History | None) -> None:
         """Remember the history of a state."""
@@ -186,8 +191,11 @@ class BeamPaths:
                 here.grounded[waiting] = np.where(stable, 1, -1)
         return here.grounded[rows] > 0
 
-    def verifier(self, frontier: Frontier, rows: Rows) -> Mask:
-        """Return which stable candidates are reached by paths that are stable too, and come to rest. Shape (rows,)."""
+    def verifier(self, frontier: Frontier, rows: Rows, *, waits: bool = False) -> Mask:
+        """Return which stable candidates are reached by paths that are stable too, and come to rest. Shape (rows,).
+
+        If it `waits`, a step that moves parts far counts as failed while a robot is free to prevent it.
+        """
         good = self.stable(frontier.parent(rows))
         if self._histories is not None and good.any():
             rows, level = rows[good], len(self._levels) - 1
@@ -195,8 +203,10 @@ class BeamPaths:
             for k, (row, origin, state) in enumerate(
                 zip(rows, frontier.parent(rows), frontier.states(rows), strict=True)
             ):
-                history = self._histories.step((level, int(origin)), state)
-                if history is not None:
+                before = level, int(origin)
+                history = self._histories.step(before, state)
+                hasty = waits and history is not None and bool(frontier.fixing[origin].any())
+                if history is not None and not (hasty and self._histories.slips(before, history)):
                     rests[k], self._next[int(row)] = True, history
             self._judge.sliding += int((~rests).sum())
             good[good] = rests

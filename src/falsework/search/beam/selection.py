@@ -133,11 +133,11 @@ class Selector:
         """As `_verify_in_order`; moves that failed before are tried last.
 
         If it `waits`, they are tried again only from states in which no robot is free: with the same parts around it a
-        part that slid once slides again, and until then something around it may still change. Wider beams do not wait,
-        so that they examine all.
+        part that slid once slides again, and until then something around it may still change. So do moves after which
+        parts come to rest only far from where they were. Wider beams do not wait, so that they examine all.
         """
         if self.failures is None or not len(waiting):
-            return self._verify_in_order(waiting, wanted, paths)
+            return self._verify_in_order(waiting, wanted, paths, waits=waits)
         frontier = self.frontier
         keys = self.failures.keys(frontier.states(waiting), frontier.part(waiting))
         failed = self.failures.failed(keys)
@@ -147,13 +147,13 @@ class Selector:
         again = again[: AHEAD * wanted]
         order = np.concatenate([np.flatnonzero(~failed), again])
         waiting, keys = waiting[order], keys[order]
-        kept, rejected = self._verify_in_order(waiting, wanted, paths)
+        kept, rejected = self._verify_in_order(waiting, wanted, paths, waits=waits)
         for rows, stable in ((kept, True), (rejected, False)):
             place = np.isin(waiting, rows)
             self.failures.learn(keys[place], np.full(int(place.sum()), stable))
         return kept, rejected
 
-    def _verify_in_order(self, waiting: Rows, wanted: int, paths: BeamPaths) -> tuple[Rows, Rows]:
+    def _verify_in_order(self, waiting: Rows, wanted: int, paths: BeamPaths, *, waits: bool) -> tuple[Rows, Rows]:
         """The first stable candidates of a list, about `wanted` of them, and those found unstable meanwhile."""
         frontier = self.frontier
         kept: list[Rows] = [waiting[:0]]
@@ -163,7 +163,7 @@ class Selector:
             batch = waiting[position : position + (max(wanted, _VERDICT_BATCH) if position else wanted)]
             stable = self.judge.stable(frontier.states(batch), self.stable_ancestors[frontier.parent(batch)])
             if stable.any():
-                stable[stable] = paths.verifier(frontier, batch[stable])
+                stable[stable] = paths.verifier(frontier, batch[stable], waits=waits)
             kept.append(batch[stable])
             rejected.append(batch[~stable])
             position += len(batch)

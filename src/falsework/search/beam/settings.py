@@ -16,6 +16,10 @@ WIDENING = 4
 """A beam that restarts is so many times wider. Beams for missing parts restart once; those for other plans begin so
 wide, and restart once."""
 
+SLIP = 0.1
+"""Share of the movement limit from which a step that comes to rest waits until nothing else can be tried. Steps that
+move parts so far leave structures that a later release brings down, often far away; most steps move parts by less than
+a hundredth."""
 MEMORY = 256 << 20
 """Bytes for what only saves work: contact histories, and states of a device written down at once."""
 

@@ -163,6 +163,10 @@ class DeadlineReplayer:
         with self._clock.piece("replays"):
             return self._replayer.first_tipping(states, histories, known)
 
+    def slip(self, before: History, after: History) -> float:
+        """Return how far parts move, see `Replayer.slip`."""
+        return self._replayer.slip(before, after)
+
     def loads(self, states: States, histories: Sequence[History]) -> Loads:
         """Return what robots bear, see `Replayer.loads`."""
         return self._replayer.loads(states, histories)

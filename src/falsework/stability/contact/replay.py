@@ -170,6 +170,18 @@ class Replayer:
                 return row
         return None
 
+    def slip(self, before: History, after: History) -> float:
+        """Return the largest movement of a part between two histories, as a share of the movement limit.
+
+        Where steps are replayed under changed settings too, the largest under any of them.
+        """
+        most = 0.0
+        for one, other in zip((before, *before.changed), (after, *after.changed), strict=False):
+            moved = np.abs(other.displacement - one.displacement)
+            moved[:, 3:] *= self.law.reach[:, None]
+            most = max(most, float(moved.max(initial=0.0)))
+        return most / self.law.limit
+
     def loads(self, states: States, histories: Sequence[History]) -> Loads:
         """Return what robots bear in states in assembly order, after which the histories are these."""
         return loads_of_build(self.assembly, self.problem, self.settings, states, histories)

@@ -63,6 +63,9 @@ class AnyReplayer(Protocol):
     def first_tipping(self, states: States, histories: Sequence[History], known: int = 0) -> int | None:
         """Return the first state that a small motion leaves, though it is at rest; None if there is none."""
 
+    def slip(self, before: History, after: History) -> float:
+        """Return the largest movement of a part between two histories, as a share of the movement limit."""
+
     def loads(self, states: States, histories: Sequence[History]) -> Loads:
         """Return what robots bear in states in assembly order."""
 
