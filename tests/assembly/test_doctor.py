@@ -166,7 +166,7 @@ def test_boundary_and_unit_are_proposed(tmp_path: Path, capsys: pytest.CaptureFi
     assert any("no part is fixed, so a ground was added" in remark for remark in found.remarks)
     assert main(["doctor", str(tmp_path)]) == 0
     last = capsys.readouterr().out.splitlines()[-2:]
-    assert last == ['add to assembly.json: "unit": "mm", "boundary": [0]', "with that it loads"]
+    assert last == ["it loads", 'add to assembly.json: "unit": "mm", "boundary": [0]']
     assert doctor(tmp_path, "mm").additions == {"boundary": [0]}
 
 

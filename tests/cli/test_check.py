@@ -13,6 +13,8 @@ from falsework.cli.arguments import spell_options
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import Output
 from falsework.search.plans.plan_file import load_plan
+from falsework.stability.contact import varied_replay
+from falsework.stability.contact.varied_replay import Variation
 from falsework.utils.files.printable import printable
 
 Run = Callable[..., Any]
@@ -130,9 +132,35 @@ def test_a_replay_verifies_the_recorded_one(falsework: Run, planned: Path) -> No
     assert falsework("check", planned).code == 0  # named as not verified
     denied = falsework("check", planned, "--replay")
     assert denied.code == 1
-    assert "the plan says of its replay that parts move by at most" in denied.error
+    assert "the plan says of its replay that parts move by " in denied.error
     rewrite(planned, replay=replay | {"moved": 2 * replay["moved"]})
     assert falsework("check", planned, "--replay").code == 0
+
+
+def test_a_replay_says_under_which_settings_it_succeeds(
+    falsework: Run, planned: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done = falsework("check", planned, "--replay")
+    assert done.code == 0
+    assert "the replay succeeds, and under " in done.out
+    cases = [Variation("damping 0.1", good=True, falls_at=None), Variation("stiffness 2", good=False, falls_at=3)]
+    monkeypatch.setattr(varied_replay, "replay_varied", lambda *_, **__: cases)
+    done = falsework("check", planned, "--replay")
+    assert done.code == 0
+    assert "succeeds under the given settings only, and fails under 1 of 2 changes of them" in done.out
+    assert "marginal: its replay fails under stiffness 2 (fails after step 3 (" in done.error
+
+
+def test_a_file_that_will_be_replaced_is_announced(falsework: Run, planned: Path) -> None:
+    """By whatever command, before its work; bad options have one line alone, and the file stays."""
+    words = f"{planned} exists and is replaced by the result; --out names another file"
+    for command in (("plan", "arch:blocks=3"), ("replan", planned, "--step", 2), ("margins", planned)):
+        assert words in falsework(*command, "--out", planned).error, command
+    kept = planned.read_bytes()
+    done = falsework("plan", "arch:blocks=3", "--robots", 0, "--out", planned)
+    assert done.code == 2
+    assert done.error.count("\n") == 1
+    assert planned.read_bytes() == kept
 
 
 def test_names_cannot_forge_what_is_printed(falsework: Run, planned: Path) -> None:

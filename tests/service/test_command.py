@@ -25,8 +25,10 @@ TOKEN = "a-token-of-many-letters"
 
 
 @contextmanager
-def served(*options: str | Path, **environment: str) -> Iterator[dict[str, Any]]:
-    """A service in a process of its own; yields what it printed when it was ready."""
+def served(
+    *options: str | Path, end_by: signal.Signals = signal.SIGTERM, **environment: str
+) -> Iterator[dict[str, Any]]:
+    """A service in a process of its own; yields what it printed when it was ready, and ends it by a signal."""
     command = [sys.executable, "-m", "falsework", "serve", *map(str, options), "--port", "0", "--workers", "1"]
     pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen([*command, "--json"], env={**os.environ, **environment}, **pipes) as process:
@@ -34,10 +36,12 @@ def served(*options: str | Path, **environment: str) -> Iterator[dict[str, Any]]
             assert process.stdout is not None
             yield json.loads(process.stdout.readline())
             children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-            process.send_signal(signal.SIGTERM)
+            process.send_signal(end_by)
             _, error = process.communicate(timeout=30)
-            assert process.returncode in (0, -signal.SIGTERM), error
+            assert process.returncode == 0, error
+            assert error.splitlines()[-1].endswith(" has ended"), error
             assert "Traceback" not in error, error
+            assert "a worker was lost" not in error, error
             end = time.monotonic() + 10
             while any(Path(f"/proc/{pid}").exists() for pid in children):
                 assert time.monotonic() < end, "a worker outlived the service"
@@ -67,6 +71,11 @@ def test_a_run_is_served_with_its_policy_and_the_token_of_the_environment(traine
     for answer in answers:
         assert validate_plan(plan_from_dict(answer["plans"][0]), assembly).good
     assert {answer["decided_by"] for answer in answers} <= {"policy greedy", "policy sampled", "guided search"}
+
+
+def test_an_interrupt_ends_it_as_a_request_to_terminate_does() -> None:
+    with served("arch:blocks=3", end_by=signal.SIGINT) as ready:
+        assert ready["structure"] == "arch:blocks=3"
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import falsework
-from falsework.utils.quantity import counted, format_number, format_quantity, parse_quantity
+from falsework.utils.quantity import counted, format_bound, format_number, format_quantity, parse_quantity
 
 
 @pytest.mark.parametrize(
@@ -90,3 +90,8 @@ def test_no_text_of_the_package_has_a_number_with_an_exponent() -> None:
         ]
     allowed = {"utils/quantity.py", "interop/usd.py"}
     assert [place for place in found if place.split(":")[0] not in allowed] == []
+
+
+def test_a_bound_is_one_phrase() -> None:
+    assert format_bound(0.003, "length") == "at most 3 mm"
+    assert format_bound(1e-9, "length") == "less than 0.001 mm"

@@ -427,7 +427,7 @@ def test_one_sees_into_a_structure(opened: Callable[..., Open], arch: Any) -> No
     cut = now.picture()
     assert (np.abs(cut - whole).max(axis=2) > 40).sum() > 1000
     now.choose("Section", "none")
-    now.tab.get_by_text("Apart", exact=True).wait_for()
+    now.tab.get_by_text("Explode", exact=True).wait_for()
     now.page.look.explode.value = 1.0
     now.until(lambda: now.model.view.explode == 1.0, "the parts are moved apart")
     apart = now.picture()

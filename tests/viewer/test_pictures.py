@@ -105,6 +105,16 @@ def test_one_step_and_its_forces(plan_file: Path, run: Run, tmp_path: Path) -> N
     assert (pixels(plain) != pixels(forces)).any()
 
 
+def test_the_legend_of_one_state_has_its_colours_alone_and_the_longest_force_of_each_kind(
+    plan_file: Path, tmp_path: Path
+) -> None:
+    picture(plan_file, tmp_path / "last.svg", step=len(load_plan(plan_file)), forces=True)
+    lines = (tmp_path / "last.svg").read_text()
+    assert "held by" not in lines
+    assert re.search(r">contact forces, up to [\d.]+ k?N<", lines)
+    assert ">boundary<" in lines
+
+
 def test_same_plan_same_picture(plan_file: Path, run: Run, tmp_path: Path) -> None:
     for name in ("one.png", "two.png"):
         assert run("picture", plan_file, "--step", 2, "--width", 200, "--out", tmp_path / name)[0] == 0

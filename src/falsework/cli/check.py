@@ -15,7 +15,7 @@ from falsework.cli.exit_code import Exit
 from falsework.cli.output import exit_of_good
 from falsework.cli.planning import judge_text, load_record, load_text
 from falsework.errors import InputError
-from falsework.utils.quantity import counted, format_quantity
+from falsework.utils.quantity import counted, format_bound, format_quantity
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -256,10 +256,16 @@ class CheckPlan(JudgingCommand):
                 "variations": [asdict(case) for case in varied],
             }
         )
-        output.say(f"the replay succeeds; parts move by at most {format_quantity(replay.largest, 'length')}")
-        if failed:
-            names = "; ".join(f"{case.name} (fails at state {case.falls_at})" for case in failed)
-            output.note(f"falsework: warning: the plan is marginal: its replay fails under {names}")
+        most = f"parts move by {format_bound(replay.largest, 'length')}"
+        if not failed:
+            output.say(f"the replay succeeds, and under {counted(len(varied), 'change')} of settings too; {most}")
+            return True
+        output.say(
+            f"the replay succeeds under the given settings only, and fails under {len(failed)} of "
+            f"{counted(len(varied), 'change')} of them; {most}"
+        )
+        names = "; ".join(f"{case.name} (fails {describe_place(plan, case.falls_at or 0)})" for case in failed)
+        output.note(f"falsework: warning: the plan is marginal: its replay fails under {names}")
         return True
 
     def _line(self, row: int, plan: Plan, assembly: Assembly, replay: Replay, output: Output) -> None:

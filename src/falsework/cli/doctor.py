@@ -173,7 +173,10 @@ def _lines(found: Diagnosis) -> list[str]:
     lines.append("it loads" if found.loads else f"it does not load: {found.error}")
     if found.additions:
         lines.append(f"add to assembly.json: {found.line()}")
-        lines.append("with that it loads" if found.cured else "with that it does not load yet: mend the parts above")
+        if not found.cured:
+            lines.append("with that it does not load yet: mend the parts above")
+        elif not found.loads:
+            lines.append("with that it loads")
     return lines
 
 

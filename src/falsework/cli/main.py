@@ -89,8 +89,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             command = _parse(arguments)
             if command is None:
                 return Exit.DONE
-            aside = is_standard_output(getattr(command, "out", None) or "-")
+            out: Path | None = getattr(command, "out", None)
+            aside = is_standard_output(out or "-")
             output = Output(machine=command.json, aside=aside, command=output.command, outcomes=command.outcomes)
+            output.replaced = out if out is not None and out.is_file() else None
             code = command.run(output)
             output.answer(code)
             sys.stdout.flush()

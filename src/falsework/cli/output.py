@@ -79,6 +79,9 @@ class Output:
         self._files: list[str] = []
         self._notes: list[str] = []
         self._answered = False
+        self.replaced: Path | None = None
+        """File that the command will replace, until a line has said so: when the work begins, or at the latest when it
+        is written."""
 
     @property
     def _stream(self) -> TextIO:
@@ -94,7 +97,14 @@ class Output:
 
     def file(self, path: Path | str) -> None:
         """Name a file or folder that was written, for the JSON answer."""
+        self._announce()
         self._files.append(str(path))
+
+    def _announce(self) -> None:
+        """Say once that a file will be replaced."""
+        if self.replaced is not None:
+            path, self.replaced = self.replaced, None
+            self.note(f"falsework: {path} exists and is replaced by the result; --out names another file")
 
     def outcome(self, name: str, code: Exit = Exit.NO) -> Exit:
         """Name the outcome that an exit code stands for in this answer, and return the code."""
@@ -157,6 +167,7 @@ class Output:
         Yields:
             Callback `(done, total, message)`.
         """
+        self._announce()
         if not sys.stderr.isatty():
             yield self._log(title)
             return

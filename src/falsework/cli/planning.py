@@ -13,7 +13,7 @@ from falsework.cli.arguments import parse_limits, parse_parts, parse_state
 from falsework.cli.command import UNSET
 from falsework.errors import InputError
 from falsework.utils.files.output_file import check_writable
-from falsework.utils.quantity import counted, format_quantity, listed
+from falsework.utils.quantity import counted, format_bound, format_quantity, listed
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -291,7 +291,7 @@ def replay_text(plan: Plan, also: str = "") -> str:
     assert replay is not None
     reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
     also = also or ", and under small changes of settings" * replay.varied
-    return f"the replay succeeds{reserve}{also}; parts move by at most {format_quantity(replay.moved, 'length')}"
+    return f"the replay succeeds{reserve}{also}; parts move by {format_bound(replay.moved, 'length')}"
 
 
 def press_text(plan: Plan, scale: float = 1.0) -> str:

@@ -65,6 +65,7 @@ class Serve(JudgingCommand):
             output.say(f"{assembly.name} is served at {address}, described at {address}/docs; Ctrl-C ends it")
 
         run_service(assembly, settings, run=run, started=started)
+        output.note(f"falsework: the service of {assembly.name} has ended")
         return Exit.DONE
 
     def _settings(self) -> ServiceSettings:

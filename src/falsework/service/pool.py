@@ -160,7 +160,7 @@ class Pool:
             for ticket in (worker.busy or {}).values():
                 _give(ticket, Reply(503, refusal("the service is stopping")))
             self._drop(worker)
-            worker.process.terminate()
+            worker.process.kill()
         await asyncio.sleep(0)
 
     async def ask(self, kind: Kind, payload: Any, seconds: float) -> Reply:
@@ -337,7 +337,7 @@ class Pool:
         theirs.close()
         if self._closing:
             mine.close()
-            process.terminate()
+            process.kill()
             return
         worker = _Worker(kind, process, mine)
         self.workers.append(worker)

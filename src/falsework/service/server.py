@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import logging
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ def run_service(
     run: Path | None = None,
     started: Callable[[str], None] | None = None,
 ) -> None:
-    """Serve one structure until the process is terminated.
+    """Serve one structure until SIGINT or SIGTERM; then end in good order.
 
     Args:
         assembly: the structure; its clearance table is computed first, if absent.
@@ -82,7 +83,17 @@ def server_of(assembly: Assembly, pool: Pool, settings: ServiceSettings, metrics
         timeout_graceful_shutdown=_STOP_SECONDS,
         h11_max_incomplete_event_size=HEADER_BYTES,
     )
-    return uvicorn.Server(config)
+    return _Server(config)
+
+
+class _Server(uvicorn.Server):
+    """Server that a signal ends in good order; uvicorn raises the signal again, before the workers have ended."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        with super().capture_signals():
+            yield
+            self._captured_signals.clear()
 
 
 async def _serve(

@@ -110,7 +110,9 @@ class Done:
 
 def work(pipe: Connection, config: WorkerConfig) -> None:
     """Answer batches until the pipe closes; entry point of a worker process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that serves clients handles Ctrl-C and closes the pipe
+    # The process that serves clients handles signals, which may be sent to the whole group, and closes the pipe.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     try:
         bench = {"replan": _Planner, "stability": _Judge, "picture": _Painter}[config.kind](config)
     except InputError as error:

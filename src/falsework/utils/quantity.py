@@ -97,6 +97,12 @@ def format_quantity(value: float, kind: str, digits: int = _DIGITS) -> str:
     return f"{'-' * (value < 0 and number > 0)}{text} {unit}".rstrip()
 
 
+def format_bound(value: float, kind: str) -> str:
+    """Write an upper bound of a quantity: `at most 3 mm`, or `less than 0.001 mm`."""
+    text = format_quantity(value, kind)
+    return text if text.startswith("less than") else f"at most {text}"
+
+
 def format_number(value: float, digits: int = _DIGITS) -> str:
     """Write a number as options and files take it: without a unit, an exponent, or commas."""
     return f"{Decimal(f'{float(value) + 0.0:.{digits}g}'):f}"

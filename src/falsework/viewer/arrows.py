@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import INSTALLED, REMOVED, States
 from falsework.geometry.contact.grouping import segment_sum
 from falsework.stability.holds import Press
+from falsework.utils.quantity import format_quantity
 from falsework.viewer.appearance import bounds_of, diagonal
 from falsework.viewer.palette import FORCE, FRICTION, GRAVITY, INK, MOTION, PRESS, SLIDING, unit_rgb
 from falsework.viewer.pictures.render import ColoredSolid
@@ -68,6 +69,10 @@ class Arrows:
         if not self.scale or not len(self):
             return 0.0
         return float(np.linalg.norm(self.ends[:, 1] - self.ends[:, 0], axis=1).max()) / self.scale
+
+    def words(self, kind: str) -> str:
+        """Return the words of a legend for arrows of a kind, such as `friction, up to 3 kN`."""
+        return f"{kind}, up to {format_quantity(self.longest, 'force')}" if self.longest else kind
 
     def solids(self, thickness: float) -> list[ColoredSolid]:
         """Return the arrows as meshes.

@@ -19,7 +19,7 @@ from falsework.stability.margins.nearness import nearness_to_limit
 from falsework.stability.verdict import Criterion
 from falsework.utils.display.notebook import in_notebook
 from falsework.utils.quantity import counted
-from falsework.viewer.arrows import PRESSES, Arrows, arrows_of_step
+from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.pictures.contact_sheet import (
     caption,
@@ -183,7 +183,11 @@ def picture(
     if single is not None:
         arrows_by_kind = arrows_of_step(timeline, single) | (proofs[single].arrows if forces else {})
     arrows = [some for some in arrows_by_kind.values() if len(some)]
-    key = [(some.color, kind) for kind, some in arrows_by_kind.items() if len(some)] if forces else None
+    key = None
+    if single is not None:
+        slides = single in proofs and proofs[single].slides and "sliding" not in arrows_by_kind
+        key = legend(timeline, slides, place=single)
+        key += [(some.color, some.words(kind)) for kind, some in arrows_by_kind.items() if len(some)]
     shares = None if shown.policy is None or single is None else _model(shown, single).action_probabilities()
     if limits:
         if single is None or kind == "svg":
@@ -206,7 +210,7 @@ def picture(
             single,
             camera(1200, 2 / 3),
             arrows=arrows,
-            key=legend(timeline, proof is not None and proof.slides, PRESSES in arrows_by_kind) if key is None else key,
+            key=key,
             words=title or "; ".join(filter(None, (caption(timeline, single, proof), borne if proof else ""))),
             marks=None if proof is None else proof.marks,
             arms=shown.arms,

@@ -154,13 +154,11 @@ def test_files_keep_the_schedule(scheduled: RobotPlan, tmp_path: Path) -> None:
 
 
 def test_files_of_the_first_format(planned: RobotPlan, tmp_path: Path) -> None:
-    data = as_robot_version_2(planned)
-    del data["schedule"]
-    data["format"] = "falsework.robot-plan/1"
+    """Refused by name, as plan files of versions 1 and 2 are."""
+    data = as_robot_version_2(planned) | {"format": "falsework.robot-plan/1"}
     (tmp_path / "old.json").write_text(json.dumps(data))
-    loaded = load_robot_plan(tmp_path / "old.json")
-    assert loaded.schedule is None
-    assert len(loaded) == len(planned)
+    with pytest.raises(PlanError, match=r"its format is 'falsework\.robot-plan/1'; this version reads .*; plan again"):
+        load_robot_plan(tmp_path / "old.json")
 
 
 def test_files_of_the_second_format(scheduled: RobotPlan, tmp_path: Path) -> None:

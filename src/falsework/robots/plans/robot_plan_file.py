@@ -33,8 +33,6 @@ from falsework.utils.models import read_model
 
 SECOND_FORMAT = "falsework.robot-plan/2"
 """Format whose direction is that of the plan in it; read, no longer written."""
-FIRST_FORMAT = "falsework.robot-plan/1"
-"""Format without a schedule; read, no longer written."""
 
 DIGITS = 12
 """Decimals of joint values, velocities and times: fewer would show as acceleration where knots are 0.1 ms apart."""
@@ -110,8 +108,6 @@ class _Reader:
 
     def __init__(self, data: Any, source: str) -> None:
         self._source, self._about = source, f"{source} is not a valid robot plan: "
-        if isinstance(data, dict) and data.get("format") == FIRST_FORMAT:
-            data = {**data, "format": SECOND_FORMAT, "schedule": None}
         if isinstance(data, dict) and data.get("format") == SECOND_FORMAT:
             known = data["plan"].get("direction") if isinstance(data.get("plan"), dict) else None
             data = {**data, "format": FORMAT, "direction": known}

@@ -255,10 +255,6 @@ class ReplayEntry(FileModel, frozen=True):
     varied: bool = False
     """Whether it also comes to rest under changed settings: stiffness ratio, damping, release, initial friction, and
     presses that err."""
-    weak_under: str = ""
-    """Not written any more; readers ignore it."""
-    weak_at: Count | None = None
-    """Not written any more; readers ignore it."""
     judgement: Judgement | None = None
 
 

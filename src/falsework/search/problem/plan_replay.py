@@ -11,7 +11,7 @@ from falsework.stability.contact.build_verifier import StepCertificate
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.holds import Press
 from falsework.stability.judges.judgement import Judgement
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import format_bound
 
 if TYPE_CHECKING:
     from falsework.stability.contact.history import Replay
@@ -67,7 +67,7 @@ class PlanReplay:
         if self.stands and not replay.good:
             return "that it succeeds"
         if self.stands and replay.largest > _REPEATS * self.moved + _LEAST:
-            return f"that parts move by at most {format_quantity(self.moved, 'length')}"
+            return f"that parts move by {format_bound(self.moved, 'length')}"
         return ""
 
 

@@ -42,7 +42,7 @@ class LookTab:
         self._arms = toggle("Arms", value=True)
         if model.policy is not None:
             self._chances = toggle("Probabilities of the policy", value=model.show_probabilities)
-        self.explode = gui.add_slider("Apart", min=0.0, max=1.0, step=0.05, initial_value=0.0)
+        self.explode = gui.add_slider("Explode", min=0.0, max=1.0, step=0.05, initial_value=0.0)
         self.explode.on_update(lambda event: page.guard(event, self._viewed))
         self._axis = gui.add_dropdown(
             "Section", tuple(_SECTIONS), hint="Cuts the structure by a plane across an axis."

@@ -130,8 +130,7 @@ def legend_text(model: ViewerState, shown: Mapping[str, Arrows]) -> str:
     for kind, color in KINDS.items():
         some = shown.get(kind)
         if some is not None and len(some):
-            longest = f", up to {format_quantity(some.longest, 'force')}" if some.longest else ""
-            entries.append((color, f"{kind}{longest}"))
+            entries.append((color, some.words(kind)))
     if model.sliding and "sliding" not in shown:
         entries.append((SLIDING, "would slide"))
     boxes = "".join(

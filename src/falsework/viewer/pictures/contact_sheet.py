@@ -231,13 +231,20 @@ def state_frame(assembly: Assembly, state: States, robots: int, words: str) -> P
 
 
 def legend(
-    timeline: Timeline, sliding: bool = False, pressing: bool = False, outlined: bool = False
+    timeline: Timeline,
+    sliding: bool = False,
+    pressing: bool = False,
+    outlined: bool = False,
+    *,
+    place: int | None = None,
 ) -> list[tuple[str, str]]:
-    """Return the colour and words of all that a timeline shows."""
+    """Return the colour and words of all that a timeline shows, or one place of it."""
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]
     entries += [(_NOT_INSTALLED, "not installed")] * outlined
+    holders = timeline.holders if place is None else timeline.holders[place]
     for robot in range(min(int(timeline.holders.max(initial=NO_ROBOT)) + 1, len(ROBOTS))):
-        entries.append((robot_color(robot), f"held by {timeline.robot_name(robot)}"))
+        if place is None or (holders % len(ROBOTS) == robot)[holders != NO_ROBOT].any():
+            entries.append((robot_color(robot), f"held by {timeline.robot_name(robot)}"))
     if sliding:
         entries.append((SLIDING, "would slide"))
     if pressing:
