@@ -51,6 +51,10 @@ def read_json(path: Path | str, kind: str = "JSON file", remedy: str = "write it
         raise PlanError(f"{path} cannot be read: {error}; {remedy}") from None
 
 
+_CHECKED_BY = {"plan": "falsework check", "robot plan": "falsework robots check"}
+"""Commands that check files, by their kind."""
+
+
 def check_format(data: Any, form: str, about: str, command: str) -> None:
     """Raise for values that are of another format: no other fault of theirs is worth a message.
 
@@ -64,7 +68,8 @@ def check_format(data: Any, form: str, about: str, command: str) -> None:
     of, _, version = found.partition("/")
     if version and of != form.partition("/")[0]:
         other = of.removeprefix("falsework.").replace("-", " ")
-        raise PlanError(f"{about}it is a file of another kind ({other}); give a file that `{command}` wrote")
+        own = f", or check this one by `{_CHECKED_BY[other]}`" if other in _CHECKED_BY else ""
+        raise PlanError(f"{about}it is a file of another kind ({other}); give a file that `{command}` wrote{own}")
     if found != form:
         raise PlanError(f"{about}its format is {found!r}; this version reads {form!r} only; plan again")
 

@@ -208,7 +208,11 @@ def edit(*keys: Any, to: Any) -> Callable[[dict[str, Any]], None]:
 
 WRONG_BY_SCHEMA = [
     (edit("format", to="falsework.plan/5"), "format is 'falsework.plan/5'"),
-    (edit("format", to="falsework.robot-plan/2"), "it is a file of another kind (robot plan)"),
+    (
+        edit("format", to="falsework.robot-plan/2"),
+        "it is a file of another kind (robot plan); give a file that `falsework plan` wrote, or check this one by "
+        "`falsework robots check`",
+    ),
     (edit("format", to=...), 'no "format"'),
     (edit("surprise", to=1), "surprise is not known; known are displacements, end,"),
     (edit("steps", 2, "surprise", to=1), "steps[2].surprise is not known; known are bears, do,"),

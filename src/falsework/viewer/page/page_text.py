@@ -94,7 +94,7 @@ def facts_of(model: ViewerState, part: int) -> list[tuple[str, str]]:
     if who != NO_ROBOT:
         now = f"held by {model.timeline.robot_name(int(who))}"
     spans = [
-        f"{model.timeline.robot_name(robot)}, " + (f"state {first}" if first == last else f"states {first} to {last}")
+        f"{model.timeline.robot_name(robot)}, " + (f"step {first}" if first == last else f"steps {first} to {last}")
         for robot, first, last in timeline.held_when(part)
     ]
     facts = [
