@@ -208,7 +208,7 @@ def library_of(defines: tuple[tuple[str, int], ...], kept: Path) -> ctypes.CDLL:
         with tempfile.TemporaryDirectory(dir=kept) as folder:
             source, out = Path(folder) / "kernel.cpp", Path(folder) / "kernel.so"
             source.write_text(kernel_source(), encoding="utf-8")
-            command = [COMPILER, "-std=c++17", "-O1", "-shared", "-fPIC", *constants, "-o", str(out), str(source)]
+            command = [COMPILER, "-std=c++17", "-Og", "-shared", "-fPIC", *constants, "-o", str(out), str(source)]
             subprocess.run(command, check=True, capture_output=True)
             out.replace(library)
     return ctypes.CDLL(str(library))
