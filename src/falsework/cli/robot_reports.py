@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from falsework.cli.output import Output
     from falsework.robots.checks.check import CheckReport
     from falsework.robots.model.cell import Cell
+    from falsework.robots.plans.plan_problem import PlanProblem
     from falsework.robots.plans.robot_forces import GripLoad
-    from falsework.robots.plans.robot_plan import PlanProblem, RobotPlan
+    from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.robots.schedule.simulation import SimulationReport
 
 _AT_HOME = 1e-6

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD
 from falsework.robots.cells.visuals import VisualShape, link_visuals, shape_of_pieces
 from falsework.robots.plans.loads import Load
-from falsework.robots.plans.timeline import activities_at
+from falsework.robots.plans.timeline import activities_at, waiting_at
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
 from falsework.viewer.appearance import Appearance
 from falsework.viewer.clock import Clock
-from falsework.viewer.palette import robot_color, unit_rgb
+from falsework.viewer.palette import INSTALLED, robot_color, unit_rgb
 from falsework.viewer.pictures.render import ColoredSolid
 
 if TYPE_CHECKING:
@@ -52,13 +52,18 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class CarriedPart:
-    """Part on its way in a gripper, or put down on the way."""
+    """Part on its way in a gripper, or put down on the way, or waiting there."""
 
     part: int
     robot: int
-    """Robot that carries it, or has put it down."""
+    """Robot that carries it, or has put it down; `NO_ROBOT` of one that waits."""
     pose: Array
     """From the place of the part to where it is, shape (4, 4)."""
+
+    @property
+    def color(self) -> str:
+        """Colour of that robot."""
+        return INSTALLED if self.robot == NO_ROBOT else robot_color(self.robot)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +135,9 @@ class Arms:
             configurations.append(values)
             if arm.load is not None:
                 carried.append(self._loaded(arm.load, arm.robot, values))
+        for load in waiting_at(self._plan, self.clock.starts, seconds):
+            if all(other.part != load.part for other in carried):
+                carried.append(CarriedPart(load.part, NO_ROBOT, self._seen(load.pose)))
         return ArmPoses(self._poses(configurations), tuple(carried))
 
     def at(self, position: float) -> ArmPoses:
@@ -141,11 +149,14 @@ class Arms:
         from falsework.robots.kinematics.forward import tool_pose
         from falsework.robots.model.shapes import inverse_pose
 
-        arm, back, way = self.cell.robots[robot], self._to_structure, load.pose
+        arm, way = self.cell.robots[robot], load.pose
         if load.grip is not None:
             way = tool_pose(arm, values) @ inverse_pose(tool_pose(arm, load.grip)) @ way
-        # From the structure into the cell, along with the tool, and back again.
-        return CarriedPart(load.part, robot, back @ way @ np.linalg.inv(back))
+        return CarriedPart(load.part, robot, self._seen(way))
+
+    def _seen(self, pose: Array) -> Array:
+        """Return a displacement in the cell, shape (4, 4), as one in the structure."""
+        return self._to_structure @ pose @ np.linalg.inv(self._to_structure)
 
     def _poses(self, configurations: Sequence[Array]) -> Array:
         from falsework.robots.kinematics.forward import link_poses
@@ -175,7 +186,7 @@ def solids_of_arms(arms: Arms, arm_poses: ArmPoses, assembly: Assembly) -> list[
     for carried in arm_poses.carried:
         mesh, pose = assembly.meshes[carried.part], carried.pose
         vertices = mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
-        solids.append(ColoredSolid(vertices, mesh.faces, unit_rgb(robot_color(carried.robot))))
+        solids.append(ColoredSolid(vertices, mesh.faces, unit_rgb(carried.color)))
     return solids
 
 

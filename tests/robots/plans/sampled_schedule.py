@@ -13,7 +13,8 @@ from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker,
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.loads import Load
-from falsework.robots.plans.robot_plan import PlanProblem, RobotPlan
+from falsework.robots.plans.plan_problem import PlanProblem
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import ArmActivity, activities_at, event_times
 
 INTERVAL = 0.01

@@ -28,6 +28,8 @@ from falsework.robots.plans.robot_plan import Keyframe, Partner, RobotStep, reco
 from falsework.robots.plans.robot_plan_file import robot_plan_from_dict, robot_plan_to_dict
 from falsework.search.plans.plan_check import validate_plan
 from falsework.stability.holds import Press
+from tests.robots.plans.conftest import make_cell
+from tests.robots.plans.test_waiting import pit, planned
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "robot-plan-checks.md"
 ROWS = re.findall(r"^\| ([^|]+?) \|[^|]*\|[^|]*\| `([^`]+)` \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
@@ -330,12 +332,38 @@ def lifted(case: Case) -> Case:
     return replace(case, plan=forged)
 
 
+def waits(case: Case) -> Case:
+    """Let a part that nothing moves wait at a keyframe."""
+    frame = replace(case.plan.keyframes[REMOVE + 1], waits=((0, np.eye(4)),))
+    frames = (*case.plan.keyframes[: REMOVE + 1], frame, *case.plan.keyframes[REMOVE + 2 :])
+    abstract = replace(case.plan.plan, waiting=True)
+    return replace(case, plan=replace(case.plan, plan=abstract, keyframes=frames, schedule=None))
+
+
+def lidded(**rules: Any) -> Case:
+    """A good plan in which one arm lays a lid aside that waits there, but for rules of its abstract plan."""
+    cell = make_cell(bases=1, payload=20.0)
+    plan = planned(pit(), cell, 0)
+    return Case(replace(plan, plan=replace(plan.plan, **rules)), pit(), cell)
+
+
+def waits_elsewhere(_: Case) -> Case:
+    case, far = lidded(), np.eye(4)
+    far[0, 3] = 0.05
+    frames = [replace(one, waits=tuple((part, far @ pose) for part, pose in one.waits)) for one in case.plan.keyframes]
+    return replace(case, plan=replace(case.plan, keyframes=tuple(frames)))
+
+
 FORGED: dict[str, Callable[[Case], Case | str]] = {
     "a part that has no straight way out follows the moves of its way, which is swept": lambda case: replace(
         case,
         plan=replace(case.plan, plan=replace(case.plan.plan, exit_paths=((UP,) * 4,) * len(case.plan.plan))),
     ),
     "held parts are moved aside, and back, on the moves of a way alone": lifted,
+    "parts wait, and are taken, only on the moves of a way": waits,
+    "in each move of a way on which parts wait robots hold what its states have held": (lambda _: lidded(robots=2)),
+    "a part begins to wait, or goes on, only where a gripper lets go of it or takes it": waits,
+    "a part waits where its robot has it, and its gripper is at it": waits_elsewhere,
     "robots move at the same instant only where each has a part that leaves or comes, and by one clock": (
         lambda case: case.stepped(HOLD, partners=(Partner(1, case.plan.steps[HOLD].trajectories),))
     ),

@@ -61,8 +61,7 @@ def stages(way: ExitPath, state: States, leaving: Parts, spare: int, *, out: boo
     whole[part] = HELD
     for number, move in enumerate(way):
         held = whole.copy()
-        carried = [one for one in move.parts if whole[one] != HELD]
-        if len(carried) > spare:
+        if lets_go(move.parts, state, leaving, spare):
             held[part] = INSTALLED
         yield from _moved(held, move.parts, after(way[:number]), after(way[: number + 1]), out and move is way[-1])
     if out:
@@ -84,7 +83,11 @@ def _moved(state: States, parts: tuple[int, ...], before: Poses, then: Poses, go
         yield state, then
 
 
+def lets_go(parts: Parts, state: States, leaving: Parts, spare: int) -> bool:
+    """Return whether robots are free to carry some parts only if that of a part that leaves lets go of it."""
+    return sum(state[one] != HELD and one not in leaving for one in parts) > spare
+
+
 def has_hands(parts: Parts, state: States, leaving: Parts, spare: int) -> bool:
     """Return whether there are robots to carry some parts; that of a part that leaves alone may let go of it."""
-    carried = sum(state[one] != HELD and one not in leaving for one in parts)
-    return carried <= spare + (len(leaving) == 1 and leaving[0] not in parts)
+    return not lets_go(parts, state, leaving, spare + (len(leaving) == 1 and leaving[0] not in parts))

@@ -12,21 +12,22 @@ from numpy.typing import NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD
+from falsework.assembly.state import HELD, INSTALLED
 from falsework.errors import CellError, InputError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.cells.validate import check_bases
 from falsework.robots.checks.delays import DelayReport, check_delays
 from falsework.robots.checks.descriptions import description_fault
 from falsework.robots.checks.grips import GripChecker
-from falsework.robots.checks.handling import HandlingChecker, place_lines, put_down_faults
+from falsework.robots.checks.handling import HandlingChecker, hand_faults, place_lines, put_down_faults
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.loads import load_of, loads_at, loads_beside, moved_aside, step_fault
+from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_forces import GripLoad, grip_loads, overloads, press_fault
-from falsework.robots.plans.robot_plan import PlanProblem, RobotPlan
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.trajectory import OUTSIDE, check_limits
 from falsework.search.plans.plan_report import PlanReport
 from falsework.search.problem.task import Direction
@@ -116,9 +117,10 @@ class _Checker:
             handed = self.plan.steps[index - 1].hands_over
             if handed is not None and held.count(handed) == 2 and handed == self.plan.steps[index].hands_over:
                 held.remove(handed)  # between the two steps of a hand-over two robots hold the part
-        wanted = np.flatnonzero((state == HELD) & ~self.boundary).tolist()
-        if sorted(held) != wanted:
-            self.say(step, 0, f"the robots hold parts {sorted(held)}, the state has {wanted} held")
+        wanted = {*np.flatnonzero((state == HELD) & ~self.boundary).tolist()} - dict(frame.waits).keys()
+        wanted |= {part for part in self.plan.aside(index).values() if state[part] == INSTALLED}  # of which ways know
+        if sorted(held) != sorted(wanted):
+            self.say(step, 0, f"the robots hold parts {sorted(held)}, the state has {sorted(wanted)} held")
         for robot, part in enumerate(frame.held):
             if part is None:
                 continue
@@ -163,11 +165,15 @@ class _Checker:
                 self.say(index, robot, fault, pair=pair)
         if fault := press_fault(self.plan, index):
             self.say(index, robot, fault)
+        takes = step.transit and self.plan.grip(index) is not None
+        if takes:
+            for fault in hand_faults(self.plan, index, self.grips):
+                self.say(index, robot, fault)
         for fault in self.handling.faults(index):
             self.say(index, robot, fault)
         hands = self.plan.in_hand(index), self.plan.in_hand(index + 1)
         for other, (old, new) in enumerate(zip(*hands, strict=True)):
-            if (old != new) != (other in step.robots and not step.transit):
+            if (old != new) != (other in step.robots and (takes or not step.transit)):
                 self.say(index, other, "its held part does not change according to the action")
         values = [*before.configurations]
         for order in range(len(step.trajectories)):
@@ -191,7 +197,12 @@ class _Checker:
             if not self.cell.robots[robot].model.within_limits(values, OUTSIDE):
                 self.say(min(index, len(self.plan) - 1), robot, f"at the {when} a joint is outside its limits")
             others = {other: load for other, load in loads.items() if other != robot}
-            given = {"touches": frame.held[robot], "load": loads.get(robot), "loads": others}
+            given = {
+                "touches": frame.held[robot],
+                "load": loads.get(robot),
+                "loads": others,
+                "waits": dict(frame.waits),
+            }
             move = self.judge.prepare(robot, frame.configurations, present, **given)
             pair = move.hits(values)
             if pair is not None:
@@ -257,7 +268,7 @@ class _Checker:
             self.say(index, robot, what, seconds=float(moments[row]), configuration=tuple(samples[row].tolist()))
         loads = loads_beside(self.plan, index)
         loads |= {other: held for other in beside if (held := load_of(self.plan, index, order, other)) is not None}
-        given = {"load": load, "touches": trajectory.touches, "loads": loads}
+        given = {"load": load, "touches": trajectory.touches, "loads": loads, "waits": self.plan.waiting(index)}
         rest = self.plan.keyframes[index].configurations
         move = self.judge.prepare(robot, rest, present, at_place=at_place, **given)
         tried = [(move, row) for row in range(len(samples))]

@@ -72,5 +72,9 @@ def _scene(plan: RobotPlan, cell: Cell, arms: Sequence[ArmActivity], row: int, t
             else:
                 carried = Attached(load.part, inverse_pose(tool_pose(entry, load.grip)) @ load.pose)
         attached.append(carried)
+    for part, pose in plan.keyframes[row].waits:
+        if present[part]:
+            present[part] = False
+            elsewhere.append((part, pose))
     values = tuple(arm.at(np.array([time]))[0] for arm in arms)
     return Scene(values, present, tuple(attached), tuple(elsewhere))

@@ -23,8 +23,9 @@ import numpy as np
 from falsework.robots.checks.handling import place_lines
 from falsework.robots.checks.pinocchio_checker import WORLD, CollisionBody, PinocchioCollisionChecker, import_pinocchio
 from falsework.robots.model.shapes import Array
+from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.reachable_positions import ReachablePositions
-from falsework.robots.plans.robot_plan import PlanProblem, RobotPlan
+from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import Segment
 from falsework.robots.plans.trajectory import Trajectory
 
@@ -307,16 +308,26 @@ class _DelayChecker:
     def structure(self, segment: Segment) -> None:
         """Check a motion against parts that it was not planned with."""
         planned = self.plan.standing[segment.step : segment.step + 2].any(axis=0)
-        for low, high, present in self.reachable.present(segment):
-            parts = np.flatnonzero(present & ~planned).tolist()
-            if not parts or len(self.problems) >= self.most:
-                continue
-            self.early += len(parts)
+        known = self._waiting(segment.step, segment.step + 1)
+        for low, high, first, last in self.reachable.present(segment):
+            parts = np.flatnonzero(self.plan.standing[first : last + 1].any(axis=0) & ~planned).tolist()
             bodies = [self.judge.standing_part(part) for part in parts]
+            waits = self._waiting(first, last)
+            bodies += [
+                self.judge.standing_part(part, pose) for (part, key), pose in waits.items() if (part, key) not in known
+            ]
+            if not bodies or len(self.problems) >= self.most:
+                continue
+            self.early += len(bodies)
             path, still = self._path(segment), self.prover.path(bodies, np.zeros(len(segment.rest)))
             found = self.prover.meeting(path, still, _positions(path, segment, (low, high)), (0.0, 0.0))
             if found is not None:
                 self._say(found, segment, path, "which may stand then")
+
+    def _waiting(self, first: int, last: int) -> dict[tuple[int, bytes], Array]:
+        """Return the displacements of all parts that wait at some keyframes."""
+        waits = [entry for frame in self.plan.keyframes[first : last + 1] for entry in frame.waits]
+        return {(part, pose.tobytes()): pose for part, pose in waits}
 
     def _path(self, segment: Segment) -> BodyPath:
         if segment not in self._paths:

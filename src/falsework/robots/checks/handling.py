@@ -17,7 +17,7 @@ from falsework.robots.checks.grips import GripChecker
 from falsework.robots.model.cell import LONGEST_APPROACH, LONGEST_WITHDRAWAL, Cell
 from falsework.robots.model.part_shapes import placed_move
 from falsework.robots.model.shapes import Array, inverse_pose, move
-from falsework.robots.plans.loads import Load, load_of, lying_motions, moved_aside
+from falsework.robots.plans.loads import Load, load_of, loads_at, lying_motions, moved_aside
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.trajectory import line_fault, move_fault
 from falsework.robots.plans.ways import moves_of_steps
@@ -84,6 +84,8 @@ class HandlingChecker:
             return moved, apart or before is not None, not apart or after is not None
         if aside := moved_aside(plan, index):
             return aside.get(robot), True, True
+        if step.transit and plan.grip(index) is not None:  # where the part stands, or waits
+            return None, False, False
         carried = [part for part in (before, *(leg.part for leg in step.trajectories), after) if part is not None]
         return (carried[0] if carried and step.transit else None), before is not None, after is not None
 
@@ -144,8 +146,8 @@ class HandlingChecker:
                 faults.append(f"motion {order + 1} is a line on which {name} neither leaves a place nor reaches one")
             if carries and order in at_place and not (lying and order in (lying.start - 1, lying.stop)):
                 run += float(np.linalg.norm(tools[-1, :3, 3] - tools[0, :3, 3]))
-            ends = {lying.start, lying.stop - 1} if lying else {0, last} if step.transit else set()
-            ends |= {"close": {last}, "open": {0}}.get(grip or "", set())
+            ends = {"close": {last}, "open": {0}}.get(grip or "", {0, last} if step.transit else set())
+            ends |= {lying.start, lying.stop - 1} if lying else set()
             if leg.touches is not None and order not in ends:
                 name = self.names[leg.touches]
                 faults.append(f"motion {order + 1} touches {name} and neither ends at it nor begins there")
@@ -178,6 +180,29 @@ def place_lines(plan: RobotPlan, index: int, robot: int | None = None) -> frozen
     return frozenset(order for order in found if load_of(plan, index, order, robot) is not None)
 
 
+def hand_faults(plan: RobotPlan, index: int, grips: GripChecker) -> Iterator[str]:
+    """Yield why a robot does not take a part that stands or waits, or let go of it, where a step has it do so."""
+    closes, robot = plan.grip(index) == "close", plan.steps[index].robot
+    with_it, without = (index + 1, index) if closes else (index, index + 1)
+    part, values = plan.in_hand(with_it)[robot], plan.keyframes[with_it].configurations[robot]
+    assert part is not None
+    pose = dict(plan.keyframes[without].waits).get(part)
+    if fault := grips.fault(robot, values, part, pose):
+        yield f"{fault}, which it should take or let go of"
+    load, there = loads_at(plan, with_it).get(robot), np.eye(4)
+    if load is not None and load.grip is not None:
+        there = grips.judge.flange(robot, values) @ inverse_pose(grips.judge.flange(robot, load.grip)) @ load.pose
+    yield from _displaced(grips, part, there, np.eye(4) if pose is None else pose, "waits")
+
+
+def _displaced(grips: GripChecker, part: int, there: Array, pose: Array, does: str) -> Iterator[str]:
+    """Yield that a part is not where its robot has it, if it is not."""
+    corners, name = grips.judge.parts.meshes[part].vertices, grips.judge.parts.names[part]
+    far = float(np.linalg.norm(move(there, corners) - move(pose, corners), axis=1).max())
+    if far > _NEAR:
+        yield f"{name} {does} {1000 * far:.1f} mm away from where its robot has it"
+
+
 def put_down_faults(
     plan: RobotPlan, index: int, grips: GripChecker, present: NDArray[np.bool_]
 ) -> Iterator[tuple[str, tuple[str, str] | None]]:
@@ -198,9 +223,7 @@ def put_down_faults(
     gripped = plan.keyframes[index if apart else index + 1].configurations[robot]
     carried = there @ inverse_pose(judge.flange(robot, gripped))
     corners = judge.parts.meshes[part].vertices
-    far = float(np.linalg.norm(move(carried, corners) - move(pose, corners), axis=1).max())
-    if far > _NEAR:
-        yield f"{name} lies {1000 * far:.1f} mm away from where its robot has it", None
+    yield from ((fault, None) for fault in _displaced(grips, part, carried, pose, "lies"))
     other = judge.obstructs(Load(part, None, pose), present)
     if other is not None:
         yield f"{name} is put down in {other}", (f"part {name}", other)

@@ -8,7 +8,7 @@ pieces, so these are checked.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -113,6 +113,7 @@ class PinocchioCollisionChecker:
         touches: int | None = None,
         at_place: bool = False,
         loads: Mapping[int, Load] | None = None,
+        waits: Mapping[int, Array] | None = None,
     ) -> PreparedQuery:
         """Prepare the check of one moving robot; others may move at the same time.
 
@@ -125,6 +126,7 @@ class PinocchioCollisionChecker:
             at_place: whether the carried part starts or ends at its place, or on the floor; it is then shrunk by the
                 tolerance, since it touches its neighbours there.
             loads: parts that other robots carry or have put down.
+            waits: displacements of parts that wait half way out, shape (4, 4).
         """
         moving = self._robot_bodies(robot)
         joints = self.cell.robots[robot].model.joints
@@ -134,20 +136,19 @@ class PinocchioCollisionChecker:
             found = self._loaded(robot, load, at_place)
             moving += [(joints + 3 if lying else joints + 2, body) for body in found]
             standing += [("lying part", load.part, body) for body in found if lying]
+        waiting = dict(waits or {}) | ({load.part: load.pose} if load is not None and lying else {})
         for other, others in (loads or {}).items():
             standing += [("robot", other, body) for body in self._loaded(other, others, False)]
+        standing += [("lying part", part, self.standing_part(part, pose)) for part, pose in (waits or {}).items()]
         for _, body in moving:
             for number in sorted(body.against or ()):
                 if present[number]:
                     shrunk = self._shrunk(number, body.slack)
                     name = f"part {self.parts.names[number]}"
-                    standing.append(
-                        ("shrunk part", number, CollisionBody(name, shrunk, WORLD, np.eye(4), slack=body.slack))
-                    )
-        if touches is not None and load is not None and lying and load.part == touches:
-            standing.append(("touched part", touches, self._touched(robot, touches, load.pose)))
-        elif touches is not None and present[touches]:
-            standing.append(("touched part", touches, self._touched(robot, touches, np.eye(4))))
+                    made = CollisionBody(name, shrunk, WORLD, np.eye(4), slack=body.slack)
+                    standing.append(("shrunk part", number, made))
+        if touches is not None and (touches in waiting or present[touches]):
+            standing.append(("touched part", touches, self._touched(robot, touches, waiting.get(touches))))
         bodies = [body for _, body in moving] + [body for _, _, body in standing]
         geometry = self._pin.GeometryModel()
         for number, body in enumerate(bodies):
@@ -203,10 +204,7 @@ class PinocchioCollisionChecker:
 
     def is_pierced(self, robot: int, configuration: Array, part: int, pose: Array | None = None) -> bool:
         """Return whether a gripper reaches deeper into a part, in place or displaced, than it may press into it."""
-        flange, body = (
-            self.flange(robot, configuration),
-            self._touched(robot, part, np.eye(4) if pose is None else pose),
-        )
+        flange, body = self.flange(robot, configuration), self._touched(robot, part, pose)
         return any(self._collide(piece, flange, body.shape, body.placement) for piece in self._grippers[robot])
 
     def flange(self, robot: int, configuration: Array) -> Array:
@@ -225,9 +223,10 @@ class PinocchioCollisionChecker:
         loaded = [] if load is None else self._loaded(robot, load, False)
         return [body for _, body in self._robot_bodies(robot)] + loaded
 
-    def standing_part(self, part: int) -> CollisionBody:
-        """Return a part in place, in full size."""
-        return CollisionBody(f"part {self.parts.names[part]}", self._parts[part], WORLD, np.eye(4))
+    def standing_part(self, part: int, pose: Array | None = None) -> CollisionBody:
+        """Return a part in place, or displaced by a pose, shape (4, 4), in full size."""
+        name = f"part {self.parts.names[part]}"
+        return CollisionBody(name, self._parts[part], WORLD, np.eye(4) if pose is None else pose)
 
     def _add_chain(self, robot) -> None:
         pin, model = self._pin, robot.model
@@ -261,7 +260,7 @@ class PinocchioCollisionChecker:
         """Return the load of a robot; where it may touch its neighbours, once for each shrinking distance."""
         entry, part = self.cell.robots[robot], load.part
         if load.grip is None:
-            return [CollisionBody(f"part {self.parts.names[part]}", self._parts[part], WORLD, load.pose)]
+            return [self.standing_part(part, load.pose)]
         placement = entry.model.flange @ inverse_pose(self.flange(robot, load.grip)) @ load.pose
         name, joint = f"part {self.parts.names[part]}", self._joints[robot][-1]
         if not at_place:
@@ -274,10 +273,10 @@ class PinocchioCollisionChecker:
             for slack, others in more
         ]
 
-    def _touched(self, robot: int, part: int, pose: Array) -> CollisionBody:
+    def _touched(self, robot: int, part: int, pose: Array | None) -> CollisionBody:
         """Return a part that the gripper of a robot touches, shrunk by how far it may press into it."""
         shape = self._shrunk(part, self.cell.robots[robot].gripper.press_depth)
-        return CollisionBody(f"part {self.parts.names[part]}", shape, WORLD, pose)
+        return replace(self.standing_part(part, pose), shape=shape)
 
     def _shrunk(self, part: int, slack: float) -> Any:
         if (part, slack) not in self._shrunken:

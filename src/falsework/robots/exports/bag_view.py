@@ -61,7 +61,8 @@ def write_view(plan: RobotPlan, placed: PlacedParts, write: Write) -> None:
             frames += _arm_frames(plan, placed.cell, arm.robot, configuration)
             if arm.load is not None:
                 loads[arm.load.part] = _pose(arm.load, placed.cell, arm.robot, configuration)
-        state = plan.states[int(np.searchsorted(reached, now, side="right"))]
+        row = int(np.searchsorted(reached, now, side="right"))
+        state, loads = plan.states[row], dict(plan.keyframes[row].waits) | loads
         there = {*np.flatnonzero(state != REMOVED).tolist(), *loads}
         for part in sorted((there - shown) | moved | set(loads)):
             pose = loads.get(part, np.eye(4)).copy()

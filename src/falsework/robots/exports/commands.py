@@ -81,7 +81,7 @@ def events_of(plan: RobotPlan, step: int, robot: int | None = None) -> Iterator[
         yield from moves
         return
     if plan.steps[step].transit:
-        has = [before, *(leg.part is not None for leg in moves), after]
+        has = [before or grip == "open", *(leg.part is not None for leg in moves), after or grip == "close"]
         for k, leg in enumerate((*moves, None)):
             if has[k] != has[k + 1]:
                 yield Grip(has[k + 1])

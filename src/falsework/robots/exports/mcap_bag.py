@@ -146,6 +146,10 @@ def write_bag(
         node, now, step = nodes[index], float(starts[index]), plan.steps[nodes[index].step]
         for robot in node.robots if node.trajectory is not None else ():
             play(node, step, robot, now)
+        grip = plan.grip(node.step) if node.trajectory is None and step.transit else None
+        if grip and (load := loads_at(plan, node.step + (grip == "close")).get(node.robot)):
+            given = (load, placed) if grip == "close" else (None, None)  # a part that waits is taken or let go of
+            scene(now, attached=_attached(plan, node.robot, load.part, now, *given))
     for press in presses:
         name, wrench = plan.robots[press.robot].name, press.wrench_in(flange_of(press, plan))
         for moment, values in ((press.start, wrench), (press.end, np.zeros(6))):

@@ -163,9 +163,9 @@ def _press(plan: RobotPlan, press: TimedPress) -> dict[str, Any]:
 
 
 def _part(plan: RobotPlan, index: int) -> str:
-    part = int(plan.actions[index]) % len(plan.plan.boundary)
-    if plan.steps[index].transit:
-        part = next(leg.part for leg in plan.steps[index].trajectories if leg.part is not None)
+    part, step = int(plan.actions[index]) % len(plan.plan.boundary), plan.steps[index]
+    if step.transit:  # what it carries, takes or lets go of
+        part = next(part for leg in step.trajectories for part in (leg.part, leg.touches) if part is not None)
     return plan.plan.part_names[part]
 
 

@@ -20,6 +20,7 @@ from falsework.robots.model.part_shapes import placed_move
 from falsework.robots.model.shapes import Array
 from falsework.search.problem.task import Task
 from falsework.search.together.exits import sets_of
+from falsework.search.together.posed_states import PosedStates
 from falsework.stability.oracle import StabilityOracle
 from falsework.utils.bits import pack, unpack
 
@@ -105,8 +106,10 @@ class ExitWays:
             assembly = self._assembly
             still = assembly.immovable.copy()
             still[list(task.fixed)] = True
+            posed = PosedStates(assembly) if task.waiting else None
             given = assembly.meshes, assembly.contacts, self._table, assembly.part_motions, still
-            self.clearance = ExitPaths(*given, task.moves_out, task.turns).judged_by(oracle, robots).until(check)
+            paths = ExitPaths(*given, task.moves_out, task.turns, posed)
+            self.clearance = paths.judged_by(oracle, robots).until(check)
 
     def blockers(self, part: int) -> NDArray[np.bool_]:
         """Return the parts that block each straight way of a part, shape (ways, parts)."""

@@ -41,19 +41,22 @@ class GraspConfigurations:
         self.cache, self.reasons, self.limit = cache, reasons, limit
         self.given: dict[int, GraspConfiguration] = {}
         """Parts that are held in one way only, as robots hold them when an assembly is continued."""
-        self._grips: dict[tuple[int, int, bytes], list[GraspConfiguration]] = {}
+        self._grips: dict[tuple[int, int, bytes, bytes], list[GraspConfiguration]] = {}
         self._places: dict[int, Array] = {}
         self._candidates: dict[tuple[int, str, float, float, float], list[Grasp]] = {}
         self._faults: dict[tuple[int, str, float, float, float], str] = {}
 
-    def get(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
-        """Return all grasps of a part by a robot among the parts of a state; other robots are ignored."""
-        if part in self.given:
+    def get(self, robot: int, part: int, state: States, pose: Array | None = None) -> list[GraspConfiguration]:
+        """Return all grasps of a part by a robot among the parts of a state; other robots are ignored.
+
+        `pose` is the displacement of a part that waits away from its place, shape (4, 4).
+        """
+        if part in self.given and pose is None:
             return [self.given[part]] if self.given[part].robot == robot else []
         present = state != REMOVED
-        key = (robot, part, np.packbits(present).tobytes())
+        key = (robot, part, np.packbits(present).tobytes(), b"" if pose is None else pose.tobytes())
         if key not in self._grips:
-            self._grips[key] = self._find(robot, part, present)
+            self._grips[key] = self._find(robot, part, present, pose)
         return self._grips[key]
 
     def check(self, parts: Iterable[int]) -> None:
@@ -112,21 +115,25 @@ class GraspConfigurations:
                 room = room + np.minimum(np.linalg.norm(flanges - flange[:2, 3], axis=1), 0.3)
         return room / self.cell.margins.approach
 
-    def _find(self, robot: int, part: int, present: NDArray[np.bool_]) -> list[GraspConfiguration]:
-        entry = self.cell.robots[robot]
+    def _find(self, robot: int, part: int, present: NDArray[np.bool_], pose: Array | None) -> list[GraspConfiguration]:
+        entry, there = self.cell.robots[robot], present.copy()
         if heavy := self._heavy(robot, part):
             self.reasons.add("hold", part, robot, heavy)
             return []
+        if pose is not None:  # away from its place other parts are in the way than there
+            present, there[part] = np.arange(len(present)) == part, False
         found = self._grasps(part, present, entry.gripper)
         if not found:
             self.reasons.add("hold", part, robot, self._fault(part, entry.gripper))
             return []
-        branches = inverse(entry, np.array([grasp.tool for grasp in found]))
+        tools = np.array([grasp.tool for grasp in found])
+        branches = inverse(entry, tools if pose is None else pose @ tools)
         if not sum(len(solutions) for solutions in branches):
             self.reasons.add("hold", part, robot, "out of reach")
             return []
         # One robot among parts, all others at home.
-        alone = Scene(self.cell.homes, present, (None,) * self.cell.robot_count)
+        waits = () if pose is None else ((part, pose),)
+        alone = Scene(self.cell.homes, there, (None,) * self.cell.robot_count, waits)
         view = self.cache.view(alone, robot, grasp_contact(part))
         values = np.concatenate(branches)
         which = np.repeat(np.arange(len(found)), [len(solutions) for solutions in branches]).tolist()

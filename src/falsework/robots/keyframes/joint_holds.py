@@ -15,6 +15,7 @@ from falsework.robots.schedule.swept_bodies import SweptBodies
 from falsework.search.problem.oracle import Oracle
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.oracle import StabilityOracle
+from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdicts
 
 Group = tuple[int, ...]
@@ -140,6 +141,11 @@ class HoldingOracle(Oracle):
     def holds_keep_stable(self) -> bool:
         """As of the oracle."""
         return self._oracle.holds_keep_stable
+
+    @property
+    def settings(self) -> StabilitySettings | None:
+        """As of the oracle."""
+        return self._oracle.settings
 
     @property
     def replayer(self) -> Replayer | None:

@@ -25,15 +25,15 @@ from falsework.robots.keyframes.joint_holds import JointHolds
 from falsework.robots.keyframes.joint_removals import JointRemovals
 from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, PathSegment, accept_all, removed_by
 from falsework.robots.keyframes.putting_down import PuttingDown
+from falsework.robots.keyframes.reaching import Reaching
 from falsework.robots.keyframes.ways_in_turn import WaysInTurn
 from falsework.robots.keyframes.withdrawal import Withdrawal
-from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Scene, grasp_contact
 from falsework.robots.motion.near_pairs import NearPair, nearest_pair
-from falsework.robots.motion.path_planner import MotionCache, follow_line
+from falsework.robots.motion.path_planner import MotionCache
 from falsework.robots.plans.ways import in_turn
 
 _MAX_DETOURS = 2
@@ -90,10 +90,12 @@ class KeyframeGraph:
         """Dead ends of the search that uses the graph."""
         self._alone: dict[tuple[int, int, bytes, bytes, bool, bool], bool] = {}
         self.withdrawal = Withdrawal(self.cache, self.reasons, self.grasp_configurations, settings.withdrawals)
-        self.putting_down = PuttingDown(assembly, self.cache, self.reasons, self.grasp_configurations, self.retreat)
+        self.reaching = Reaching(self.cache, self.reasons, settings.approaches)
+        given = assembly, self.cache, self.reasons, self.grasp_configurations
+        self.putting_down = PuttingDown(*given, self.reaching.retreat)
         self.exits = ExitWays(assembly, cell.placement, present, leaving)
         self.joint_removals = JointRemovals(self.cache, self.reasons, self.exits, self.withdrawal)
-        self.ways_in_turn = WaysInTurn(self.joint_removals)
+        self.ways_in_turn = WaysInTurn(self.joint_removals, self.reaching, self.grasp_configurations)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
         """Return an initial node."""
@@ -225,36 +227,16 @@ class KeyframeGraph:
     ) -> Edge | None:
         robot = grip.robot
         clear = self.cache.view(node.scene, robot)
-        retreat = self.retreat("hold", part, robot, grip.configuration, -grip.grasp.approach, view, clear)
+        retreat = self.reaching.retreat("hold", part, robot, grip.configuration, -grip.grasp.approach, view, clear)
         if retreat is None:
             return None
         # The part must be able to leave with this grasp once its exit is free, unless it is held again before.
         if lasting and not self._can_leave_later(node, part, grip):
             return None
-        free = self.cache.motion(node.scene, robot, node.configurations[robot], retreat[-1])
-        if not free:
-            self.reasons.add("hold", part, robot, f"motion to the part: {free.reason}", free.pair, free.at)
+        segments = self.reaching.approach(node.scene, part, robot, retreat)
+        if segments is None:
             return None
-        assert free.path is not None
-        line = PathSegment("line", retreat[::-1].copy(), touches=part)
-        segments = (PathSegment("free", free.path, view=clear), line)
         return Edge(part, robot, segments, node.after(part, robot, grip.configuration), part in node.held)
-
-    def retreat(
-        self, action: str, part: int, robot: int, here: Array, way: Array, view: CollisionQuery, clear: CollisionQuery
-    ) -> Array | None:
-        """Return the line on which a gripper leaves a part until it is clear of everything; None if it is blocked."""
-        what = "approach" if action == "hold" else "retreat"
-        for share in self.settings.approaches:
-            line = follow_line(view, here, way, share * self.cell.margins.approach)
-            if line.path is None:
-                self.reasons.add(action, part, robot, f"{what}: {line.reason}", line.pair, line.at)
-                continue
-            hit = int(clear.hits(line.path[-1])[0])
-            if hit < 0:
-                return line.path
-            self.reasons.add(action, part, robot, f"{what}: too near", clear.pair(hit), line.path[-1])
-        return None
 
     def _usable(self, grip: GraspConfiguration, part: int, state: States) -> bool:
         """Return whether an arm can approach a grasp, and the part leave with it or be released, without other arms."""
@@ -264,9 +246,8 @@ class KeyframeGraph:
             view = self.cache.view(alone.scene, grip.robot, grasp_contact(part))
             clear = self.cache.view(alone.scene, grip.robot)
             here, way = grip.configuration, -grip.grasp.approach
-            self._alone[key] = self.retreat("hold", part, grip.robot, here, way, view, clear) is not None and (
-                self.allow_regrasp or self._can_leave_later(alone, part, grip)
-            )
+            line = self.reaching.retreat("hold", part, grip.robot, here, way, view, clear)
+            self._alone[key] = line is not None and (self.allow_regrasp or self._can_leave_later(alone, part, grip))
         return self._alone[key]
 
     def _can_leave_later(self, node: Node, part: int, grip: GraspConfiguration) -> bool:
@@ -288,18 +269,8 @@ class KeyframeGraph:
     def _release(self, node: Node, part: int) -> Iterator[Edge]:
         """Yield the edge on which a robot lets go of a part and stays beside it, then the one on which it goes home."""
         robot, hands_over = node.holder(part), node.handed == part
-        here, entry = node.configurations[robot], self.cell.robots[robot]
-        view = self._view(node, robot, self.cell.margins.line)
-        clear = self.cache.view(node.scene, robot)
-        path = self.retreat("release", part, robot, here, -tool_pose(entry, here)[:3, 2], view, clear)
-        if path is None:
-            return
-        line = PathSegment("line", path, touches=part)
-        yield Edge(part, robot, (line,), node.after(part, robot, path[-1]), hands_over)
-        home = self.cache.motion(node.scene, robot, path[-1], entry.home)
-        if home.path is not None:
-            segments = (line, PathSegment("free", home.path, view=clear))
-            yield Edge(part, robot, segments, node.after(part, robot, entry.home), hands_over)
+        for segments in self.reaching.departures(node.scene, part, robot):
+            yield Edge(part, robot, segments, node.after(part, robot, segments[-1].path[-1]), hands_over)
 
     # Removing
 

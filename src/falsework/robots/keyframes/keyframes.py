@@ -20,6 +20,8 @@ _MOST_HAND_OVERS = 2
 """Hand-overs of a part between two removals: to another robot, and back with another grasp."""
 _MOST_REPEATS = 2
 """Dead ends with the same arms at the same parts, after which other grasps of these arms are not tried."""
+_HOME = 1e-9
+"""Largest entry of a displacement from its place that a part at its place has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +47,8 @@ class Node:
     had."""
     carried: tuple[CarriedLoad | None, ...] = ()
     """What each robot carries; empty: none carries anything. Of the parts of the state these are aside for a time."""
+    waits: tuple[tuple[int, Array], ...] = ()
+    """Parts of the state that wait in the midst of a way, in no gripper: displacements from their places, (4, 4)."""
     following: tuple[Edge, ...] = ()
     """Edges that come next, in the midst of a way."""
 
@@ -53,6 +57,7 @@ class Node:
         """Which parts are in place, shape (parts,)."""
         found = self.state != REMOVED
         found[[load.attached.part for load in self.carried if load is not None]] = False
+        found[[part for part, _ in self.waits]] = False
         return found
 
     @cached_property
@@ -72,7 +77,10 @@ class Node:
         """The node as a scene of the collision world."""
         carried = self.carried or (None,) * len(self.configurations)
         return Scene(
-            self.configurations, self.present, tuple(None if load is None else load.attached for load in carried)
+            self.configurations,
+            self.present,
+            tuple(None if load is None else load.attached for load in carried),
+            self.waits,
         )
 
     def can_release(self, part: int) -> bool:
@@ -102,14 +110,11 @@ class Node:
         """Return whether a part was released, or handed over, since a part was last removed."""
         return any(part == other and grip for other, grip in self.changed)
 
-    def robot_with(self, part: int) -> int:
-        """Return the robot that holds a part, or carries it."""
-        return next(k for k, held in enumerate(self.held) if part in (held, self.carried_by(k)))
-
-    def carried_by(self, robot: int) -> int | None:
-        """Return the part that a robot carries."""
-        load = self.load(robot)
-        return None if load is None else load.attached.part
+    @property
+    def hands(self) -> tuple[int | None, ...]:
+        """The part that each robot holds, or carries."""
+        loads = map(self.load, range(len(self.held)))
+        return tuple(part if load is None else load.attached.part for part, load in zip(self.held, loads, strict=True))
 
     def load(self, robot: int) -> CarriedLoad | None:
         """Return what a robot carries."""
@@ -135,7 +140,27 @@ class Node:
             if not stay:
                 state[load.attached.part] = REMOVED
         carried = tuple(loads.get(robot, self.load(robot)) for robot in range(len(held)))
-        return Node(state, configurations, tuple(held), self.changed if stay else frozenset(), carried)
+        changed = self.changed if stay else frozenset()
+        return Node(state, configurations, tuple(held), changed, carried, self.waits)
+
+    def taken(self, robot: int, values: Array, load: CarriedLoad) -> Node:
+        """Return the keyframe after a robot has taken a part where it waits, or stands, in a configuration, (joints,).
+
+        It carries the part from then on.
+        """
+        waits = tuple(entry for entry in self.waits if entry[0] != load.attached.part)
+        return replace(self.moved(robot, values, load), waits=waits)
+
+    def left(self, part: int, pose: Array) -> Node:
+        """Return the keyframe after a robot has let go of a part that waits, or is at its place again.
+
+        The pose is the displacement from its place, shape (4, 4).
+        """
+        robot, held = self.hands.index(part), list(self.held)
+        node = self.moved(robot, self.configurations[robot], None)
+        held[robot] = None
+        home = self.state[part] != HELD and np.abs(pose - np.eye(4)).max() <= _HOME
+        return replace(node, held=tuple(held), waits=self.waits if home else (*self.waits, (part, pose)))
 
     def back(self, holders: Mapping[int, int], ends: Mapping[int, Array], home: Set[int]) -> Node:
         """Return the keyframe after robots have moved parts on, some of them to their places, where they hold them."""
@@ -153,13 +178,15 @@ class Node:
             giver = self.holder(action)
             held[robot] = action if held[robot] is None else None
             given = (action, _grip(giver, self.configurations[giver]))
-            return Node(self.state, tuple(configurations), tuple(held), self.changed | {given}, self.carried)
+            return Node(
+                self.state, tuple(configurations), tuple(held), self.changed | {given}, self.carried, self.waits
+            )
         part, state = action % len(self.state), state_after(self.state, action)
         held[robot] = part if state[part] == HELD else None
         changed: frozenset[tuple[int, bytes]] = frozenset()
         if state[part] != REMOVED:
             changed = self.changed | {(part, b"" if state[part] == HELD else _grip(robot, self.configurations[robot]))}
-        return Node(state, tuple(configurations), tuple(held), changed, self.carried)
+        return Node(state, tuple(configurations), tuple(held), changed, self.carried, self.waits)
 
 
 @dataclass(eq=False)

@@ -66,7 +66,7 @@ def make_robot_plan(
         steps.append(RobotStep(edge.robot, made, handed, edge.put_down, edge.transit, gripped, partners))
     return RobotPlan(
         plan=abstract,
-        keyframes=tuple(Keyframe(node.configurations, node.held, _loads(node)) for node in nodes),
+        keyframes=tuple(Keyframe(node.configurations, node.held, _loads(node), node.waits) for node in nodes),
         steps=tuple(steps),
         robots=records_of(cell),
         cell_name=cell.name,

@@ -276,7 +276,7 @@ class BoundaryMotions:
         view = self.graph.cache.view(node.scene, robot, grasp_contact(part))
         turn = tool_pose(self.graph.cell.robots[robot], goal)[:3, :3]
         for way in (-turn[:, 2], np.array([0.0, 0.0, 1.0]), *turn[:, :2].T, *-turn[:, :2].T):
-            path = self.graph.retreat("release", part, robot, goal, way, view, clear)
+            path = self.graph.reaching.retreat("release", part, robot, goal, way, view, clear)
             if path is not None:
                 return PathSegment("line", path[::-1].copy(), touches=part)
         return None

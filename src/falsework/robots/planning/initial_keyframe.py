@@ -33,14 +33,11 @@ def task_in_cell(
     """Return a task with the number of robots of the cell, and with ways out of which none begins downwards.
 
     `exits` then know the ways that the task allows, by verdicts of the oracle where others than the part move, and call
-    `check` while they search. InputError for props or parts
-    that wait half way out, StateError for more held parts than robots.
+    `check` while they search. InputError for props, StateError for more held parts than robots.
     """
     given = task or Task.from_rules(assembly.boundary, cell.robot_count, identity=assembly.identity)
     if given.props:
         raise InputError("robot plans have no props; plan for the structure without them")
-    if given.waiting:
-        raise InputError("arms let go of no part half way out; plan motions for a task without waiting parts")
     exits.allow(given, oracle, cell.robot_count, check)
     freed = np.flatnonzero(STAGE[given.target] < STAGE[given.start])
     if len(freed):

@@ -47,8 +47,12 @@ def load_of(plan: RobotPlan, step: int, motion: int | None, robot: int | None = 
     robot = entry.robot if robot is None else robot
     part = plan.part_of(step, robot)
     if entry.transit and motion is not None and (carried := entry.of(robot)[motion].part) is not None:
-        grip = taken_with(plan, step, robot, carried) if entry.gripped is None else entry.gripped
-        return Load(carried, grip, np.eye(4))
+        if entry.gripped is not None:
+            return Load(carried, entry.gripped, np.eye(4))
+        return Load(carried, *taken_with(plan, step, robot, carried))
+    if entry.transit and motion is None and (left := plan.keyframes[step].load(robot)) is not None:
+        place = step if plan.direction is Direction.DISASSEMBLY else step - 1
+        return Load(left, *taken_with(plan, place, robot, left))  # until the gripper opens
     if motion is None or part is None:
         return None
     apart = plan.direction is Direction.DISASSEMBLY
@@ -59,20 +63,28 @@ def load_of(plan: RobotPlan, step: int, motion: int | None, robot: int | None = 
     if entry.of(robot)[motion].part is None:
         return None
     if not lying or (motion < lying.start) == apart:
-        return Load(part, taken_with(plan, step, robot, part), np.eye(4))
+        return Load(part, *taken_with(plan, step, robot, part))
     assert entry.put_down is not None
     first, last = entry.trajectories[lying.start], entry.trajectories[lying.stop - 1]
     return Load(part, last.positions[-1] if apart else first.positions[0], entry.put_down)
 
 
-def taken_with(plan: RobotPlan, step: int, robot: int, part: int) -> Array:
-    """Return the configuration in which a robot holds a part in place last before a step that carries it, (joints,).
+def taken_with(plan: RobotPlan, step: int, robot: int, part: int) -> tuple[Array, Array]:
+    """Return how a robot takes a part that it carries in a step, or in assembly lets go of it later.
 
-    In assembly, first after the step.
+    Returns:
+        Its configuration, shape (joints,), and the displacement of the part from its place then, shape (4, 4).
     """
-    apart = plan.direction is Direction.DISASSEMBLY
+    apart, home = plan.direction is Direction.DISASSEMBLY, np.eye(4)
     frames = plan.keyframes[step::-1] if apart else plan.keyframes[step + 1 :]
-    return next((frame for frame in frames if frame.held[robot] == part), frames[0]).configurations[robot]
+    last = frames[0]
+    for frame in frames:
+        if frame.held[robot] == part:
+            return frame.configurations[robot], home
+        if frame.load(robot) != part:  # until then, or from then on, it waits
+            return last.configurations[robot], dict(frame.waits).get(part, home)
+        last = frame
+    return frames[0].configurations[robot], home
 
 
 def load_at_rest(
@@ -96,7 +108,7 @@ def loads_at(plan: RobotPlan, keyframe: int) -> dict[int, Load]:
         if plan.keyframes[keyframe].load(robot) is None:
             continue
         own = [k for k, entry in enumerate(plan.steps) if robot in entry.robots and entry.trajectories]
-        later = [(k, 0) for k in own if k >= keyframe][:1]
+        later = [(k, None if plan.grip(k) == "open" else 0) for k in own if k >= keyframe][:1]
         place = later or [(k, len(plan.steps[k].trajectories) - 1) for k in own][-1:]
         load = load_of(plan, *place[0], robot) if place else None
         if load is not None:
@@ -149,8 +161,10 @@ def partner_fault(plan: RobotPlan, step: int) -> str:
 
 
 def moved_aside(plan: RobotPlan, step: int) -> dict[int, int]:
-    """Return the parts of the structure that a transit takes from their places, on, or back, by robot."""
+    """Return the parts of the structure that a transit moves from their places, on, or back, by robot."""
     entry, parts = plan.steps[step], {**plan.aside(step), **plan.aside(step + 1)}
+    if plan.grip(step) is not None:
+        return {}
     return {robot: parts[robot] for robot in entry.robots if entry.transit and robot in parts}
 
 
@@ -195,9 +209,7 @@ def put_down_fault(plan: RobotPlan, step: int) -> str:
     if part < 0 or entry.hands_over is not None:
         return "a part is put down although it neither leaves the structure nor comes to it"
     name = plan.plan.part_names[part]
-    turn = pose[:3, :3]
-    rigid = np.abs(turn @ turn.T - np.eye(3)).max() <= _RIGID and np.linalg.det(turn) > 0
-    if not rigid or not np.array_equal(pose[3], (0.0, 0.0, 0.0, 1.0)):
+    if not is_rigid(pose):
         return f"{name} is put down with a pose that is not rigid"
     motions = entry.trajectories
     if len(lying) < 2 or lying.start == 0 or lying.stop == len(motions):
@@ -211,6 +223,40 @@ def put_down_fault(plan: RobotPlan, step: int) -> str:
     return ""
 
 
+def is_rigid(pose: Array) -> bool:
+    """Return whether a matrix of shape (4, 4) is a rotation and a displacement."""
+    turn = pose[:3, :3]
+    rigid = np.abs(turn @ turn.T - np.eye(3)).max() <= _RIGID and np.linalg.det(turn) > 0
+    return bool(rigid and np.array_equal(pose[3], (0.0, 0.0, 0.0, 1.0)))
+
+
+def waiting_fault(plan: RobotPlan, step: int) -> str:
+    """Return why parts cannot wait as the keyframes around a step say, nor a robot take or let go of one in it."""
+    entry, names, robot = plan.steps[step], plan.plan.part_names, plan.steps[step].robot
+    before, after = (dict(plan.keyframes[k].waits) for k in (step, step + 1))
+    for k, waits in ((step, before), (step + 1, after)):
+        for part, pose in waits.items():
+            there = plan.states[k][part] != REMOVED and not plan.plan.immovable[part] and plan.plan.waiting
+            if not there or part in plan.in_hand(k) or not is_rigid(pose):
+                return f"{names[part]} cannot wait half way out as a keyframe says"
+    changed = {
+        part
+        for part in before | after
+        if not (part in before and part in after and (before[part] == after[part]).all())
+    }
+    if not entry.transit or plan.grip(step) is None:
+        if not changed:
+            return ""
+        return f"{names[min(changed)]} comes to wait, or goes on, although no gripper takes it or lets go of it"
+    closes, hands = plan.grip(step) == "close", (plan.in_hand(step), plan.in_hand(step + 1))
+    part, line = hands[closes][robot], entry.trajectories[-1 if closes else 0] if entry.trajectories else None
+    others = any(a != b for k, (a, b) in enumerate(zip(*hands, strict=True)) if k != robot)
+    bare = not entry.partners and entry.gripped is None and all(leg.part is None for leg in entry.trajectories)
+    if others or not bare or changed - {part} or line is None or (line.kind, line.touches) != ("line", part):
+        return "a part that waits is taken, or let go of, otherwise than on a line of the one robot that touches it"
+    return ""
+
+
 def transit_fault(plan: RobotPlan, step: int) -> str:
     """Return why a step is no transit, though it says so, or carries a part otherwise than the keyframes say."""
     entry, before, after = plan.steps[step], plan.keyframes[step], plan.keyframes[step + 1]
@@ -221,10 +267,14 @@ def transit_fault(plan: RobotPlan, step: int) -> str:
         for k, part in ((step, old), (step + 1, new)):
             if part is None:
                 continue
-            fixed = plan.states[k][part] == INSTALLED or plan.plan.immovable[part]
+            fixed = (plan.states[k][part] == INSTALLED and not plan.plan.waiting) or plan.plan.immovable[part]
             if fixed or plan.keyframes[k].held[robot] is not None:
                 return f"{plan.robots[robot].name} carries a part that is in place, or holds another one"
+    if fault := waiting_fault(plan, step):
+        return fault
     removal, ends, parts = int(plan.actions[step]) >= len(plan.plan.boundary), (None, None), list[int | None]()
+    if entry.transit and plan.grip(step) is not None:
+        return ""
     for robot in entry.robots[::-1]:  # the first one last: of a transit more is said below
         ends, parts = (before.load(robot), after.load(robot)), [leg.part for leg in entry.of(robot)]
         if ends != (None, None) and not (entry.transit or removal):

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.errors import PlanError
 from falsework.robots.model.shapes import Array
@@ -123,8 +122,8 @@ class ReachablePositions:
                 found.append((after.node, "it does not wait for the state of the previous step"))
         return found
 
-    def present(self, segment: Segment) -> list[tuple[float, float, NDArray[np.bool_]]]:
-        """Return ranges of progress of a motion, and all parts that can stand in the structure in each, (parts,).
+    def present(self, segment: Segment) -> list[tuple[float, float, int, int]]:
+        """Return ranges of progress of a motion, and the first and the last keyframe that can hold in each.
 
         The end of a range is included only as a limit: what happens when the motion ends belongs to the rest after it.
         """
@@ -139,10 +138,10 @@ class ReachablePositions:
         needs[own] = np.maximum(needs[own], self.reached[own, robot])
         cuts = np.unique(np.clip(needs[first:], segment.low, segment.high))
         cuts = np.unique(np.concatenate([[segment.low], cuts, [segment.high]]))
-        found = list[tuple[float, float, NDArray[np.bool_]]]()
+        found = list[tuple[float, float, int, int]]()
         for low, high in pairwise(cuts.tolist()):
             last = first + int((needs[first:] <= low).sum())
-            found.append((low, high, np.asarray(self.plan.standing[first : last + 1].any(axis=0))))
+            found.append((low, high, first, last))
         return found
 
     def contains(self, starts: Array, factor: Array) -> bool:

@@ -16,7 +16,8 @@ from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.cell_holds import CellScale
 from falsework.robots.model.shapes import Array, inverse_pose, move
-from falsework.robots.plans.robot_plan import PlanProblem, RobotPlan, acts
+from falsework.robots.plans.plan_problem import PlanProblem
+from falsework.robots.plans.robot_plan import RobotPlan, acts
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import event_times
 from falsework.search.plans.plan import Plan

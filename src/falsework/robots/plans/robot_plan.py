@@ -151,6 +151,9 @@ class Keyframe:
     carried: tuple[int | None, ...] = ()
     """The part that each robot has in its gripper, away from its place, for a time or for good; empty: none has one."""
 
+    waits: tuple[tuple[int, Array], ...] = ()
+    """Parts of the structure that wait half way out, in no gripper, with displacements from their places, (4, 4)."""
+
     def load(self, robot: int) -> int | None:
         """Return the part that a robot carries."""
         return self.carried[robot] if self.carried else None
@@ -259,15 +262,24 @@ class RobotPlan(Displayed):
 
     @cached_property
     def standing(self) -> NDArray[np.bool_]:
-        """Which parts are in place at each keyframe, shape (keyframes, parts); one that a robot carries is not."""
+        """Which parts are in place at each keyframe, shape (keyframes, parts); none that is carried, or waits."""
         found = self.states != REMOVED
         for row, frame in enumerate(self.keyframes):
             found[row, [part for part in frame.carried if part is not None]] = False
+            found[row, [part for part, _ in frame.waits]] = False
         return found
 
     def resting(self, step: int) -> NDArray[np.bool_]:
-        """Return the parts that are in place throughout a step, shape (parts,)."""
-        return self.standing[step] & self.standing[step + 1]
+        """Return the parts that are in place while the arms of a step move, shape (parts,)."""
+        before, after = self.standing[step : step + 2]
+        return before & after if self.grip(step) is None else before | after
+
+    def waiting(self, step: int) -> dict[int, Array]:
+        """Return the parts that wait while the arms of a step move, with their displacements, shape (4, 4)."""
+        before, after = (dict(self.keyframes[k].waits) for k in (step, step + 1))
+        if self.grip(step) is not None:
+            return before | after
+        return {part: pose for part, pose in before.items() if part in after}
 
     def aside(self, keyframe: int) -> dict[int, int]:
         """Return the parts of the structure that robots carry away from their places for a time, by robot."""
@@ -285,9 +297,13 @@ class RobotPlan(Displayed):
         return next((frame.configurations[robot] for frame in frames if frame.held[robot] == part), None)
 
     def grip(self, step: int) -> Literal["close", "open"] | None:
-        """Return what the gripper of a step does at a part in place; None if the part leaves or comes, or is none."""
+        """Return what the gripper of a step does at a part in place, or one that waits; None if it does nothing."""
         action = int(self.actions[step])
-        if action >= len(self.plan.boundary) or action < 0:
+        if action < 0:
+            robot = self.steps[step].robot
+            takes, leaves = (self.in_hand(k)[robot] is None for k in (step, step + 1))
+            return None if takes == leaves else "close" if takes else "open"
+        if action >= len(self.plan.boundary):
             return None
         if self.steps[step].hands_over is not None:
             return "close" if self.keyframes[step + 1].held[self.steps[step].robot] == action else "open"
@@ -299,10 +315,16 @@ class RobotPlan(Displayed):
         if entry.transit:
             legs = [leg for robot in entry.robots for leg in entry.of(robot)]
             carried = list(dict.fromkeys(leg.part for leg in legs if leg.part is not None))
+            for k, does in ((step, "let go of"), (step + 1, "take")):
+                if self.grip(step) and (part := self.in_hand(k)[entry.robot]) is not None:
+                    return f"{does} {self.plan.part_names[part]}"
             if not carried:
                 return "go to another place"
             names = " and ".join(self.plan.part_names[part] for part in carried)
-            where = "back" if self.standing[step + 1, carried].all() else "aside"
+            home = step + 1
+            while home < len(self) and self.steps[home].transit and self.grip(home) == "open":
+                home += 1
+            where = "back" if self.standing[home, carried].all() else "aside"
             return f"move {names} {where}" if (self.states[step, carried] != REMOVED).all() else f"carry {names}"
         if entry.hands_over is None:
             what = self.plan.in_order(self.direction)[int(self.done[step])].words
@@ -375,26 +397,3 @@ class RobotPlan(Displayed):
 def acts(step: RobotStep) -> bool:
     """Return whether a step has an action of the plan: it is neither half of a hand-over nor a transit."""
     return step.hands_over is None and not step.transit
-
-
-@dataclass(frozen=True)
-class PlanProblem:
-    """Problem found by a check."""
-
-    step: int
-    """Step of the plan, from 0."""
-    robot: str
-    what: str
-    """Description of the problem."""
-    pair: tuple[str, str] | None = None
-    """Names of the colliding bodies, for a collision."""
-    seconds: float | None = None
-    """Nominal time from the start of its trajectory; from the start of the schedule for a problem of the schedule
-    without delays."""
-    configuration: tuple[float, ...] | None = None
-    distance: float | None = None
-    """Distance of bodies that some delay brings together, metres; 0 where they collide."""
-
-    def __str__(self) -> str:
-        when = "" if self.seconds is None else f" after {self.seconds:.2f} s"
-        return f"step {self.step + 1}, {self.robot}{when}: {self.what}"

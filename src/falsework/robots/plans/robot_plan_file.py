@@ -66,7 +66,9 @@ def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
         "direction": plan.direction.value,
         "cell": cell,
         "plan": plan_to_dict(plan.plan, proofs=plan.plan.proof_arrays() is not None),
-        "keyframes": [{**plain(frame), "carried": frame.carried or None} for frame in plan.keyframes],
+        "keyframes": [
+            {**plain(frame), "carried": frame.carried or None, "waits": _waits(frame)} for frame in plan.keyframes
+        ],
         "steps": [{**plain(step), "do": plan.does(index)} for index, step in enumerate(plan.steps)],
         "schedule": None if plan.schedule is None else _schedule_to_dict(plan.schedule),
         "statistics": plan.statistics,
@@ -74,6 +76,10 @@ def robot_plan_to_dict(plan: RobotPlan) -> dict[str, Any]:
         "after": plan.after,
     }
     return to_builtins(convert(file, RobotPlanFile))
+
+
+def _waits(frame: Keyframe) -> list[dict[str, Any]]:
+    return [{"part": part, "pose": rounded(pose)} for part, pose in frame.waits]
 
 
 def _schedule_to_dict(graph: TemporalPlanGraph) -> dict[str, Any]:
@@ -187,13 +193,18 @@ class _Reader:
         values, held, carried = data.configurations, data.held, data.carried
         if any(entry is not None and len(entry) != len(self._joints) for entry in (values, held, carried)):
             self._fail(f"{place} does not have {len(self._joints)} robots")
-        for part in (*held, *(carried or ())):
+        for part in (*held, *(carried or ()), *(entry.part for entry in data.waits)):
             self._part(part, parts, place)
         arrays = (
             self._array(entry, (count,), f"{place}.configurations[{k}]")
             for k, (entry, count) in enumerate(zip(values, self._joints, strict=True))
         )
-        return Keyframe(tuple(arrays), tuple(held), tuple(carried or ()))
+        waits = [
+            (one.part, self._array(one.pose, (4, 4), f"{place}.waits[{k}].pose")) for k, one in enumerate(data.waits)
+        ]
+        if len({part for part, _ in waits}) < len(waits):
+            self._fail(f"{place} has a part that waits in two places")
+        return Keyframe(tuple(arrays), tuple(held), tuple(carried or ()), tuple(waits))
 
     def _step(self, data: RobotStepEntry, place: str, parts: int) -> RobotStep:
         for robot in (data.robot, *(partner.robot for partner in data.partners)):

@@ -42,6 +42,14 @@ class CellEntry(FileModel, frozen=True):
     """Name of a built-in cell, or path of a cell file relative to this file."""
 
 
+class WaitingEntry(FileModel, frozen=True):
+    """Part that waits half way out, in no gripper."""
+
+    part: Index
+    pose: Pose
+    """Displacement from its place in the structure."""
+
+
 class KeyframeEntry(FileModel, frozen=True):
     """Joint values of all robots between two steps."""
 
@@ -51,6 +59,8 @@ class KeyframeEntry(FileModel, frozen=True):
     """Installed part that each robot holds."""
     carried: list[Part] | None = None
     """Part that each robot has in its gripper, away from its place; absent: none has one."""
+    waits: list[WaitingEntry] = []
+    """Parts of the structure that wait half way out while others move; absent: none does."""
 
 
 class TrajectoryEntry(FileModel, frozen=True):
@@ -91,7 +101,7 @@ class RobotStepEntry(FileModel, frozen=True):
     gripper."""
     transit: bool = False
     """Whether robots only go to other places: where an assembly is continued, with parts that come at the same instant,
-    or with held parts that make way for others."""
+    with parts that make way for others, or to take such a part, or let go of it, where it waits."""
     gripped: Numbers | None = None
     """Joint values with which the robot would hold the part of a transit at its place in the structure; absent: it
     carries none, or has held it there."""

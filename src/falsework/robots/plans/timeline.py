@@ -222,6 +222,15 @@ def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array |
         yield ArmActivity(robot, now.step, now.trajectory, begin, late, now.rest, now.load)
 
 
+def waiting_at(plan: RobotPlan, starts: Array, moment: float) -> list[Load]:
+    """Return the parts that wait half way out, in no gripper, at an instant, seconds; start times as of the graph."""
+    if not plan.plan.waiting:
+        return []
+    ends = starts + schedule_of(plan).durations
+    row = sum(bool((ends if event.at_end else starts)[event.node] <= moment) for event in nodes_of(plan)[1])
+    return [Load(part, None, pose) for part, pose in plan.keyframes[row].waits]
+
+
 @dataclass(frozen=True, eq=False)
 class Interruption:
     """Structure and arms where a plan was interrupted between motions."""
@@ -255,7 +264,7 @@ def interruption(plan: RobotPlan, seconds: float) -> Interruption:
     while True:
         before, begun = row, starts <= seconds
         row = int(sum(begun[event.node] for event in events))  # a motion begins after the events before its own
-        if not plan.aside(row):
+        if not plan.aside(row) and not plan.keyframes[row].waits:
             break
         if row == before:
             raise PlanError("a part that is moved aside never comes back, so the plan cannot be continued")

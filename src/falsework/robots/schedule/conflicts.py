@@ -108,14 +108,20 @@ class Itineraries:
                 self._known[key] = (found, found), np.zeros(1)
         return self._known[key]
 
-    def present(self, node: int) -> NDArray[np.bool_]:
-        """Return the parts that were in place when a motion was planned, shape (parts,)."""
-        return self.plan.resting(self.nodes[node].step)
+    def moved(self, event: int, node: int, *, leave: bool) -> Iterator[Swept]:
+        """Yield the bodies of parts that leave their places, or where they wait, at an event, or come there.
 
-    def moved(self, event: int, *, leave: bool) -> list[int]:
-        """Return the parts that leave their places, or reach them, at an event."""
+        Those do not count that a motion was planned with.
+        """
+        step = self.nodes[node].step
         here, there = self.plan.standing[event : event + 2]
-        return np.flatnonzero(here & ~there if leave else there & ~here).tolist()
+        for part in np.flatnonzero((here & ~there if leave else there & ~here) & ~self.plan.resting(step)).tolist():
+            yield self.bodies.standing(part)
+        here, there = (self.plan.keyframes[k].waits for k in ((event, event + 1) if leave else (event + 1, event)))
+        known = self.plan.waiting(step)
+        for part, pose in here:
+            if part not in dict(there) and not (part in known and (known[part] == pose).all()):
+                yield self.bodies.standing(part, pose)
 
     def conflicts(self, one: Stretch, other: Stretch, margin: float) -> NDArray[np.bool_]:
         """Return which cells of two motions or rests are not proven to keep a distance, shape (cells, cells)."""
@@ -156,14 +162,11 @@ def _parts_in_the_way(rows: Itineraries, robot: int) -> list[Precedence]:
     for stretch in rows.rows[robot]:
         if stretch.node is None:
             continue
-        step, present = rows.nodes[stretch.node].step, rows.present(stretch.node)
+        step = rows.nodes[stretch.node].step
         first, last = stretch.after + 1, min(stretch.before, len(rows.events))
         for event in (*range(first, step), *range(step + 1, last)):
             mover, left = rows.events[event].node, event < step
-            for part in rows.moved(event, leave=left):
-                if present[part] or robot in rows.nodes[mover].robots:
-                    continue
-                place = rows.bodies.standing(part)
+            for place in rows.moved(event, stretch.node, leave=left) if robot not in rows.nodes[mover].robots else ():
                 hit = np.flatnonzero(conflicts(stretch.swept, (place, place), _margin_of(rows, stretch))[:, 0])
                 if len(hit) and left:
                     found.append(Precedence(mover, 0.0, stretch.node, "part"))

@@ -26,7 +26,7 @@ class SweptBodies:
     def __init__(self, world: CollisionWorld) -> None:
         self.world = world
         self._bodies: dict[tuple[int, LoadKey | None], tuple[Chain, Bodies]] = {}
-        self._standing: dict[int, Swept] = {}
+        self._standing: dict[tuple[int, bytes], Swept] = {}
 
     def moving(self, robot: int, trajectory: Trajectory, load: Load | None) -> tuple[tuple[Swept, Swept], Array]:
         """Return the bodies of a motion in cells and in finer cells, and the seconds at which each cell ends."""
@@ -45,11 +45,13 @@ class SweptBodies:
         coarse, fine = (self._swept(robot, *_pieces_of(path, count), load) for count in (pieces, SPLIT * pieces))
         return coarse, fine
 
-    def standing(self, part: int) -> Swept:
-        """Return the body of a part in place."""
-        if part not in self._standing:
-            self._standing[part] = still(self.world.parts.pieces[part])
-        return self._standing[part]
+    def standing(self, part: int, pose: Array | None = None) -> Swept:
+        """Return the body of a part in place, or displaced by a pose, shape (4, 4)."""
+        key = part, b"" if pose is None else pose.tobytes()
+        if key not in self._standing:
+            pieces = self.world.parts.pieces[part]
+            self._standing[key] = still(pieces if pose is None else move_pieces(pose, pieces))
+        return self._standing[key]
 
     def _swept(self, robot: int, values: Array, spread: Array, load: Load | None) -> Swept:
         carried = None if load is None or load.lies else load

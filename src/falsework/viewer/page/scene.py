@@ -19,7 +19,7 @@ from falsework.utils.quantity import format_quantity
 from falsework.viewer.appearance import Appearance, bounds_of, diagonal
 from falsework.viewer.arms import ArmPoses, Arms, Link, wxyz_of
 from falsework.viewer.arrows import KINDS, Arrows, scale_arrow
-from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, bytes_of, rgb, robot_color
+from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, bytes_of, rgb
 from falsework.viewer.section import Plane, cut
 from falsework.viewer.timeline import Timeline
 
@@ -68,7 +68,7 @@ class ViserScene:
         self._labels: dict[int, tuple[str, Any]] = {}
         self._opacity: float | None = None
         self._arms: list[Any] = []
-        self._carried: dict[int, Any] = {}
+        self._carried: dict[tuple[int, str], Any] = {}
         self._robots: Any = None
         self.order(timeline)
 
@@ -205,16 +205,16 @@ class ViserScene:
             if node.visible != seen:
                 node.visible = seen
             node.position, node.wxyz = self.place(pose[:3, 3]), wxyz_of(pose[:3, :3])
-        for part in self._carried.keys() - {carried.part for carried in arm_poses.carried}:
-            self._carried.pop(part).remove()
+        for key in self._carried.keys() - {(carried.part, carried.color) for carried in arm_poses.carried}:
+            self._carried.pop(key).remove()
         for carried in arm_poses.carried:
-            part, turn = carried.part, carried.pose[:3, :3]
-            if part not in self._carried:
-                color, shape = rgb(robot_color(carried.robot)), (self._vertices[part], self._faces[part])
+            part, turn, key = carried.part, carried.pose[:3, :3], (carried.part, carried.color)
+            if key not in self._carried:
+                color, shape = rgb(carried.color), (self._vertices[part], self._faces[part])
                 node = self._scene.add_mesh_simple(f"/carried/{part}", *shape, color=color, flat_shading=True)
-                self._carried[part] = node
-            self._carried[part].wxyz = wxyz_of(turn)
-            self._carried[part].position = self.place(turn @ self.origin + carried.pose[:3, 3])
+                self._carried[key] = node
+            self._carried[key].wxyz = wxyz_of(turn)
+            self._carried[key].position = self.place(turn @ self.origin + carried.pose[:3, 3])
 
     def see_through(self, wanted: bool) -> None:
         """Make the parts transparent, so that arrows inside them are visible, or opaque again."""
