@@ -23,6 +23,7 @@ from falsework.stability.contact.history import History, Replay, ReplaySettings
 from falsework.stability.contact.varied_replay import AllVariations
 from falsework.stability.judges import discrete_elements
 from falsework.stability.judges.judgement import Judgement
+from falsework.stability.verdict import Verdict, Verdicts
 from falsework.utils.cores import core_count
 
 
@@ -100,6 +101,25 @@ def test_a_route_avoids_what_falls(rules: Any, direction: Direction) -> None:
     assert result.found
     assert middle not in set(map(tuple, result.routes[0].states.tolist()))
     assert oracle.replayer.replay(result.routes[0].states[::-1]).good
+
+
+@pytest.mark.parametrize("proven", [False, True])
+def test_what_is_left_out_before_its_replay_without_a_proof_proves_nothing(rules: Any, proven: bool) -> None:
+    """Such as states that do not keep a margin, or those that replays excluded: the search ends, but says no more."""
+
+    class Strict(type(tower(rules, set())[1])):  # type: ignore[misc]
+        def verdicts(self, states: States, **given: Any) -> Verdicts:
+            found = super().verdicts(states, **given)
+            found.verdict[(states[:, 1:] == 1).any(axis=1)] = Verdict.UNSTABLE if proven else Verdict.SLIDES
+            return found
+
+    task, oracle = tower(rules, set())
+    strict = Strict(oracle.supports, replayer=oracle.replayer)
+    search = BeamSearch(task, strict, BeamSettings(width=64, direction=Direction.ASSEMBLY, lookahead=4096))
+    result = search.run()
+    assert not result.found
+    assert result.outcome is (Outcome.PROVED_IMPOSSIBLE if proven else Outcome.NOT_FOUND)
+    assert search.infeasible == proven
 
 
 def test_parts_slip_far_only_where_nothing_else_is_left(rules: Any) -> None:

@@ -263,7 +263,7 @@ def test_failure_in_portable_code_is_an_error(fresh: Kernel, monkeypatch: pytest
 @pytest.mark.slow
 @pytest.mark.parametrize("triple", ["arm64-apple-macosx14.0.0", "x86_64-pc-windows-msvc", "aarch64-unknown-linux-gnu"])
 def test_code_compiles_for_other_machines(triple: str) -> None:
-    """Instructions can be selected for all groups; LLVM's optimization, the same everywhere, is tried on the small."""
+    """Instructions can be selected for all groups; with optimization this is tried on the small ones, for time."""
     if not ARCHIVE.path.is_file():
         pytest.skip("no archive of kernels here: make kernels")
     llvm.initialize_all_targets()

@@ -91,9 +91,9 @@ class BeamSearch(LevelSearch):
             choice = selector.select_from_all(settings.width)
         self._candidates += len(frontier)
         # A state refused because of the path to it may be reached by another, which was merged with this one, unless it
-        # is unstable however it is reached.
+        # is unstable however it is reached. Where replays decide, states are left out before them without a proof, too.
         whole = choice.exhaustive and not refuted and self._whole_before
-        if whole and self._paths.refused:
+        if whole and (self._paths.refused or self.judge.replayed):
             rejected = choice.rejected
             whole = self.judge.unstable(frontier.states(rejected), level.states[frontier.parent(rejected)])
             if whole:
