@@ -39,7 +39,7 @@ def test_plans_made_for_it_need_less_friction() -> None:
 
 
 def test_a_bound_that_no_search_reaches_does_not_hold_it_up() -> None:
-    """Every plan found for the arch has a state weaker than both ends, which bound it: that states slide is no proof."""
+    """Every plan found of the arch has a state weaker than both ends, which bound it: to slide is no proof."""
     assembly = load_structure("arch:blocks=7")
     asked: list[int] = []
 
