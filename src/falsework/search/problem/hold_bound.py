@@ -9,6 +9,7 @@ criterion `contact` is out of equilibrium, so what is refuted this way is refute
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations, islice
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
 from falsework.search.problem.deadline import PIECE, Deadline
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import StabilityOracle
@@ -96,27 +97,42 @@ class HoldBound:
         """
         if robots not in self._cores:
             core = self._removable & self._touched
-            waiting = list(np.flatnonzero(core)[::-1])
-            while waiting:
-                part = waiting.pop()
-                if core[part] and self._stands_beside(core, part, robots - 1):
+            left = {part: self._holds_beside(core, part, robots - 1) for part in np.flatnonzero(core).tolist()}
+            while left:
+                for part in self._standing(core, left):
                     core[part] = False
-                    waiting += np.flatnonzero(core & self._beside[part]).tolist()
+                    del left[part]
+                    beside = np.flatnonzero(core & self._beside[part]).tolist()
+                    for other in beside:
+                        left.pop(other, None)
+                        left[other] = self._holds_beside(core, other, robots - 1)
             self._cores[robots] = tuple(np.flatnonzero(core).tolist()) if core.sum() > robots else ()
         return self._cores[robots]
 
-    def _stands_beside(self, core: Mask, part: int, holds: int) -> bool:
-        """Return whether a part of a core may be in equilibrium beside some choice of `holds` held ones."""
-        state = np.where(core, REMOVED, HELD).astype(np.uint8)
-        state[part] = INSTALLED
-        beside = np.flatnonzero(core & self._beside[part])
-        choices = combinations(beside.tolist(), min(holds, len(beside)))
-        while some := list(islice(choices, PIECE)):
-            self._clock.check()
-            rows = np.repeat(state[None], len(some), axis=0)
-            for row, held in zip(rows, some, strict=True):
-                row[list(held)] = HELD
-            self.asked += len(rows)
-            if not self._oracle.verdicts(rows, require_certificate=True).unstable.all():
-                return True
-        return False
+    def _holds_beside(self, core: Mask, part: int, holds: int) -> Iterator[tuple[int, ...]]:
+        """Yield the choices of up to `holds` parts of a core that are held beside one of them."""
+        beside = np.flatnonzero(core & self._beside[part]).tolist()
+        return combinations(beside, min(holds, len(beside)))
+
+    def _standing(self, core: Mask, left: dict[int, Iterator[tuple[int, ...]]]) -> list[int]:
+        """Return some parts of a core that may be in equilibrium beside their next choice of held ones.
+
+        Args:
+            core: shape (parts,).
+            left: choices of held parts that are left to try; parts without are dropped.
+        """
+        parts, rows = list[int](), list[States]()
+        for part in list(islice(reversed(left), 4 * PIECE)):
+            held = next(left[part], None)
+            if held is None:
+                del left[part]
+                continue
+            rows.append(np.where(core, REMOVED, HELD).astype(np.uint8))
+            rows[-1][list(held)], rows[-1][part] = HELD, INSTALLED
+            parts.append(part)
+        if not parts:
+            return []
+        self._clock.check()
+        self.asked += len(parts)
+        found = self._oracle.verdicts(np.array(rows), require_certificate=True)
+        return [part for part, falls in zip(parts, found.unstable, strict=True) if not falls]
