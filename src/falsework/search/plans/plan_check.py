@@ -26,12 +26,11 @@ from falsework.search.plans.plan_report import (
 )
 from falsework.search.plans.plan_rules import broken_rule
 from falsework.search.plans.plan_source import structure_of_plan
-from falsework.search.plans.proofs import PROVED_AT_ONCE
-from falsework.search.problem.hashing import chunks
-from falsework.stability.certificate import StabilityCriterion, residuals_in_order, verify_certificates
+from falsework.stability.certificate import StabilityCriterion, chunks, residuals_in_order, verify_certificates
 from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate
 from falsework.stability.contact.hold_loads import CLOSE, Loads, larger_loads, largest_load, loads_in
 from falsework.stability.contact.replay import Replayer
+from falsework.stability.cpu.solver import TASK
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_arrays import StateArrays
@@ -171,8 +170,7 @@ def _solve(
         progress: as for `validate_plan`.
     """
     claim, largest, certified, oracle = settings.claim, 0.0, 0, None
-    for piece in chunks(count, PROVED_AT_ONCE):
-        rows = np.arange(piece.start, piece.stop)
+    for rows in chunks(np.arange(count), len(assembly.contacts.points), TASK):
         residual = np.full(len(rows), np.inf) if carried is None else carried[rows]
         proven = residual <= claim.tolerance
         left = rows[~proven] if carried is None else rows[~proven][:1]  # which is bad, one way or the other

@@ -10,21 +10,19 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
-from falsework.search.problem.hashing import chunks
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
+from falsework.stability.certificate import chunks
 from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.contact.history import Presses
 from falsework.stability.contact.hold_loads import Loads, larger_loads, loads_in
 from falsework.stability.contact.replay import Replayer
+from falsework.stability.cpu.solver import TASK
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts
 from falsework.utils.quantity import format_quantity
-
-PROVED_AT_ONCE = 64
-"""States whose contact forces are in memory together, unless all are kept."""
 
 
 def prove(states: States, oracle: StabilityOracle, *, forces: bool) -> tuple[Verdicts, StateArrays | None]:
@@ -41,11 +39,7 @@ def prove(states: States, oracle: StabilityOracle, *, forces: bool) -> tuple[Ver
     verdicts = Verdicts.all_undecided(len(states))
     kept = StateArrays(len(states), oracle.problem.points, 3) if forces else None
     for beside in (-1, 1):
-        for piece in chunks(len(states), PROVED_AT_ONCE):
-            rows = np.arange(piece.start, piece.stop)
-            rows = rows[~verdicts.stable[rows]]
-            if not len(rows):
-                continue
+        for rows in chunks(np.flatnonzero(~verdicts.stable), oracle.problem.points, TASK):
             near = states[np.clip(rows + beside, 0, len(states) - 1)]
             found = oracle.verdicts(states[rows], near=near, require_certificate=True)
             verdicts.put(rows, found)
