@@ -49,7 +49,7 @@ class RuleReplayer:
         """Seconds that steps take, one after the other."""
         self.varied = varied
         """States in which the structure falls with a thicker medium alone."""
-        self.replayed = 0
+        self.replayed = self.iterations = 0
 
     def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> RuleReplayer:
         return RuleReplayer(self.falls | self.varied if replay.first_step < ReplaySettings.first_step else self.falls)
@@ -75,6 +75,7 @@ class RuleReplayer:
         if self.slow:
             time.sleep(self.slow.pop())
         here = tuple(after.tolist())
+        self.iterations += 70 if here in self.falls else 10
         return here not in self.falls, replace(history, moved=float(here in self.slips))
 
     def slip(self, before: History, after: History) -> float:
@@ -135,6 +136,21 @@ def test_parts_slip_far_only_where_nothing_else_is_left(rules: Any) -> None:
     complete = tuple(task.start.tolist())
     oracle.replayer = RuleReplayer(set(), slips={complete})  # every plan ends there
     assert Planner(task, oracle, settings).run().found
+
+
+def test_a_replay_that_fails_counts_for_a_turn_by_its_iterations(rules: Any) -> None:
+    """Else a strategy whose replays fail, which takes many iterations, keeps its turn for too long."""
+    task, oracle = tower(rules, set())
+    complete = task.start
+    search = BeamSearch(task, oracle, BeamSettings.from_width(direction=Direction.ASSEMBLY))
+    assert search.run(1).found
+    assert search.effort == search.asked
+    oracle.replayer = RuleReplayer({tuple(complete.tolist())})
+    search = BeamSearch(task, oracle, BeamSettings.from_width(direction=Direction.ASSEMBLY))
+    search.run(1)
+    failed = search.judge.sliding
+    assert failed > 0
+    assert search.effort == search.asked + 7 * failed
 
 
 @pytest.mark.parametrize("direction", list(Direction))

@@ -44,7 +44,7 @@ _PIECES = 64
 class Turn:
     """What a strategy asked for in its turn and how far it got, since the strategy began."""
 
-    asked: int = 0
+    asked: float = 0
     level: int = 0
     """Farthest level."""
     owed: float = 0.0
@@ -53,8 +53,8 @@ class Turn:
     def note(self, search: Search, width: int) -> None:
         """Note how far the search of the strategy is now, whose beams began with some width."""
         worth = _LEVEL_WORTH * width * max(search.level - self.level, 0)
-        self.owed = max(self.owed + search.asked - self.asked - worth, 0.0)
-        self.asked, self.level = search.asked, max(search.level, self.level)
+        self.owed = max(self.owed + search.effort - self.asked - worth, 0.0)
+        self.asked, self.level = search.effort, max(search.level, self.level)
 
 
 class Pace:

@@ -66,6 +66,11 @@ class BeamSearch(LevelSearch):
         return self._before.asked + self.judge.asked
 
     @property
+    def effort(self) -> float:
+        """See `Search.effort`."""
+        return self.asked + self._paths.lost
+
+    @property
     def work(self) -> int:
         """See `Search.work`."""
         return self._before.work + self.judge.work

@@ -50,14 +50,27 @@ class PathHistories(Generic[K]):
         """Of the states at rest: the largest movement of a part, that part, and the certificate of the step, whose
         displacement is empty beyond the memory for them."""
         self._still = _NOTHING
+        self._taken = self._spent = self._lost = 0
+        """Steps at rest, their iterations, and those of steps that failed."""
+
+    @property
+    def lost(self) -> float:
+        """How many steps at rest, on average, take the iterations of those that failed: they take many each."""
+        return self._lost * self._taken / max(self._spent, 1)
 
     def step(self, before: K, after: States) -> History | None:
         """Return the history of a state reached from another; None where the path to it does not come to rest."""
         history = self._of(before)
         if history is None:
             return None
+        begun = self._replayer.iterations
         rests, history = self._replayer.step(history, self._state(before), after)
-        return history if rests else None
+        spent = self._replayer.iterations - begun
+        if not rests:
+            self._lost += spent
+            return None
+        self._taken, self._spent = self._taken + 1, self._spent + spent
+        return history
 
     def slips(self, before: K, history: History) -> bool:
         """Return whether the step from a state to one with this history moves parts far, though they come to rest."""
@@ -158,6 +171,11 @@ class BeamPaths:
     def _before(self, at: tuple[int, int]) -> tuple[int, int] | None:
         level, row = at
         return (level - 1, int(self._levels[level].parent[row])) if level else None
+
+    @property
+    def lost(self) -> float:
+        """See `PathHistories.lost`; 0 where contact histories do not matter."""
+        return 0.0 if self._histories is None else self._histories.lost
 
     def stable_ancestors(self) -> States:
         """Return for each state of the last level the nearest on the path to it that is known to be stable."""

@@ -60,6 +60,11 @@ class Search(ABC):
         return self.judge.asked
 
     @property
+    def effort(self) -> float:
+        """Verdicts so far; a replay that failed counts as as many as it has iterations of others."""
+        return self.asked
+
+    @property
     def work(self) -> int:
         """Work of verdicts so far, earlier runs included, see `CountingOracle.work`; 0 where replays decide."""
         return self.judge.work

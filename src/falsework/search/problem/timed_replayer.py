@@ -145,6 +145,11 @@ class DeadlineReplayer:
         return self._replayer.varies
 
     @property
+    def iterations(self) -> int:
+        """As of `Replayer`."""
+        return self._replayer.iterations
+
+    @property
     def settings(self) -> StabilitySettings:
         """As of `Replayer`."""
         return self._replayer.settings

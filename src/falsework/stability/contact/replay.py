@@ -76,7 +76,13 @@ class Replayer:
         later = first / numerics.first_step * numerics.warm_first_step
         self.options = ContactOptions(settings.tolerance, numerics.contact_steps, numerics.warm_steps, first, later)
         self._noise = self._draw_noise(replay)
+        self._iterations = 0
         self._size = structure_size(assembly)
+
+    @property
+    def iterations(self) -> int:
+        """Newton iterations so far, a measure of work that is the same on every machine."""
+        return self._iterations
 
     def vary(self, settings: StabilitySettings | None = None, replay: ReplaySettings | None = None) -> Replayer:
         """Return a replayer of the same structure under other settings."""
@@ -242,7 +248,7 @@ class Replayer:
         torn = np.zeros((count, problem.points), bool)
         age = self._ages(batch, None if history is None else history.age)
         result, residual, moved = np.full(count, OPEN, np.int8), np.full(count, np.nan), np.zeros(count)
-        part = np.full(count, -1, np.int32)
+        part, iterations = np.full(count, -1, np.int32), np.zeros(count, np.int32)
         if history is not None:
             displacement[0], springs[0], torn[0] = history.displacement, history.springs, history.torn
             moved[0], part[0] = history.moved, history.part
@@ -255,8 +261,9 @@ class Replayer:
             *(start, pressed, (problem.whitening[pressed] @ wrench[:, :, None])[:, :, 0]),
             *(self.options, self.replay_settings.increments, self._noise),
             *(displacement, springs, torn, self._set_shares(age)),
-            *(track, guess, result, residual, part, moved),
+            *(track, guess, result, residual, part, moved, iterations),
         )
+        self._iterations += int(iterations.sum())
         given = [tuple(some) for some in presses]
         if history is not None:
             given[0] = history.presses

@@ -261,7 +261,7 @@ def settle_step(
 @njit(nogil=True, cache=True)
 def replay_range(
     law, states, fresh, press_start, press_part, press_wrench, options, increments, noise, displacement, springs, torn,
-    set_share, track, guess, result, residual, part, movement,
+    set_share, track, guess, result, residual, part, movement, iterations,
 ):  # fmt: skip
     """Replay consecutive states until one does not come to rest; return how many did.
 
@@ -275,7 +275,7 @@ def replay_range(
         displacement, springs, torn, set_share: `HistoryArrays` before and after each state, with `steps + 1` entries
             each; the first entry is given, the others are written, but for `set_share`.
         track, guess: as in `settle_step`, one entry a state; one of the guess for all where there is none.
-        result, residual, part, movement: out, one entry per state.
+        result, residual, part, movement, iterations: out, one entry per state; iterations zero before.
     """
     contact, lost = make_contact_scratch(law), np.zeros((states.shape[1], 6))
     for i in range(len(states)):
@@ -300,7 +300,7 @@ def replay_range(
         if settles:
             first, last = press_start[i], press_start[i + 1]
             ways = guess[i] if guess.shape[1] else guess[0]
-            result[i], residual[i], _, part[i], movement[i] = settle_step(
+            result[i], residual[i], iterations[i], part[i], movement[i] = settle_step(
                 law, states[max(i - 1, 0)], states[i], press_part[first:last], press_wrench[first:last], lost, options,
                 increments, contact, history, track[i], ways,
             )  # fmt: skip

@@ -47,6 +47,10 @@ class AnyReplayer(Protocol):
     def varies(self) -> bool:
         """Whether every step must come to rest under changed settings too."""
 
+    @property
+    def iterations(self) -> int:
+        """Newton iterations so far."""
+
     def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
         """Replay consecutive states in assembly order."""
 
@@ -182,6 +186,11 @@ class EnsembleReplayer(Replayer):
         known = variations(self.settings, draws=len(GROUPS))
         groups = [[change for change in group if change in known or change.press is not None] for group in GROUPS]
         return [(self.vary(*changed(group, self.settings, ())[:2]), group) for group in groups]
+
+    @property
+    def iterations(self) -> int:
+        """As of `Replayer`, under all settings."""
+        return self._iterations + sum(member.iterations for member, _ in self._members)
 
     def _replay_all(self, batch: States, history: History | None, presses: Presses) -> Replay:
         found = self._replay(batch, history, presses)
