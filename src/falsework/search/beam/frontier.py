@@ -31,6 +31,10 @@ class Level:
     """1 where the state and all on the path to it are known to be stable, -1 where one is not, 0 where the verdict of
     a fixed part waits; shape (kept,)."""
 
+    def state(self, row: int) -> States:
+        """Return a copy of one state, shape (parts,)."""
+        return self.states[row].copy()
+
 
 class PackedLevel:
     """Level of which one state is stored, and what is different in the others."""
@@ -49,6 +53,12 @@ class PackedLevel:
         states = np.repeat(self._first[None], len(self.parent), axis=0)
         states[self._row, self._part] = self._value
         return states
+
+    def state(self, row: int) -> States:
+        """Return one state, shape (parts,), without writing the others down."""
+        state, own = self._first.copy(), self._row == row
+        state[self._part[own]] = self._value[own]
+        return state
 
     @property
     def size(self) -> int:

@@ -117,7 +117,7 @@ class LevelSearch(Search):
         """Return the best scored path from start to target, in disassembly order; only once `found`."""
         if not self.found:
             raise InputError("the beam search has not reached its goal; there is no route yet")
-        states = [self.levels[number].states[row] for number, row in self._backtrace()]
+        states = [self.levels[number].state(row) for number, row in self._backtrace()]
         if self.settings.direction is Direction.DISASSEMBLY:
             states.reverse()
         return Route.from_states(np.array(states))
@@ -148,7 +148,7 @@ class LevelSearch(Search):
         bound = (self.levels[-1].states == HELD).all(axis=0) & (self.task.origin(self.settings.direction) != HELD)
         fewest, held_after, action = self.task.robots, 0, -1
         for number, row in self._backtrace():
-            state = self.levels[number].states[row]
+            state = self.levels[number].state(row)
             held = int(held_count(state[None], self.task.boundary)[0])
             bound, binds = bound & (state == HELD), (bound & (state != HELD)).any()
             if binds or (not bound.any() and held <= fewest and held < held_after):
@@ -160,7 +160,7 @@ class LevelSearch(Search):
     def before(self, number: int) -> States:
         """Return the state at a level on the path to the best scored one, shape (parts,)."""
         row = next(row for level, row in self._backtrace() if level == number)
-        return self.levels[number].states[row]
+        return self.levels[number].state(row)
 
     def rewind(self, level: int, settings: BeamSettings) -> None:
         """Discard all levels after `level` and continue from there with other settings.

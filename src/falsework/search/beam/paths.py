@@ -165,7 +165,7 @@ class BeamPaths:
         """By level and row."""
         if replayer is not None:
             self._histories = PathHistories(
-                replayer, self._before, lambda at: levels[at[0]].states[at[1]], history_bytes
+                replayer, self._before, lambda at: levels[at[0]].state(at[1]), history_bytes
             )
 
     def _before(self, at: tuple[int, int]) -> tuple[int, int] | None:
