@@ -110,6 +110,27 @@ def with_targets(
     return PPO(LearnerContext(environment, policy, sampler, settings, solved=solved, tasks=tasks))
 
 
+def test_pairs_of_uncertain_success_come_first() -> None:
+    """Of four pairs in a row one with a target of its own is the only one whose outcome is open."""
+    starts, targets = torch.zeros((64, 3), dtype=torch.uint8), torch.zeros((64, 3), dtype=torch.uint8)
+    targets[::4] = 1
+
+    class Rows(Table):
+        def draw(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+            rows = torch.arange(count) % len(starts)
+            return starts[rows], targets[rows], torch.zeros((count, 6), dtype=torch.bool)
+
+    def value(states: Tensor, goals: Tensor) -> Tensor:
+        return torch.where(goals[:, 0] == 1, 0.1, 1.0)
+
+    solved: Any = None
+    sampler = MixedStarts(starts, solved, 16, tasks=Rows(starts, targets), value=value)
+    batch = sampler.sample(16, torch.Generator().manual_seed(0))
+    assert batch.targets is not None
+    assert batch.targets.shape == (16, 3)
+    assert batch.targets.all()
+
+
 def weights_of(ppo: PPO) -> list[Any]:
     return [weight.detach().clone() for weight in ppo.policy.parameters()]
 

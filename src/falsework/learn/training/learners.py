@@ -16,6 +16,8 @@ from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.train import Phase
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
+from falsework.learn.env.rollout import forward_in_pieces
+from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.policy import Policy
 from falsework.learn.training.plugins import Plugins
 from falsework.learn.training.run_context import RunContext
@@ -68,7 +70,14 @@ def learner_of(
     rules, starts = environment.rules, data.starts
     if phase.starts == "mixed":
         rollouts = max(phase.rollouts // run.shards.size, 1)
-        sampler: StartSampler = MixedStarts(starts, solved, rollouts, tasks=data.tasks)
+        network = Network(policy, settings.precision)
+        sampler: StartSampler = MixedStarts(
+            starts,
+            solved,
+            rollouts,
+            tasks=data.tasks,
+            value=lambda states, targets: forward_in_pieces(network, states, targets)[1],
+        )
     else:
         if phase.starts == "complete":
             starts = rules.complete()
