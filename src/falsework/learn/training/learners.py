@@ -7,6 +7,7 @@ import torch
 from falsework.errors import InputError
 from falsework.learn.algorithms.curriculum import Curriculum
 from falsework.learn.algorithms.exploration import Exploration
+from falsework.learn.algorithms.extension import Extension
 from falsework.learn.algorithms.imitation import Imitation
 from falsework.learn.algorithms.learner import Learner
 from falsework.learn.algorithms.learner_context import LearnerContext
@@ -77,6 +78,7 @@ def learner_of(
             rollouts,
             tasks=data.tasks,
             value=lambda states, targets: forward_in_pieces(network, states, targets)[1],
+            extension=Extension(environment, solved),
         )
     else:
         if phase.starts == "complete":
