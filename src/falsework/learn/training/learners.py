@@ -98,7 +98,6 @@ def learner_of(
         sampler,
         phase,
         solved,
-        data.tasks,
         plugins.reward,
         begin,
         settings.seed,
