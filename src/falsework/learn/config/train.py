@@ -170,7 +170,8 @@ def default_widths(parts: int, device: str) -> tuple[int, ...]:
 def default_target_widths(parts: int, device: str, minutes: float) -> tuple[int, ...]:
     """Return the same for goal-conditioned tasks, far more numerous than states: as many searches as time allows.
 
-    Only many states keep a network from overfitting the paths of a few searches.
+    Only many states keep a network from overfitting the paths of a few searches. On a GPU those of more searches than
+    these were not tried.
     """
     if parts <= 20:
         return default_widths(parts, device)
