@@ -369,8 +369,7 @@ TABLES = {
         where=lambda record: (
             record["goal_conditioned"]
             and "random" in record["test"]
-            and record.get("label") != "failures"
-            and ("second" in record or record["structure"] not in ("vault-62", "dome-72"))
+            and (record["structure"] not in ("vault-62", "dome-72") or record.get("label") == "extended")
         ),
     ),
     "paper-table-5": Table(

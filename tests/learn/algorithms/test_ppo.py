@@ -30,7 +30,6 @@ from falsework.learn import (  # noqa: E402
     roll_out,
 )
 from falsework.learn.algorithms.advantages import explained_variance, generalized_advantages, normalized  # noqa: E402
-from falsework.learn.algorithms.imitation import imitation_loss  # noqa: E402
 from falsework.learn.algorithms.ppo_loss import ppo_loss  # noqa: E402
 from falsework.learn.algorithms.rollout_storage import Transitions  # noqa: E402
 from falsework.learn.algorithms.start_states import MixedStarts, StartBatch  # noqa: E402
@@ -107,7 +106,28 @@ def with_targets(
     policy = make_policy(environment.assembly, replace(RESIDUAL, goal_conditioned=True))
     tasks = Table(starts, targets) if tasks is None else tasks
     sampler = MixedStarts(starts, solved, settings.rollouts, tasks=tasks)
-    return PPO(LearnerContext(environment, policy, sampler, settings, solved=solved, tasks=tasks))
+    return PPO(LearnerContext(environment, policy, sampler, settings, solved=solved))
+
+
+def test_pairs_of_uncertain_success_come_first() -> None:
+    """Of four pairs in a row one with a target of its own is the only one whose outcome is open."""
+    starts, targets = torch.zeros((64, 3), dtype=torch.uint8), torch.zeros((64, 3), dtype=torch.uint8)
+    targets[::4] = 1
+
+    class Rows(Table):
+        def draw(self, count: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+            rows = torch.arange(count) % len(starts)
+            return starts[rows], targets[rows], torch.zeros((count, 6), dtype=torch.bool)
+
+    def value(states: Tensor, goals: Tensor) -> Tensor:
+        return torch.where(goals[:, 0] == 1, 0.1, 1.0)
+
+    solved: Any = None
+    sampler = MixedStarts(starts, solved, 16, tasks=Rows(starts, targets), value=value)
+    batch = sampler.sample(16, torch.Generator().manual_seed(0))
+    assert batch.targets is not None
+    assert batch.targets.shape == (16, 3)
+    assert batch.targets.all()
 
 
 def weights_of(ppo: PPO) -> list[Any]:
@@ -309,24 +329,15 @@ def test_a_target_one_action_away_is_learned(arch: Assembly) -> None:
     assert ppo.block(60, (0.0, 1.0))["rollout_success"] > 0.9
 
 
-def test_tasks_are_drawn_anew_and_imitated(bottle: Assembly, bottle_graph: StateGraph) -> None:
-    """With a source of tasks hardly any start comes twice, and what the source knows is learned beside."""
+def test_tasks_are_drawn_anew(bottle: Assembly, bottle_graph: StateGraph) -> None:
+    """With a source of tasks hardly any start comes twice."""
     environment = Environment(bottle, 2, oracle=StabilityOracle(bottle), device="cpu")
     ways = RandomWalkGoals(bottle_graph, device=environment.device)
-    states, targets, valid = ways.draw(300, environment.generator(7))
-
-    def learned(imitation: float) -> float:
-        settings = replace(SMALL, imitation=imitation)
-        ppo = with_targets(environment, states[:1], targets[:1], settings, tasks=ways)
-        batch = ppo.sampler.sample(64, ppo.generator)
-        assert batch.targets is not None
-        assert len(torch.unique(torch.cat([batch.states, batch.targets], dim=1), dim=0)) > 0.9 * 64
-        ppo.block(60, (0.0, 1.0))
-        with torch.no_grad():
-            logits, _ = ppo.policy(states, targets)
-        return float(imitation_loss(logits, environment.rules.moves(states, targets), valid))
-
-    assert learned(1.0) < learned(0.0)
+    states, targets, _ = ways.draw(1, environment.generator(7))
+    ppo = with_targets(environment, states, targets, tasks=ways)
+    batch = ppo.sampler.sample(64, ppo.generator)
+    assert batch.targets is not None
+    assert len(torch.unique(torch.cat([batch.states, batch.targets], dim=1), dim=0)) > 0.9 * 64
 
 
 def test_no_loss_is_taken_at_held_out_states(arch: Assembly, data: Dataset) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -277,7 +277,7 @@ def test_the_recommended_network_depends_on_what_there_is_to_learn() -> None:
     assert recommended(12) == PolicySettings("resmlp")
     small = PolicySettings("transformer", layers=3, channels=64, heads=4)
     assert recommended(62) == recommended(62, kind="transformer") == small
-    goals = replace(small, goal_conditioned=True)
+    goals = PolicySettings("transformer", goal_conditioned=True)
     assert recommended(37, goal_conditioned=True) == recommended(37, goal_conditioned=True, kind="transformer") == goals
     assert recommended(12, kind="transformer") == PolicySettings("transformer")
     assert recommended(12, goal_conditioned=True) == PolicySettings("resmlp", goal_conditioned=True)

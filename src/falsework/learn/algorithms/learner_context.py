@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from falsework.learn.algorithms.reward import Reward, environment_reward
 from falsework.learn.algorithms.start_states import StartSampler
 from falsework.learn.config.ppo import PpoPhase
-from falsework.learn.data.random_walks import GoalSampler
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.policy import Policy
@@ -29,8 +28,6 @@ class LearnerContext:
     solved: SolvableStates = None  # type: ignore[assignment]
     """States known to be solvable, which grow by successes, and those that are held out: no loss may be taken at
     these. By default none."""
-    tasks: GoalSampler | None = None
-    """With goals: draws states with targets and valid actions, to imitate."""
     reward: Reward = environment_reward
     """Of each action."""
     begin: float = 0.0

@@ -33,9 +33,6 @@ _ENTROPY_STEP, _ENTROPY_MOST = 1.5, 20.0
 _MOST_SOLVED = 20_000_000
 """States known to be solvable beyond which no more are stored."""
 
-Demonstrations = tuple[torch.Tensor, torch.Tensor | None, torch.Tensor | None]
-"""States, their targets, and valid actions; None without targets, and where actions are looked up."""
-
 
 class PPO(Learner):
     """Proximal policy optimisation from the outcomes of the policy's own rollouts.
@@ -60,7 +57,7 @@ class PPO(Learner):
         self.entropy_factor = 1.0
         """Of the weight of the entropy; above 1 where the entropy was below its floor."""
         self.environment, self.sampler, self.solved = given.environment, given.starts, given.solved
-        self._settings, self._tasks, self._begin, self._reward = settings, given.tasks, given.begin, given.reward
+        self._settings, self._begin, self._reward = settings, given.begin, given.reward
         self._compiled = given.compiled
         self.network = Network(given.policy, given.precision, compiled=given.compiled)
         self._playing = Network(given.policy, given.precision)
@@ -197,38 +194,30 @@ class PPO(Learner):
         rows[spot], used[spot] = torch.randperm(count, generator=self.generator, device=device), 1.0
         return list(zip(rows, used, strict=True))
 
-    def demonstrations(self, transitions: Transitions, steps: int) -> list[Demonstrations | None]:
-        """Draw what is imitated in each of some steps; None where nothing is."""
-        count = max(round(self._share * _IMITATED), 1)
-        if steps and self._settings.imitation and self._tasks is not None:
-            drawn = (column.split(count) for column in self._tasks.draw(steps * count, self.generator))
-            return list(zip(*drawn, strict=True))
-        if self._settings.imitation and transitions.targets is None and len(self.solved):
-            size, device = (steps, count), transitions.states.device
-            rows = torch.randint(len(self.solved), size, generator=self.generator, device=device)
-            return [(self.solved.states[row], None, None) for row in rows]
-        return [None] * steps
+    def demonstrations(self, transitions: Transitions, steps: int) -> list[torch.Tensor | None]:
+        """Draw the states that are imitated in each of some steps; None where nothing is."""
+        if not (self._settings.imitation and transitions.targets is None and len(self.solved)):
+            return [None] * steps
+        size = steps, max(round(self._share * _IMITATED), 1)
+        rows = torch.randint(len(self.solved), size, generator=self.generator, device=transitions.states.device)
+        return [self.solved.states[row] for row in rows]
 
     def _loss(
         self,
         batch: Transitions,
         weight: torch.Tensor,
         entropy_weight: torch.Tensor,
-        shown: Demonstrations | None,
+        shown: torch.Tensor | None,
     ) -> tuple[Loss, torch.Tensor]:
         """Compute the PPO loss, and the total with the imitation loss, in one call of the network."""
-        states, targets = batch.states, batch.targets
-        if shown is not None:
-            states = torch.cat([states, shown[0]])
-            targets = None if targets is None or shown[1] is None else torch.cat([targets, shown[1]])
-        logits, value = self.network(states, targets)
+        states = batch.states if shown is None else torch.cat([batch.states, shown])
+        logits, value = self.network(states, batch.targets)
         count = len(batch)
         loss = ppo_loss(logits[:count], value[:count], batch, weight=weight, entropy_weight=entropy_weight)
         if shown is None:
             return loss, loss.total
-        known, goals, valid = shown
-        mask = self.environment.rules.moves(known, goals)
-        valid = self.solved.valid_actions(known, mask) if valid is None else valid
+        mask = self.environment.rules.moves(shown)
+        valid = self.solved.valid_actions(shown, mask)
         return loss, loss.total + self._settings.imitation * imitation_loss(logits[count:], mask, valid)
 
     def _report(self, transitions: Transitions, means: torch.Tensor) -> dict[str, float]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 
+from falsework.learn.algorithms.extension import Extension
 from falsework.learn.algorithms.hindsight import relabel
 from falsework.learn.algorithms.rollout_storage import Transitions
 from falsework.learn.data.random_walks import GoalSampler
@@ -14,11 +16,12 @@ from falsework.learn.data.solvable_states import SolvableStates
 
 _FROM_DATA = 0.5
 """Share of rollouts that start where searches found states."""
-_FROM_FAILURES, _WITH_GOALS = 0.25, 0.5
-"""Share that starts where a rollout failed lately, without and with goals: random actions solve half of the pairs that
-are drawn. Without goals, the others start at any solvable state."""
+_FROM_FAILURES = 0.25
+"""Share that starts where a rollout failed lately. Without goals, the others start at any solvable state."""
 _FROM_HINDSIGHT = 0.1
-"""With goals: share between two states of an earlier rollout; the others are drawn anew."""
+"""With goals: share between two states of an earlier rollout; the others are drawn anew, half of them extended."""
+_COMPARED = 4
+"""Pairs of which the one is taken whose success is the least certain."""
 _REMEMBERED = 4
 """Failures and hindsight pairs that are kept, in collections."""
 
@@ -83,7 +86,14 @@ class MixedStarts(StartSampler):
     """States that searches found, recent failures, and hindsight pairs or any state known to be solvable."""
 
     def __init__(
-        self, starts: torch.Tensor, solved: SolvableStates, collection: int, *, tasks: GoalSampler | None = None
+        self,
+        starts: torch.Tensor,
+        solved: SolvableStates,
+        collection: int,
+        *,
+        tasks: GoalSampler | None = None,
+        value: Callable[[torch.Tensor, torch.Tensor], torch.Tensor] | None = None,
+        extension: Extension | None = None,
     ) -> None:
         """Begin without failures.
 
@@ -92,27 +102,47 @@ class MixedStarts(StartSampler):
             solved: states known to be solvable, and the held-out ones.
             collection: rollouts per collection of this process.
             tasks: of a policy with goals, draws starts and targets for every collection.
+            value: with goals, predicts the return of pairs, from -1 for failure to 1 for success. Of most pairs it is
+                near one of these, and little is learned from them.
+            extension: with goals, moves starts and targets to other states.
         """
-        self._starts, self._tasks, self._solved = starts, tasks, solved
+        self._starts, self._tasks, self._solved, self._value = starts, tasks, solved, value
+        self._extension = extension
         none = starts[:0]
         self._failed = self._passed = StartBatch(none, None if tasks is None else none)
         self._most = _REMEMBERED * collection
 
     def sample(self, count: int, generator: torch.Generator) -> StartBatch:
         """See `StartSampler`."""
-        goals = self._tasks is not None
-        failures = round(count * (_WITH_GOALS if goals else _FROM_FAILURES)) if len(self._failed.states) else 0
+        failures = round(count * _FROM_FAILURES) if len(self._failed.states) else 0
         passed = round(count * _FROM_HINDSIGHT) if len(self._passed.states) else 0
-        anywhere = 0 if goals else count - round(count * (_FROM_DATA + _FROM_FAILURES))
+        anywhere = 0 if self._tasks is not None else count - round(count * (_FROM_DATA + _FROM_FAILURES))
         fresh = count - failures - passed - anywhere
-        if self._tasks is not None:
-            pieces = [StartBatch(*self._tasks.draw(fresh, generator)[:2]), _some(self._passed, passed, generator)]
-        else:
+        if self._tasks is None:
             pieces = [
                 _some(StartBatch(self._starts), fresh, generator),
                 _some(StartBatch(self._solved.states), anywhere, generator),
             ]
-        return _joined([*pieces, _some(self._failed, failures, generator)])
+            return _joined([*pieces, _some(self._failed, failures, generator)])
+        more = 1 if self._value is None else _COMPARED
+        drawn = StartBatch(*self._tasks.draw(more * fresh, generator)[:2])
+        pieces = [
+            _some(pairs, more * one, generator) for pairs, one in ((self._passed, passed), (self._failed, failures))
+        ]
+        pairs = self._uncertain(_joined([drawn, *pieces]), more)
+        if self._extension is None or pairs.targets is None:
+            return pairs
+        half = fresh // 2
+        ends = self._extension.extended(pairs.states[:half], pairs.targets[:half], generator)
+        return _joined([StartBatch(*ends), _take(pairs, slice(half, None))])
+
+    def _uncertain(self, pairs: StartBatch, compared: int) -> StartBatch:
+        """Return of each few pairs in a row the one whose predicted success is nearest to one half."""
+        if self._value is None or pairs.targets is None:
+            return pairs
+        certain = self._value(pairs.states, pairs.targets).abs().view(-1, compared)
+        rows = torch.arange(len(certain), device=certain.device) * compared + certain.argmin(dim=1)
+        return _take(pairs, rows)
 
     def record(
         self, batch: StartBatch, transitions: Transitions, surrogate: torch.Tensor, generator: torch.Generator

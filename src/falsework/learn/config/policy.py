@@ -98,8 +98,8 @@ def recommended(parts: int, *, goal_conditioned: bool = False, kind: str | None 
     """Return the settings of the network with the highest success after a given training time.
 
     For few parts that is the fastest network, since the number of rollouts decides. States of more parts are too many
-    to memorise: a network that describes parts by their contacts then generalises to unseen ones. It is a small one,
-    since rollouts still count.
+    to memorise: a network that describes parts by their contacts then generalises to unseen ones. It is a small one
+    without goals, since rollouts still count; there are far more pairs than states.
 
     Args:
         parts: number of parts.
@@ -108,6 +108,6 @@ def recommended(parts: int, *, goal_conditioned: bool = False, kind: str | None 
     """
     large = parts > _FEW
     usual = kind or ("transformer" if large else "resmlp")
-    if usual == "transformer" and (goal_conditioned or large):
-        return PolicySettings(usual, goal_conditioned=goal_conditioned, layers=3, channels=64, heads=4)
+    if usual == "transformer" and large and not goal_conditioned:
+        return PolicySettings(usual, layers=3, channels=64, heads=4)
     return PolicySettings(usual, goal_conditioned=goal_conditioned)

@@ -48,7 +48,8 @@ class PpoPhase:
     """Of a curriculum: share of the rollouts that starts at solvable states far from those of the
     searches, which moves in the direction of assembly find during the training."""
     imitation: float = 0.1
-    """Weight of imitating states known to be solvable, or paths to goals, which preserves what imitation learned."""
+    """Weight of imitating states known to be solvable, which preserves what imitation learned. With goals nothing is
+    imitated beside the rollouts: paths between the states of searches are learned by heart."""
 
     def __post_init__(self) -> None:
         if self.starts not in get_args(Starts):

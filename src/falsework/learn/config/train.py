@@ -170,14 +170,14 @@ def default_widths(parts: int, device: str) -> tuple[int, ...]:
 def default_target_widths(parts: int, device: str, minutes: float) -> tuple[int, ...]:
     """Return the same for goal-conditioned tasks, far more numerous than states: as many searches as time allows.
 
-    They take about a tenth of it on a GPU and a quarter on a CPU. Only many states keep a network from overfitting the
-    paths of a few searches.
+    Only many states keep a network from overfitting the paths of a few searches. On a GPU those of more searches than
+    these were not tried.
     """
     if parts <= 20:
         return default_widths(parts, device)
-    # A search of 37 parts takes two seconds on one core, and that grows with more than the square of their number.
     if device == "cuda":
-        return (256,) * min(max(round(36 * minutes * (37 / parts) ** 1.5), 24), 400)
+        return (32,) * 192
+    # A search of 37 parts takes two seconds on one core, and that grows with more than the square of their number.
     return (128,) * min(max(round(6 * minutes * (37 / parts) ** 3), 12), 120)
 
 

@@ -235,7 +235,6 @@ def search_several(
     *,
     device: torch.device,
     shards: ProcessGroup = ProcessGroup(),
-    keep: int | None = None,
 ) -> tuple[States, float]:
     """Return the states of narrow searches run side by side over all processes, and how many searches completed.
 
@@ -248,7 +247,6 @@ def search_several(
         seed: of the searches.
         device: where to search.
         shards: processes that share the searches.
-        keep: states to return for each search, with those that lead to them; None for all.
 
     Returns:
         Shape (count, parts), and a number of searches.
@@ -261,9 +259,7 @@ def search_several(
     states, through = np.empty((0, task.part_count), dtype=np.uint8), 0.0
     if mine:
         own = seed * shards.size + shards.rank
-        searched = parallel_beam_search(
-            task, oracle, mine, width, direction=direction, seed=own, keep=keep, device=device
-        )
+        searched = parallel_beam_search(task, oracle, mine, width, direction=direction, seed=own, device=device)
         states, through = searched.states, float(searched.found.sum())
     if shards.size > 1:
         states = gather_rows(torch.from_numpy(states).to(device), shards).cpu().numpy()

@@ -33,8 +33,6 @@ _ARRAYS = frozenset({"train", "test", "more"})
 
 _BATCH_GPU, _BATCH_CPU = 64, 4
 """Further searches that run side by side, on a GPU and on a processor; the time is looked at between them."""
-_KEPT = 8
-"""States kept of each on a GPU, in widths, and those that lead to them: there are more than a graph can connect."""
 _ROUNDS = 8
 """Times that a pair is drawn for each target, at most, to find enough of them."""
 _VALIDATION = 5
@@ -135,11 +133,8 @@ class SearchStates:
             count = sum(1 for _ in takewhile(width.__eq__, settings.widths[done : done + together * shards.size]))
             if report is not None:
                 report(f"searches {done + 3} to {done + count + 2} of {2 + len(settings.widths)}, width {width}")
-            keep = _KEPT * width if device.type == "cuda" else None
             seed = settings.seed + 2 + done
-            states, through = search_several(
-                task, judge, count, width, way, seed, device=device, shards=shards, keep=keep
-            )
+            states, through = search_several(task, judge, count, width, way, seed, device=device, shards=shards)
             more.append(states)
             done += count
             # States beyond the point where most searches die out are found from the other end.

@@ -20,7 +20,7 @@ from falsework.search.device.oracle import BatchedTensorOracle, TensorOracle
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
-from falsework.utils.tensors import import_torch, mix, place_in_group, uniform
+from falsework.utils.tensors import import_torch, mix, place_in_group
 
 if TYPE_CHECKING:
     import torch
@@ -49,14 +49,12 @@ class ParallelLevel:
     """`uint8`, shape (count, parts)."""
     owner: torch.Tensor
     """Search that each belongs to, ascending, shape (count,)."""
-    parent: torch.Tensor
-    """Row of the level before, shape (count,)."""
     value: torch.Tensor
     """Number that the order of successors depends on, such as a hash or a score, shape (count,)."""
 
     def take(self, rows: torch.Tensor) -> ParallelLevel:
         """Return some of the states."""
-        return ParallelLevel(self.states[rows], self.owner[rows], self.parent[rows], self.value[rows])
+        return ParallelLevel(self.states[rows], self.owner[rows], self.value[rows])
 
 
 Stable = Callable[["torch.Tensor", "torch.Tensor", "torch.Tensor"], "torch.Tensor"]
@@ -89,24 +87,7 @@ def next_level(
     after = rules.follow(before, action)
     rows = stable(after, before, action).nonzero()[:, 0]
     rows = rows[place_in_group(level.owner[parent[rows]]) < width]
-    return ParallelLevel(after[rows], level.owner[parent[rows]], parent[rows], value[rows])
-
-
-def with_ancestors(levels: list[ParallelLevel], chosen: list[torch.Tensor]) -> list[ParallelLevel]:
-    """Return the states chosen at each level, and their ancestors.
-
-    Args:
-        levels: from the origins on.
-        chosen: rows of each level.
-    """
-    torch = import_torch()
-    pieces = []
-    later = levels[-1].parent[:0]
-    for level, own in zip(reversed(levels), reversed(chosen), strict=True):
-        rows = torch.unique(torch.cat([later, own]))
-        pieces.append(level.take(rows))
-        later = level.parent[rows]
-    return pieces[::-1]
+    return ParallelLevel(after[rows], level.owner[parent[rows]], value[rows])
 
 
 def parallel_beam_search(
@@ -117,7 +98,6 @@ def parallel_beam_search(
     *,
     direction: Direction = Direction.DISASSEMBLY,
     seed: int = 0,
-    keep: int | None = None,
     device: torch.device | str = "cpu",
     numbers: int = 1 << 23,
 ) -> ParallelBeamResult:
@@ -130,8 +110,6 @@ def parallel_beam_search(
         width: states that each keeps a level.
         direction: end to begin at.
         seed: of the choices; each search makes its own.
-        keep: states to return for each search, drawn uniformly, with all states on one path from the origin to each of
-            them; None for all.
         device: where to search; the states are the same on each, as far as the verdicts are.
         numbers: parts of all states of a level that are in memory at once; the searches run in groups. There are fewer
             candidates than that, which take some 150 bytes each while they are sorted.
@@ -140,8 +118,8 @@ def parallel_beam_search(
         DependencyError: torch is not installed.
         InputError: fewer than one search, or a width below one.
     """
-    if count < 1 or width < 1 or (keep is not None and keep < 1):
-        raise InputError("searches, their width and the states kept of each are counts; give at least 1")
+    if count < 1 or width < 1:
+        raise InputError("searches and their width are counts; give at least 1")
     torch = import_torch()
     beams = _Beams(task, oracle, width, direction, seed, torch.device(device))
     together = max(min(numbers // (width * task.part_count), 1 << _OWNER_BITS), 1)
@@ -151,9 +129,8 @@ def parallel_beam_search(
         levels = beams.run(torch.arange(first, min(first + together, count), device=beams.device))
         if len(levels) == task.steps + 1:
             found[levels[-1].owner.cpu().numpy()] = True
-        kept = levels if keep is None else beams.some(levels, keep)
-        states = torch.cat([level.states for level in kept])
-        owner = torch.cat([level.owner for level in kept])
+        states = torch.cat([level.states for level in levels])
+        owner = torch.cat([level.owner for level in levels])
         pieces.append(states[torch.argsort(owner, stable=True)].cpu().numpy())
     return ParallelBeamResult(np.concatenate(pieces), found)
 
@@ -172,7 +149,7 @@ class _Beams:
     def run(self, owners: torch.Tensor) -> list[ParallelLevel]:
         """Run some searches and return all levels, up to the deepest."""
         origin = self._rules.origin().expand(len(owners), -1).contiguous()
-        levels = [ParallelLevel(origin, owners, owners - owners[0], self._rules.hashes(origin))]
+        levels = [ParallelLevel(origin, owners, self._rules.hashes(origin))]
         while len(levels) <= self._steps and not self._dead:
             level = levels[-1]
             candidates = self._candidates(level, len(levels))
@@ -182,15 +159,6 @@ class _Beams:
                 break
             levels.append(level)
         return levels
-
-    def some(self, levels: list[ParallelLevel], keep: int) -> list[ParallelLevel]:
-        """Return uniformly drawn states of each search, `keep` on average, and their ancestors."""
-        torch = import_torch()
-        first = levels[0].owner[0]
-        share = keep / torch.bincount(torch.cat([level.owner for level in levels]) - first)
-        words = (self._words(level.value, level.owner, 2 * number + 1) for number, level in enumerate(levels))
-        drawn = [uniform(word) < share[level.owner - first] for word, level in zip(words, levels, strict=True)]
-        return with_ancestors(levels, [rows.nonzero()[:, 0] for rows in drawn])
 
     def _candidates(self, level: ParallelLevel, number: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return the successors of the states of a level, those of each search in random order."""

@@ -7,6 +7,7 @@ import torch
 from falsework.errors import InputError
 from falsework.learn.algorithms.curriculum import Curriculum
 from falsework.learn.algorithms.exploration import Exploration
+from falsework.learn.algorithms.extension import Extension
 from falsework.learn.algorithms.imitation import Imitation
 from falsework.learn.algorithms.learner import Learner
 from falsework.learn.algorithms.learner_context import LearnerContext
@@ -16,6 +17,8 @@ from falsework.learn.config.imitation import ImitationPhase
 from falsework.learn.config.train import Phase
 from falsework.learn.data.solvable_states import SolvableStates
 from falsework.learn.env.environment import Environment
+from falsework.learn.env.rollout import forward_in_pieces
+from falsework.learn.networks.autocast import Network
 from falsework.learn.networks.policy import Policy
 from falsework.learn.training.plugins import Plugins
 from falsework.learn.training.run_context import RunContext
@@ -68,7 +71,15 @@ def learner_of(
     rules, starts = environment.rules, data.starts
     if phase.starts == "mixed":
         rollouts = max(phase.rollouts // run.shards.size, 1)
-        sampler: StartSampler = MixedStarts(starts, solved, rollouts, tasks=data.tasks)
+        network = Network(policy, settings.precision)
+        sampler: StartSampler = MixedStarts(
+            starts,
+            solved,
+            rollouts,
+            tasks=data.tasks,
+            value=lambda states, targets: forward_in_pieces(network, states, targets)[1],
+            extension=Extension(environment, solved),
+        )
     else:
         if phase.starts == "complete":
             starts = rules.complete()
@@ -87,7 +98,6 @@ def learner_of(
         sampler,
         phase,
         solved,
-        data.tasks,
         plugins.reward,
         begin,
         settings.seed,
