@@ -48,7 +48,7 @@ def in_few_steps(words: list[str]) -> list[str]:
     if words[1] != "train" or "--minutes" not in words:
         return words
     place = words.index("--minutes")
-    return [*words[:place], "--steps", "20", *words[place + 2 :]]
+    return [*words[:place], "--steps", "10", *words[place + 2 :]]
 
 
 def of_few_parts(words: list[str]) -> list[str]:
