@@ -283,7 +283,8 @@ def build(group: str, given: dict[str, tuple[Any, ...]]) -> tuple[dict[str, Any]
     # machine code of any level, since nothing runs here: a builtin method stands for it.
     codegen.CPUCodeLibrary._optimize_final_module = lambda self: None
     codegen.JITCodeLibrary._finalize_specific = lambda self: None
-    cpu.CPUContext.get_executable = lambda self, library, *_: [library.get_pointer_to_function("")].pop
+    context: Any = cpu.CPUContext
+    context.get_executable = lambda _, library, *__: [library.get_pointer_to_function("")].pop
     kernels = {f"{kernel.__module__}.{kernel.__name__}": kernel for kernel in GROUPS[group]}
     called = set().union(*map(callees, kernels.values()))
     for kernel in called:
