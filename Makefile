@@ -46,7 +46,7 @@ SMOKE := tests/test_architecture.py tests/utils tests/geometry/test_contact.py t
 	tests/service/test_answers.py tests/interop/test_export.py tests/cli/test_arguments.py tests/cli/test_replan.py \
 	tests/bench/test_structures.py
 
-.PHONY: demo install compile kernels schemas test smoke lint types docs package lock images results reference fuzz check clean help
+.PHONY: demo install warm compile kernels schemas test smoke lint types docs package lock images results reference fuzz check clean help
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -103,6 +103,10 @@ schemas: $(VENV)/.core
 	$(BIN)/python docs/schemas/write.py
 
 install: $(VENV)/.lint $(VENV)/.test $(VENV)/.docs
+
+# The modules of torch, which each test worker would otherwise compile when it first imports them.
+warm: $(VENV)/.torch
+	@$(BIN)/python -c "import torch"
 
 compile: $(VENV)/.compiled
 

@@ -31,7 +31,7 @@ import numba
 import numpy as np
 from llvmlite import binding as llvm
 from llvmlite import ir
-from numba.core import codegen, types
+from numba.core import codegen, cpu, types
 from numba.extending import intrinsic
 
 from falsework.assembly.load import load_structure
@@ -279,8 +279,12 @@ def simplify(texts: list[str], entries: list[str]) -> bytes:
 
 def build(group: str, given: dict[str, tuple[Any, ...]]) -> tuple[dict[str, Any], bytes]:
     """Return what the index says of a group, and its bitcode; `given` has the arguments of each kernel."""
-    # Optimised once, in `simplify`, with everything in one module; not by numba at every level of calls.
+    # Optimised once, in `simplify`, with everything in one module, not by numba at every level of calls; nor is there
+    # machine code of any level, since nothing runs here: a builtin method stands for it.
     codegen.CPUCodeLibrary._optimize_final_module = lambda self: None
+    codegen.JITCodeLibrary._finalize_specific = lambda self: None
+    context: Any = cpu.CPUContext
+    context.get_executable = lambda _, library, *__: [library.get_pointer_to_function("")].pop
     kernels = {f"{kernel.__module__}.{kernel.__name__}": kernel for kernel in GROUPS[group]}
     called = set().union(*map(callees, kernels.values()))
     for kernel in called:

@@ -1,64 +1,36 @@
-"""Compilation of the kernels that the tests run, in two parallel processes; numba caches beside the sources."""
+"""Compilation of the kernels that the tests run, in two parallel processes, before test workers start.
+
+Portable code becomes machine code of this processor; what is not in the archive numba compiles beside the sources.
+"""
 
 from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
-import numpy as np
-
-from falsework import Assembly, StabilitySettings, load_structure
-from falsework.assembly import States, complete_state
-from falsework.stability.problem import Problem, build_problem
+from falsework import load_structure, make_task
+from falsework.assembly import complete_state
+from falsework.utils.kernel_code import ARCHIVE
 
 
-def _arch() -> tuple[Assembly, States, Problem]:
-    assembly = load_structure("arch:blocks=5")
-    return assembly, np.stack([complete_state(assembly.boundary)] * 2), build_problem(assembly)
-
-
-def _portable() -> None:
-    from falsework.stability.contact.replay import Replayer
-    from falsework.stability.contact.solver import ContactSolver
-
-    assembly, states, problem = _arch()
-    ContactSolver(assembly, problem, StabilitySettings()).check(states, parents=states)
-    Replayer(assembly).replay(states)
-
-
-def _motion() -> None:
-    from falsework.robots.cells.warm_up import compile_kernels
-
-    compile_kernels()
+def _portable(group: str) -> None:
+    module, _, name = next(iter(ARCHIVE.index[group]["entries"])).rpartition(".")
+    assert ARCHIVE.load(module, name)
 
 
 def _judge() -> None:
     from falsework.stability.judges.discrete_elements import BuildJudge
 
-    assembly, states, _ = _arch()
-    BuildJudge(assembly).judge(states[:1], [()])
+    assembly = load_structure("arch:blocks=5")
+    BuildJudge(assembly).judge(complete_state(assembly.boundary)[None], [()])
 
 
-def _picture() -> None:
-    from falsework.viewer import Camera
-    from falsework.viewer.pictures.render import ColoredSolid, render
-
-    assembly, _, _ = _arch()
-    colours = ((1.0, 0.0, 0.0), 1.0), ((0.0, 1.0, 0.0), 0.5)
-    solids = [
-        ColoredSolid(mesh.vertices, mesh.faces, *colour) for mesh, colour in zip(assembly.meshes, colours, strict=False)
-    ]
-    render(solids, Camera(width=64, height=48), np.array([[-2.0, -2.0, -2.0], [2.0, 2.0, 2.0]]))
-
-
-def _clearance() -> None:
-    from falsework.geometry.clearance.table import clearance_table
-
-    assembly, states, _ = _arch()
-    clearance_table(assembly.meshes, assembly.contacts, tolerance=1e-4).can_leave(states)
+def _cones() -> None:
+    make_task(load_structure("shelf:shelves=0"), removable_only_if_clear=True)
 
 
 if __name__ == "__main__":
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        for done in [*map(pool.submit, (_motion, _judge, _portable, _picture, _clearance))]:
-            done.result()
+        jobs = [pool.submit(_judge), *(pool.submit(_portable, group) for group in ARCHIVE.index), pool.submit(_cones)]
+        for job in jobs:
+            job.result()

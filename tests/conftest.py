@@ -12,7 +12,7 @@ import threading
 import time
 import tracemalloc
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -24,6 +24,7 @@ import pytest
 from falsework import Assembly, Plan
 from falsework.assembly import HELD, INSTALLED, ContactWarning
 from falsework.assembly.library.blocks import box, gather
+from falsework.assembly.library.catalogue import Structure
 from falsework.geometry import TriangleMesh
 from falsework.stability.holds import Press
 from falsework.utils.kernel_code import ARCHIVE
@@ -62,6 +63,30 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Iterat
     skipped = [report.longrepr[2] for report in terminalreporter.stats.get("skipped", [])]
     for reason, count in sorted(Counter(reason.removeprefix("Skipped: ") for reason in skipped).items()):
         terminalreporter.write_line(f"not run: {count} {'test' if count == 1 else 'tests'} ({reason})")
+
+
+_made: dict[tuple[str, ...], Assembly] = {}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def structures_are_made_once(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Built-in structures, which never change, are shared by tests: each worker finds contacts and ways out once.
+
+    Tests of how structures are made make their own.
+    """
+    make = Structure.make
+
+    def once(self: Structure, values: Mapping[str, Any], **material: float | None) -> Assembly:
+        key = self.name, repr(sorted(values.items())), repr(material)
+        found = _made.get(key) or make(self, values, **material)
+        if found.part_count <= 100:  # larger ones are seldom asked for again, and take memory
+            _made[key] = found
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        if not {"assembly", "geometry"} & set(request.path.relative_to(REPOSITORY).parts):
+            patch.setattr(Structure, "make", once)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -41,19 +41,22 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 def in_few_steps(words: list[str]) -> list[str]:
-    """Return a command that trains for minutes, or evaluates many states, with a few steps or states instead."""
+    """Return a command that trains for minutes, or evaluates many states, with few steps, parts or states instead."""
     if words[1] == "evaluate":
         place = words.index("--states") if "--states" in words else len(words)
         return [*words[:place], "--states", "10", *words[place + 2 :]]
+    if words[1] == "graph":
+        return of_few_parts(words)
     if words[1] != "train" or "--minutes" not in words:
         return words
     place = words.index("--minutes")
-    return [*words[:place], "--steps", "20", *words[place + 2 :]]
+    return of_few_parts([*words[:place], "--steps", "10", *words[place + 2 :]])
 
 
 def of_few_parts(words: list[str]) -> list[str]:
     """Return a command about a small structure of the same family."""
-    small = {"arch": "arch:blocks=7", "vault": "vault:parts=30", "plan.json:31": "plan.json:3"}
+    small = {"arch": "arch:blocks=7", "bottle": "arch:blocks=5", "shelf": "shelf:shelves=0", "vault": "vault:parts=30"}
+    small["plan.json:31"] = "plan.json:3"
     return [small.get(word, word) for word in words]
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
-import os
 import pkgutil
 import re
 import subprocess
@@ -134,11 +133,8 @@ def test_rooms_import_without_optional_packages() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    "line",
-    ["train arch:blocks=3", "replan .", "evaluate .", "robots plan stack:blocks=2 --cell bottle-12 --policy ."],
-)
-def test_commands_that_need_torch_say_what_to_install(line: str, tmp_path: Path) -> None:
+def test_commands_that_need_torch_say_what_to_install(tmp_path: Path) -> None:
+    lines = "train arch:blocks=3", "replan .", "evaluate .", "robots plan stack:blocks=2 --cell bottle-12 --policy ."
     (tmp_path / "run.json").write_text('{"format": "falsework.run/2"}')
     said = in_a_fresh_process(
         "import contextlib, importlib.machinery as machinery, io, os\n"
@@ -148,12 +144,15 @@ def test_commands_that_need_torch_say_what_to_install(line: str, tmp_path: Path)
         "    return None if name.split('.')[0] == 'torch' else find(name, path, target)\n"
         "machinery.PathFinder.find_spec = without\n"
         "from falsework.cli.main import main\n"
-        "with contextlib.redirect_stderr(io.StringIO()) as error:\n"
-        f"    code = main({line.split()!r})\n"
-        "print(code, error.getvalue())\n"
-    )
-    assert said.startswith("2 falsework: ")
-    assert "needs torch; pip install 'falsework[learn]'" in said
+        f"for line in {lines!r}:\n"
+        "    with contextlib.redirect_stderr(io.StringIO()) as error:\n"
+        "        code = main(line.split())\n"
+        "    print(code, error.getvalue(), end='')\n"
+    ).splitlines()
+    assert len(said) == len(lines)
+    for line in said:
+        assert line.startswith("2 falsework: ")
+        assert "needs torch; pip install 'falsework[learn]'" in line
 
 
 def imported_modules(text: str) -> list[str]:
@@ -318,12 +317,15 @@ def test_another_package_adds_a_format(arch: Assembly, plan: fw.Plan, plugin: Pa
 
 
 def test_the_command_knows_formats_of_other_packages(plugin: Path) -> None:
-    command = [sys.executable, "-m", "falsework", "export", "arch:blocks=5", "--out"]
-    paths = os.pathsep.join(entry for entry in sys.path if entry)
-    for words in ((plugin / "out.mine",), (plugin / "other", "--format", "mine")):
-        done = subprocess.run([*command, *map(str, words)], env={**os.environ, "PYTHONPATH": paths}, check=False)
-        assert done.returncode == 0
-        assert Path(words[0]).read_text() == "arch:blocks=5 0 1.0"
+    words = [(str(plugin / "out.mine"),), (str(plugin / "other"), "--format", "mine")]
+    in_a_fresh_process(
+        f"import sys; sys.path[:] = {sys.path!r}\n"
+        "from falsework.cli.main import main\n"
+        f"for words in {words!r}:\n"
+        "    assert main(['export', 'arch:blocks=5', '--out', *words]) == 0\n"
+    )
+    for name, *_ in words:
+        assert Path(name).read_text() == "arch:blocks=5 0 1.0"
 
 
 def test_a_format_that_cannot_be_imported_is_left_out(plugin: Path) -> None:

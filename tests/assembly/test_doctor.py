@@ -354,7 +354,7 @@ def test_y_up_is_seen(tmp_path: Path) -> None:
     assert any("falls as it is, but would stand with y up" in one for one in doctor(table, stands=stands).remarks)
 
 
-@pytest.mark.parametrize("spec", ["vault", "dome", "arch:blocks=9", "wall"])
+@pytest.mark.parametrize("spec", ["vault:parts=30", "dome:rings=3,blocks=8", "arch:blocks=9", "wall"])
 @pytest.mark.parametrize("named", [False, True])
 def test_which_way_is_up_is_seen_of_shells(tmp_path: Path, spec: str, named: bool) -> None:
     """Their stones may touch no other from above; whether they stand tells."""

@@ -22,8 +22,8 @@ NAMES = (
     "bolt with a head", "conical plug", "piston", "hinge", "drawer", "chest of three drawers", "lid with a lip",
     "sliding lid", "nested boxes", "tenon", "table", "tongued boards", "dovetail", "keyed shaft", "sleeve and cap",
 )  # fmt: skip
-CAD = ("asap-beam/original", "fabrica-beam", "fabrica-car", "fabrica-plumbers_block")
-"""But for fabrica-duct, which takes longer than a test should; `benchmarks/contacts.py --loose` has it too."""
+CAD = ("asap-beam/original", "fabrica-beam", "fabrica-plumbers_block")
+"""Not fabrica-car and fabrica-duct, which take longer than a test should: `benchmarks/contacts.py --loose` has both."""
 
 
 @pytest.fixture

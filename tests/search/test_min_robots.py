@@ -169,7 +169,7 @@ def test_a_plan_with_too_few_robots_ends_with_the_proof(
     """The search alone finds nothing in minutes; what the core proves ends it, and is said."""
     assembly = load_structure(public_structure_path("dome-90"))
     oracle = StabilityOracle(assembly)
-    planning = find_plans(assembly, robots=2, oracle=oracle, deadline=60, settings=PlannerSettings(bound_after=2.0))
+    planning = find_plans(assembly, robots=2, oracle=oracle, deadline=60, settings=PlannerSettings(bound_after=0.5))
     assert planning.result.outcome is Outcome.PROVED_IMPOSSIBLE
     assert not planning.result.interrupted
     assert not planning.deadline_passed
@@ -178,7 +178,7 @@ def test_a_plan_with_too_few_robots_ends_with_the_proof(
     assert failure.proven
     assert planning.result.notes[0] in failure.text
     # A bound that has no time left leaves the search as it was.
-    unproven = find_plans(assembly, robots=2, oracle=oracle, deadline=3, settings=PlannerSettings(bound_after=1e-9))
+    unproven = find_plans(assembly, robots=2, oracle=oracle, deadline=1, settings=PlannerSettings(bound_after=1e-9))
     assert unproven.result.outcome is Outcome.NOT_FOUND
     assert unproven.deadline_passed
 

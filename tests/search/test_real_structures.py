@@ -17,14 +17,16 @@ Find = Callable[[str], Path]
 TABLE_3 = [
     pytest.param("bottle-12", 1077, 1159, id="bottle-12"),
     pytest.param("dome-37", 4540, 8430, id="dome-37", marks=pytest.mark.slow),
-    pytest.param("vault-62", 4781, 10229, id="vault-62", marks=pytest.mark.slow),
 ]
 NAMES = ["bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72"]
 
 
 @pytest.mark.parametrize(("name", "seen", "unseen"), TABLE_3)
 def test_data_sets_are_as_large_as_the_papers(shared_assembly: Find, name: str, seen: int, unseen: int) -> None:
-    """Table 3: states of a search of width 64, and those of width 128 that are not among them, within 10 per cent."""
+    """Table 3: states of a search of width 64, and those of width 128 that are not among them, within 10 per cent.
+
+    Of vault-62 `benchmarks/learning.py table3` has them.
+    """
     assembly = load_assembly(shared_assembly(name))
     oracle, task = StabilityOracle(assembly, StabilitySettings(criterion="equilibrium")), make_task(assembly)
     graphs = []

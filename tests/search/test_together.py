@@ -9,7 +9,7 @@ import pickle
 import re
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import combinations, product
 from math import gcd
 from pathlib import Path
@@ -389,6 +389,7 @@ def test_no_proof_where_a_motion_may_have_been_missed(monkeypatch: pytest.Monkey
 # Groups that one robot carries
 
 
+@cache
 def tower() -> Assembly:
     blocks = gather([box("block", (0, 0, k), (1, 1, k + 1)) for k in range(3)])
     return Assembly.from_meshes(blocks.meshes, boundary=[0])

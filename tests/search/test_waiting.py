@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 from dataclasses import replace
+from functools import cache
 from itertools import product
 from typing import Any
 
@@ -60,6 +61,7 @@ def latch(*, upright: bool = False) -> Assembly:
     return of_cubes(*sets[:2], frame=sets[2])
 
 
+@cache
 def dodge() -> Assembly:
     """A block that leaves its place for a hook, which passes there before the way out behind it is free."""
     hollow = {(0, 0), (0, -1), (1, -1), (1, 0), (1, 1), (2, 0), (2, 1), (0, 1), (-1, 1), (1, 2), (1, 3)}

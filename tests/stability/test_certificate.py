@@ -149,7 +149,7 @@ def test_a_force_changed_anywhere_along_a_plan_is_rejected(
     random = np.random.default_rng(0)
     places = np.argwhere(active)
     before = residual_of_forces(assembly, states, forces, EQUILIBRIUM.claim)
-    for row, point in places[random.permutation(len(places))[:20]]:
+    for row, point in places[random.permutation(len(places))[:8]]:
         rows = slice(row, None if until_the_end else row + 1)
         tampered = forces.copy()
         force = forces[row, point]

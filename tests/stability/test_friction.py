@@ -37,7 +37,7 @@ def decided(assembly: Assembly, states: NDArray[np.uint8], cone: Cone) -> NDArra
 
 
 def some_states(scenes: Any, assembly: Assembly) -> NDArray[np.uint8]:
-    return np.unique(scenes.random_states(assembly, 16, seed=51, shares=(0.25, 0.6, 0.15)), axis=0)
+    return np.unique(scenes.random_states(assembly, 8, seed=51, shares=(0.25, 0.6, 0.15)), axis=0)
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +133,7 @@ def test_the_interior_point_method_needs_no_friction(scenes: Any, request: pytes
 
 
 @pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("friction", [1e-12, 1e-10, 2e-9, 1e-8, 1e-7, 1e-6, 1e-5])
+@pytest.mark.parametrize("friction", [1e-12, 2e-9, 1e-7, 1e-5])
 @pytest.mark.parametrize("name", ["polycube", "bottle"])
 def test_next_to_no_friction_is_decided(decided_with: Decided, name: str, friction: float, cone: Cone) -> None:
     """What stands without friction stands with a little, and what falls with more falls with a little."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from tests.robots.plans.conftest import make_cell
 from tests.robots.plans.test_ways import bowed, cells, moved, value
 
 
+@cache
 def pit() -> Assembly:
     """A bar in a pit, below a cap: while the cap is held aside, the bar leaves upwards."""
     walls = [
@@ -47,6 +49,7 @@ def pit() -> Assembly:
     return Assembly.from_meshes(made.meshes, boundary=made.boundary, density=250.0, name="pit")
 
 
+@cache
 def tied() -> Assembly:
     """Two bars with tongues in each other, at one end under a lip: they leave together, out and then up."""
     tongues = cells(range(2, 3), range(2, 3), range(1)), cells(range(4, 5), range(1, 2), range(1))

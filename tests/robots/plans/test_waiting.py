@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from tests.robots.plans.conftest import boxes, make_cell
 from tests.robots.plans.test_ways import value
 
 
+@cache
 def pit() -> Assembly:
     """A bar in a pit, half below a lid that stays in the end, and that no arm holds then."""
     walls = [

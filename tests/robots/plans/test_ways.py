@@ -8,6 +8,7 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,7 @@ def cells(x: range, y: range, z: range) -> Cells:
     return frozenset(product(x, y, z))
 
 
+@cache
 def tray() -> Assembly:
     """A bar with one end under a lip, before a wall: it leaves out from under the lip, then up."""
     bar, outer = cells(range(6), range(2), range(2)), cells(range(-1, 10), range(-1, 3), range(-1, 4))
@@ -64,6 +66,7 @@ def tray() -> Assembly:
     return Assembly.from_meshes(made.meshes, boundary=made.boundary, density=250.0, name="tray")
 
 
+@cache
 def hatch() -> Assembly:
     """A lid between walls with its back end under a ledge: it tips up about that edge, and slides out."""
     made = gather(

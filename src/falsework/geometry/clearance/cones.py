@@ -162,11 +162,11 @@ def _cones(
             if len(cone) < 3:
                 continue
             while used + len(cone) > len(facets):
-                larger = np.empty((2 * len(facets), 3))
-                larger[:used] = facets[:used]
-                facets = larger
-            facets[used : used + len(cone)] = cone
-            used += len(cone)
+                facets = np.concatenate((facets, facets))
+            for k in range(len(cone)):
+                for m in range(3):
+                    facets[used, m] = cone[k, m]
+                used += 1
             sizes[cones] = len(cone)
             cones += 1
     return facets[:used].copy(), sizes[:cones].copy()
@@ -186,6 +186,16 @@ def _gap(a: Array, b: Array, x: float, y: float, z: float) -> float:  # pragma: 
 
 
 @njit(cache=True)
+def _length(a: Array) -> float:  # pragma: no cover - compiled
+    return np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+
+
+@njit(cache=True)
+def _cross(a: Array, b: Array) -> tuple[float, float, float]:  # pragma: no cover - compiled
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True)
 def _separating(
     a: Array, b: Array, a_normals: Array, b_normals: Array, a_edges: Array, b_edges: Array
 ) -> tuple[bool, Array]:  # pragma: no cover - compiled
@@ -193,26 +203,25 @@ def _separating(
     best, axis = 1e-9, np.zeros(3)
     for normals in (a_normals, b_normals):
         for k in range(len(normals)):
-            x, y, z = normals[k]
+            x, y, z = normals[k, 0], normals[k, 1], normals[k, 2]
             for sign in (1.0, -1.0):
                 gap = _gap(a, b, sign * x, sign * y, sign * z)
                 if gap > best:
                     best = gap
-                    axis[:] = sign * normals[k]
+                    axis[0], axis[1], axis[2] = sign * x, sign * y, sign * z
     if best > 1e-9 or len(a_edges) * len(b_edges) > _CROSSES:
         return best > 1e-9, axis
     for k in range(len(a_edges)):
         for m in range(len(b_edges)):
-            cross = np.cross(a_edges[k], b_edges[m])
-            size = np.sqrt((cross**2).sum())
-            if size < 1e-6 * np.sqrt((a_edges[k] ** 2).sum() * (b_edges[m] ** 2).sum()):
+            x, y, z = _cross(a_edges[k], b_edges[m])
+            size = np.sqrt(x * x + y * y + z * z)
+            if size < 1e-6 * _length(a_edges[k]) * _length(b_edges[m]):
                 continue
-            for sign in (1.0, -1.0):
-                one = cross * (sign / size)
-                gap = _gap(a, b, one[0], one[1], one[2])
+            for sign in (1.0 / size, -1.0 / size):
+                gap = _gap(a, b, sign * x, sign * y, sign * z)
                 if gap > best:
                     best = gap
-                    axis[:] = one
+                    axis[0], axis[1], axis[2] = sign * x, sign * y, sign * z
     return best > 1e-9, axis
 
 
@@ -227,23 +236,25 @@ def _facets(a: Array, b: Array, axis: Array) -> Array:  # pragma: no cover - com
     for k in range(1, 3):
         if abs(axis[k]) < abs(axis[least]):
             least = k
-    other = np.zeros(3)
+    other, u, v = np.zeros(3), np.zeros(3), np.zeros(3)
     other[least] = 1.0
-    u = np.cross(axis, other)
-    u /= np.sqrt((u**2).sum())
-    v = np.cross(axis, u)
+    u[0], u[1], u[2] = _cross(axis, other)
+    size = _length(u)
+    for k in range(3):
+        u[k] /= size
+    v[0], v[1], v[2] = _cross(axis, u)
     count = len(a) * len(b)
-    flat = np.empty((count, 2))
+    right, up = np.empty(count), np.empty(count)
     row = 0
     for i in range(len(a)):
         for j in range(len(b)):
             x, y, z = b[j, 0] - a[i, 0], b[j, 1] - a[i, 1], b[j, 2] - a[i, 2]
             ahead = x * axis[0] + y * axis[1] + z * axis[2]
-            flat[row, 0] = (x * u[0] + y * u[1] + z * u[2]) / ahead
-            flat[row, 1] = (x * v[0] + y * v[1] + z * v[2]) / ahead
+            right[row] = (x * u[0] + y * u[1] + z * u[2]) / ahead
+            up[row] = (x * v[0] + y * v[1] + z * v[2]) / ahead
             row += 1
-    order = np.argsort(flat[:, 1], kind="mergesort")
-    order = order[np.argsort(flat[order, 0], kind="mergesort")]
+    order = np.argsort(up, kind="mergesort")
+    order = order[np.argsort(right[order], kind="mergesort")]
     hull = np.empty(2 * count, dtype=np.int64)
     size = 0
     for turn in range(2):
@@ -252,8 +263,8 @@ def _facets(a: Array, b: Array, axis: Array) -> Array:  # pragma: no cover - com
             k = order[step] if turn == 0 else order[count - 1 - step]
             while size > floor - turn:
                 o, m = hull[size - 2], hull[size - 1]
-                ax, ay = flat[m, 0] - flat[o, 0], flat[m, 1] - flat[o, 1]
-                bx, by = flat[k, 0] - flat[o, 0], flat[k, 1] - flat[o, 1]
+                ax, ay = right[m] - right[o], up[m] - up[o]
+                bx, by = right[k] - right[o], up[k] - up[o]
                 if ax * by - ay * bx > 1e-9 * np.sqrt((ax * ax + ay * ay) * (bx * bx + by * by)):
                     break
                 size -= 1
@@ -262,20 +273,20 @@ def _facets(a: Array, b: Array, axis: Array) -> Array:  # pragma: no cover - com
     size -= 1
     if size < 3:
         return np.empty((0, 3))
-    middle = np.zeros(2)
+    middle, one, two = np.zeros(3), np.zeros(3), np.zeros(3)
     for k in range(size):
-        middle += flat[hull[k]] / size
+        for m in range(3):
+            middle[m] += (right[hull[k]] * u[m] + up[hull[k]] * v[m] + axis[m]) / size
     facets = np.empty((size, 3))
-    used = 0
     for k in range(size):
-        one, two = flat[hull[k]], flat[hull[(k + 1) % size]]
-        normal = np.cross(one[0] * u + one[1] * v + axis, two[0] * u + two[1] * v + axis)
-        length = np.sqrt((normal**2).sum())
+        for m in range(3):
+            one[m] = right[hull[k]] * u[m] + up[hull[k]] * v[m] + axis[m]
+            two[m] = right[hull[(k + 1) % size]] * u[m] + up[hull[(k + 1) % size]] * v[m] + axis[m]
+        x, y, z = _cross(one, two)
+        length = np.sqrt(x * x + y * y + z * z)
         if length < 1e-12:
             return np.empty((0, 3))
-        normal /= length
-        if (normal * (middle[0] * u + middle[1] * v + axis)).sum() < 0:
-            normal = -normal
-        facets[used] = normal
-        used += 1
-    return facets[:used]
+        if x * middle[0] + y * middle[1] + z * middle[2] < 0:
+            length = -length
+        facets[k, 0], facets[k, 1], facets[k, 2] = x / length, y / length, z / length
+    return facets

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -42,20 +43,29 @@ _MOST_NAME = 200
 _IDENTITY = {"orientation": {"w": 1.0}}
 
 
+@cache
+def _message_types() -> Any:
+    """Return the messages of ROS 2 and MoveIt; code for each is compiled when it is first written."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    definitions = files("falsework.robots.exports").joinpath("moveit.msg").read_text(encoding="utf-8")
+    for entry in definitions.split("MSG: ")[1:]:
+        name, text = entry.split("\n", 1)
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
 class _Bag:
     """MCAP bag in memory."""
 
     def __init__(self) -> None:
         try:
             from mcap.writer import Writer
-            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+            self.store = _message_types()
         except ImportError:
             raise DependencyError("an MCAP bag needs mcap and rosbags: pip install 'falsework[schedule]'") from None
-        self.store = get_typestore(Stores.ROS2_HUMBLE)
-        definitions = files("falsework.robots.exports").joinpath("moveit.msg").read_text(encoding="utf-8")
-        for entry in definitions.split("MSG: ")[1:]:
-            name, text = entry.split("\n", 1)
-            self.store.register(get_types_from_msg(text, name))
         self.data = io.BytesIO()
         self.writer = Writer(self.data)
         self.writer.start(profile="ros2", library="falsework")

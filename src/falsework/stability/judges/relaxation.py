@@ -114,12 +114,14 @@ def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps, f
     ramp, steps = slow, steps + slow - ramp
     weight, applied, radius = model.weight[free], model.applied[free] + grip.wrench[free], model.radius[free]
     motion, moved = np.zeros((bodies + 1, 6)), np.zeros((bodies + 1, 6))
-    load, missing = np.zeros((bodies + 1, 6)), np.zeros((bodies, 6))
+    load, missing = np.zeros((bodies + 1, 6)), np.zeros((bodies + 1, 6))
     answer, largest, part = OPEN, 0.0, free[0]
     resting = 0
     for step in range(steps + 1):
-        load[:bodies] = applied
         load[bodies] = 0.0
+        for body in range(bodies):
+            for i in range(6):
+                load[body, i] = applied[body, i]
         for k in range(len(active)):
             _contact(
                 motion[side_a[k]], motion[side_b[k]], load[side_a[k]], load[side_b[k]], frames[k], arm_a[k], arm_b[k],
@@ -128,13 +130,14 @@ def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps, f
         for body in range(bodies):
             if hold[body] > 0.0:
                 if step == 0 and grip.fresh[free[body]]:
-                    applied[body] -= load[body] - grip.wrench[free[body]]
-                    load[body] = grip.wrench[free[body]]
+                    for i in range(6):
+                        applied[body, i] -= load[body, i] - grip.wrench[free[body], i]
+                        load[body, i] = grip.wrench[free[body], i]
                 _pull(hold[body], line[body], across[body], turn[body], moved[body], load[body])
                 if across[body] == np.inf and line[body].any():
                     _along(line[body], load[body])
         if step == 0:
-            missing[:] = load[:bodies]
+            missing = load.copy()
         if step % _EVERY == 0:
             largest, part = _largest(moved, radius, free)
             if largest > fallen:
@@ -156,10 +159,11 @@ def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps, f
                 moved[body, i] += v
     for j in range(points):
         gap[index[j]] = open_[j]
-        friction[index[j]] = slide[j]
+        friction[index[j], 0], friction[index[j], 1] = slide[j, 0], slide[j, 1]
     for body in range(bodies):
         if hold[body] > 0.0:
-            grip.wrench[free[body]] = applied[body] - model.applied[free[body]]
+            for i in range(6):
+                grip.wrench[free[body], i] = applied[body, i] - model.applied[free[body], i]
             _pull(hold[body], line[body], across[body], turn[body], moved[body], grip.wrench[free[body]])
     return answer, largest, part
 
@@ -217,32 +221,38 @@ def _inertia(bodies, side_a, side_b, first, frames, arm_a, arm_b, local, stiff, 
     With row sums of the absolute stiffness as masses, all squared frequencies would be at most 1. A unit step is stable
     up to 4; half the row sums allow 2.
     """
-    inertia = np.zeros((bodies + 1, 6))
-    row = np.zeros((2, 6))
+    inertia, row = np.zeros((bodies + 1, 6)), np.zeros((2, 6))
     for k in range(len(side_a)):
         frame = frames[k]
         for j in range(first[k], first[k + 1]):
-            point = frame.T @ local[j]
+            x, y, z = local[j, 0], local[j, 1], local[j, 2]
             for axis in range(3):
-                n = frame[axis]
                 total = 0.0
                 for side in range(2):
-                    arm = (arm_a[k] if side == 0 else arm_b[k]) + point
-                    row[side, :3] = np.abs(n)
-                    row[side, 3] = abs(arm[1] * n[2] - arm[2] * n[1])
-                    row[side, 4] = abs(arm[2] * n[0] - arm[0] * n[2])
-                    row[side, 5] = abs(arm[0] * n[1] - arm[1] * n[0])
+                    middle = arm_a[k] if side == 0 else arm_b[k]
+                    for i in range(3):
+                        one, two = (i + 1) % 3, (i + 2) % 3
+                        along = middle[one] + frame[0, one] * x + frame[1, one] * y + frame[2, one] * z
+                        across = middle[two] + frame[0, two] * x + frame[1, two] * y + frame[2, two] * z
+                        row[side, i] = abs(frame[axis, i])
+                        row[side, 3 + i] = abs(along * frame[axis, two] - across * frame[axis, one])
                     if (side_a[k] if side == 0 else side_b[k]) < bodies:
-                        total += row[side].sum()
-                spring = stiff[j] if axis == 0 else tangential * stiff[j]
-                inertia[side_a[k]] += 0.5 * spring * total * row[0]
-                inertia[side_b[k]] += 0.5 * spring * total * row[1]
+                        for i in range(6):
+                            total += row[side, i]
+                spring = 0.5 * total * (stiff[j] if axis == 0 else tangential * stiff[j])
+                for i in range(6):
+                    inertia[side_a[k], i] += spring * row[0, i]
+                    inertia[side_b[k], i] += spring * row[1, i]
     for body in range(bodies):
-        inertia[body, :3] += 0.5 * hold[body]
+        most = 0.0
         for i in range(3):
-            inertia[body, 3 + i] += 0.5 * hold[body] * np.abs(turn[body, i]).sum()
+            turned = abs(turn[body, i, 0]) + abs(turn[body, i, 1]) + abs(turn[body, i, 2])
+            inertia[body, i] += 0.5 * hold[body]
+            inertia[body, 3 + i] += 0.5 * hold[body] * turned
+            most = max(most, inertia[body, i])
         # A rotation that no spring resists, as about the normal through a single point, still needs some mass.
-        inertia[body, 3:] = np.maximum(inertia[body, 3:], 1e-6 * inertia[body, :3].max())
+        for i in range(3, 6):
+            inertia[body, i] = max(inertia[body, i], 1e-6 * most)
     return inertia[:bodies]
 
 
