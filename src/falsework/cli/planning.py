@@ -342,7 +342,6 @@ def refuse_unstable(
     """
     from falsework.cli.velocity_text import describe, motions_at
     from falsework.search.problem.result import end_subject
-    from falsework.stability.verdict import Verdict
 
     names = ("target", "start") if building else ("start", "target")
     for name, state in zip(names, (task.start, task.target), strict=True):
@@ -352,7 +351,7 @@ def refuse_unstable(
         subject = end_subject(task, state, name)
         moving = motions_at(assembly, verdicts, 0)
         outcome = "no plan exists" if verdicts.unstable[0] else "no plan was found"
-        text = f"{outcome}: the {subject} {Verdict(verdicts.verdict[0]).words}"
+        text = f"{outcome}: the {subject} {verdicts.kinds[0].words}"
         if verdicts.on_tolerance[0]:
             text += ", which depends on the tolerance"
         if subject == "complete structure" and (hint := assembly.clearance_hint):

@@ -321,7 +321,7 @@ def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
     row = int(np.argmin(verdicts.stable))
     subject = end_subject(task, ends[row], ("start", "target")[row])
     proved, moves = bool(verdicts.unstable[row]), bool((verdicts.slides | verdicts.tips)[row])
-    words = Verdict(verdicts.verdict[row]).words
+    words = verdicts.kinds[row].words
     return SearchResult(
         outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
         routes=(),
