@@ -42,7 +42,7 @@ from settling import replay_by_discrete_elements, settle
 from shells import NAMES, shell
 from states import REAL, find
 
-from falsework import Assembly, Plan, PlannerSettings, StabilityOracle, Verdict, find_plans, load_structure, make_task
+from falsework import Assembly, Plan, PlannerSettings, StabilityOracle, find_plans, load_structure, make_task
 from falsework.assembly import HELD, complete_state
 from falsework.search.find import PLANS
 from falsework.stability.contact.varied_replay import DRAWS, replay_varied
@@ -248,7 +248,7 @@ def scenes(options: Options) -> Iterator[dict[str, Any]]:
         state = complete_state(assembly.boundary)
         oracle = StabilityOracle(assembly)
         assert oracle.replayer is not None
-        verdict = Verdict(oracle.verdicts(state[None]).verdict[0]).name.lower()
+        verdict = str(oracle.verdicts(state[None]).kinds[0])
         replay = oracle.replayer.replay(np.stack([np.full_like(state, HELD), state]))
         found[f"{verdict}, {_STANDS[int(replay.stands[-1])]} in the replay"] += 1
     yield {"scenes": options.scenes, "seeds": tuple(range(options.scenes)), "found": dict(found)}

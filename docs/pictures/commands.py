@@ -29,6 +29,8 @@ REAL = ("bottle-12", "tetris-14", "cube-17", "dog-35", "dome-37", "vault-62")
 """Published structures, one of each kind; see `real`."""
 PUBLIC = {"armadillo-399": ("4",), "pavilion-vault-387": ("3",)}
 """Public structures, and the numbers of robots to try; a search takes minutes."""
+DEADLINE = "2400"
+"""Seconds after which a search ends with the plan that it has, without the reserve of friction if it found none."""
 SHEETS = {"armadillo-399": ("--frames", "6", "--columns", "3", "--width", "420")}
 """Contact sheets other than four pictures in a row."""
 
@@ -122,7 +124,8 @@ def real(path: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         plan = str(Path(folder) / "plan.json")
         for robots in PUBLIC.get(name, ("2", "3")):
-            if run("plan", str(structure), "--robots", robots, "--out", plan, answers=(0, 1)) == 0:
+            limit = ("--deadline", DEADLINE)
+            if run("plan", str(structure), "--robots", robots, *limit, "--out", plan, answers=(0, 1)) == 0:
                 break
         sheet = SHEETS.get(name, ("--frames", "4", "--columns", "4", "--width", "300"))
         run("picture", plan, *sheet, "--out", str(path))

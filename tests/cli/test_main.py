@@ -117,7 +117,7 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
         ("export plan.json", "missing from falsework export: --out PATH; for help, run: falsework export --help"),
         (
             "plan arch --robot 2",
-            "unrecognized options: --robot, 2; perhaps you meant: --robots NUMBER, --robust; "
+            "unrecognized options: --robot; perhaps you meant: --robots NUMBER, --robust; "
             "for help, run falsework plan --help",
         ),
         ("cell new ur5e ur5e --out c.toml", "too many values: ur5e; for help, run falsework cell new --help"),
@@ -126,7 +126,9 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
         ("plan arch --friction x", "--friction is 'x'; give a number; for help, see falsework plan --help"),
         ("plan arch --props 1.5", "--props is '1.5'; give a whole number"),
         ("plan arch --robots", "--robots has no value; give one"),
-        ("replan --cell dome-37", "an argument is missing, or an option does not exist; for help"),
+        ("replan --cell dome-37", "STRUCTURE is missing, or an option does not exist; for help"),
+        ("cell new --arms ur5e --out c.toml", "ARMS is missing, or an option does not exist; for help"),
+        ("check plan.json --robot 2 --x -1 --y", "unrecognized options: --robot, --x, --y; "),
         ("train arch --policy cnn", "unknown policy kind 'cnn'; choose resmlp, transformer, local, gat, mlp, or"),
         ("plna arch", "there is no subcommand 'plna'; perhaps you meant: plan; for all, run falsework --help"),
         ("robot plan", "there is no subcommand 'robot'; perhaps you meant: robots plan; for all"),

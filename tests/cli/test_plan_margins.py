@@ -70,7 +70,7 @@ def test_margins_that_no_state_can_have(falsework: Run, tmp_path: Path) -> None:
     """The report says which state limits, and by how much."""
     done = falsework("plan", "arch:blocks=7", "--out", tmp_path / "plan.json", "--margin", "tilt=40deg", "--json")
     assert done.code == 1
-    assert "the start state does not keep tilt=40deg" in done.error
+    assert "the complete structure does not keep tilt=40deg" in done.error
     assert "tilt=40deg is demanded" in done.error
     lacks = done.answer["shortfall"]["tilt"]
     assert 0 < lacks["best"] < lacks["demanded"] == pytest.approx(math.radians(40))
@@ -140,7 +140,7 @@ def test_a_step_in_between_that_limits(falsework: Run, tmp_path: Path) -> None:
 def test_loads_that_no_state_can_bear(falsework: Run, tmp_path: Path) -> None:
     done = falsework("plan", "arch:blocks=7", "--out", tmp_path / "plan.json", "--margin", "load=100kN", "--json")
     assert done.code == 1
-    assert "the start state does not keep load=100000N on part" in done.error
+    assert "the complete structure does not keep load=100000N on part" in done.error
     best = done.answer["shortfall"]["load"]["best"]
     assert 0 < best < 1e5
     for share, code in ((0.9, 0), (2.0, 1)):

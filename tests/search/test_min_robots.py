@@ -42,6 +42,7 @@ def test_an_arch_needs_two(small_arch: Assembly, arch_oracle: StabilityOracle) -
     assert answer.barrier is not None
     assert answer.barrier.robots == 1
     assert set(answer.barrier.core) <= set(np.flatnonzero(~small_arch.boundary).tolist())
+    assert small_arch.names[answer.barrier.core[0]] in answer.barrier.text
     census = ExhaustiveSearch(make_task(small_arch, 1), StabilityOracle(small_arch, EQUILIBRIUM)).run()
     assert census.result.outcome is Outcome.PROVED_IMPOSSIBLE
 
@@ -107,6 +108,8 @@ def test_a_start_that_falls_has_no_number(small_arch: Assembly) -> None:
     assert answer.value is None
     assert answer.impossible == "the start state is unstable"
     assert answer.proven
+    thin = load_structure("arch:thickness=0.08")
+    assert min_robots(thin).impossible == "the complete structure is unstable"
 
 
 def test_the_deadline_ends_the_choice_among_many_plans() -> None:

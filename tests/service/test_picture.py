@@ -47,7 +47,7 @@ def test_a_state_is_drawn_with_and_without_its_proof(live: Any) -> None:
     fallen = pixels_of(live.post("/picture", {"state": NO_KEYSTONE, "proof": True, **SMALL}))
     turned = pixels_of(live.post("/picture", {"azimuth": 20, **SMALL}))
     for other in (proof, turned):
-        assert other.shape == plain.shape
+        assert other.shape[1] == plain.shape[1]  # a legend of forces may take more rows
         assert not np.array_equal(other, plain)
     assert not np.array_equal(fallen, proof)
 

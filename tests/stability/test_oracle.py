@@ -91,6 +91,13 @@ def test_judge_agrees_and_carries_no_proofs(arch: Assembly, states: NDArray, exp
     )
 
 
+def test_verdicts_have_words(arch: Assembly, states: NDArray, expected: NDArray) -> None:
+    verdicts = StabilityOracle(arch).verdicts(states)
+    assert np.array_equal([int(kind) for kind in verdicts.kinds], verdicts.verdict)
+    assert {str(kind) for kind in verdicts.kinds} <= {"stable", "unstable", "slides", "tips", "undecided"}
+    assert np.array_equal([str(kind) == "stable" for kind in verdicts.kinds], expected == 1)
+
+
 def test_asking_again_costs_nothing(arch: Assembly, states: NDArray, expected: NDArray) -> None:
     stability = StabilityOracle(arch, StabilitySettings(criterion="equilibrium"))
     unique = len(np.unique(states, axis=0))

@@ -253,8 +253,8 @@ def test_plans_leave_out_states_that_tip() -> None:
 def test_a_structure_that_tips_or_slides_has_no_plan(scenes: Any, deadline: float | None) -> None:
     """It is refused before the search begins, in words of its own."""
     for assembly, words in (
-        (on_ground(scenes, on_edge(scenes)), "the start state tips, as its equilibrium is unstable"),
-        (scenes.clamp(friction=0.55), "the start state slides"),
+        (on_ground(scenes, on_edge(scenes)), "the complete structure tips, as its equilibrium is unstable"),
+        (scenes.clamp(friction=0.55), "the complete structure slides"),
     ):
         planning = find_plans(assembly, robots=1, deadline=deadline)
         assert not planning.plans

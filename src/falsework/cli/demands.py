@@ -20,11 +20,13 @@ _HALVINGS = 8
 
 def refuse_weak_end(oracle: MarginOracle, task: Task, output: Output) -> bool:
     """Report a start or target state that does not keep the required margins, since then there is no plan."""
+    from falsework.search.problem.result import end_subject
+
     for name, state in (("start", task.start), ("target", task.target)):
         broken = oracle.broken(state)
         if broken:
             lacks = shortfall(oracle, state[None])
-            text = f"no plan was found: the {name} state does not keep {broken}"
+            text = f"no plan was found: the {end_subject(task, state, name)} does not keep {broken}"
             output.record({"reason": text, "shortfall": lacks})
             output.note(f"falsework: {text}{_words(lacks)}")
             return True

@@ -120,13 +120,24 @@ _SHELLS = ("bash", "zsh", "tcsh", "fish")
 _COMPLETION = "--tyro-write-completion"
 _OPTION_INDENT, _HELP_INDENT = 5, 9
 """Columns by which tyro indents options and their help texts inside the box of a message."""
-_PLAIN_WORDS = (
+
+
+def _without_values(found: re.Match[str]) -> str:
+    return re.sub(r", (?!-\D)[^,]*", "", found[0])
+
+
+def _missing(found: re.Match[str]) -> str:
+    return f"{found[1].upper()} is missing, or an option does not exist"
+
+
+_PLAIN_WORDS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"error parsing (\S+): no type matching FLOAT .* from \[(.*?)\].*?(?=;|$)", r"\1 is \2; give a number"),
     (r"error parsing (\S+): no type matching INT .* from \[(.*?)\].*?(?=;|$)", r"\1 is \2; give a whole number"),
     (r"error parsing (\S+): invalid literal for int\(\) with base 10: ('.*?')", r"\1 is \2; give a whole number"),
     (r"missing value for argument '(--\S+)'\. Expected 1 values", r"\1 has no value; give one"),
     (r"unrecognized options: (?=[^-])", "too many values: "),
-    (r"missing value for argument '\S+'\. Expected 1 values", "an argument is missing, or an option does not exist"),
+    (r"unrecognized options: -[^;]*", _without_values),
+    (r"missing value for argument '(\w+)\S*'\. Expected 1 values", _missing),
 )
 """Messages of tyro that name types of Python, and what they say to a user."""
 _CHOICES = re.compile(r"invalid choice ('.*?') for argument '(\S+)'\. Expected one of \((.*?)\)")

@@ -80,8 +80,8 @@ class Output:
         self._notes: list[str] = []
         self._answered = False
         self.replaced: Path | None = None
-        """File that the command will replace, until a line has said so: when the work begins, or at the latest when it
-        is written."""
+        """File, or folder with files, that will be replaced, until a line has said so: when the work begins, or at the
+        latest when a file is written."""
 
     @property
     def _stream(self) -> TextIO:
@@ -101,10 +101,13 @@ class Output:
         self._files.append(str(path))
 
     def _announce(self) -> None:
-        """Say once that a file will be replaced."""
+        """Say once that a file, or files of a folder, will be replaced."""
         if self.replaced is not None:
             path, self.replaced = self.replaced, None
-            self.note(f"falsework: {path} exists and is replaced by the result; --out names another file")
+            kind, fate = "file", "and is replaced by the result"
+            if path.is_dir():
+                kind, fate = "folder", "with files: those of the same names are replaced, the others stay"
+            self.note(f"falsework: {path} exists {fate}; --out names another {kind}")
 
     def outcome(self, name: str, code: Exit = Exit.NO) -> Exit:
         """Name the outcome that an exit code stands for in this answer, and return the code."""

@@ -340,25 +340,21 @@ def refuse_unstable(
     Args:
         building: whether the user's start is the target of the task.
     """
-    import numpy as np
-
-    from falsework.assembly.state import complete_state
     from falsework.cli.velocity_text import describe, motions_at
-    from falsework.stability.verdict import Verdict
+    from falsework.search.problem.result import end_subject
 
     names = ("target", "start") if building else ("start", "target")
     for name, state in zip(names, (task.start, task.target), strict=True):
         verdicts = oracle.verdicts(state, require_certificate=True)
         if verdicts.stable[0]:
             continue
-        complete = np.array_equal(state, complete_state(assembly.boundary))
-        subject = "complete structure" if complete else f"{name} state"
+        subject = end_subject(task, state, name)
         moving = motions_at(assembly, verdicts, 0)
         outcome = "no plan exists" if verdicts.unstable[0] else "no plan was found"
-        text = f"{outcome}: the {subject} {Verdict(verdicts.verdict[0]).words}"
+        text = f"{outcome}: the {subject} {verdicts.kinds[0].words}"
         if verdicts.on_tolerance[0]:
             text += ", which depends on the tolerance"
-        if complete and (hint := assembly.clearance_hint):
+        if subject == "complete structure" and (hint := assembly.clearance_hint):
             text += f"; {hint}"
         output.outcome("impossible" if verdicts.unstable[0] else "not_found")
         output.record({"reason": text, "moving": [motion.to_dict(assembly) for motion in moving]})

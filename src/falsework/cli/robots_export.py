@@ -71,6 +71,7 @@ class ExportRobots(Command):
                     raise
                 what = "the bag has no shapes" if self.format == "mcap" else "programs have no loads"
                 lacking = [f"{what} of parts: {error}"]
+        output.replaced = self.out if self.out.is_dir() and any(self.out.iterdir()) else None
         options = {name: getattr(self, name) for name in ("rate", "joint_prefix", "force")}
         paths = export_plan(plan, self.out, self.format, structure=shapes, cell=cell, **options)
         notes = lacking + export_notes(plan, self.format, cell)

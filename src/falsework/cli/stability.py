@@ -59,7 +59,6 @@ class CheckStability(Command):
         from falsework.stability import Proof
         from falsework.stability.oracle import StabilityOracle
         from falsework.stability.settings import StabilitySettings
-        from falsework.stability.verdict import Verdict
         from falsework.viewer.proof import BuildProofs
 
         assembly, chosen = self.structure.load_states(self.states, output)
@@ -72,8 +71,8 @@ class CheckStability(Command):
         both = plan is not None and criterion == plan.claim.criterion == "contact"
         builds = BuildProofs(plan, oracle) if plan is not None and both else None
         stands = []
-        for index in range(len(states)):
-            verdict, proof = Verdict(verdicts.verdict[index]), Proof(verdicts.proof[index])
+        for index, verdict in enumerate(verdicts.kinds):
+            proof = Proof(verdicts.proof[index])
             residual = float(verdicts.residual[index])
             moving = motions_at(assembly, verdicts, index)
             built = None if builds is None else builds.at(chosen.first + index)

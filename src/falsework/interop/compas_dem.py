@@ -69,7 +69,7 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
     verdicts = StabilityOracle(assembly, StabilitySettings(criterion=criterion, gravity=g)).verdicts(
         state, require_certificate=True
     )
-    verdict = Verdict(verdicts.verdict[0])
+    verdict = verdicts.kinds[0]
     assert verdicts.forces is not None
     assert verdicts.velocity is not None
     results = Results(model_id=str(model.guid), problem_id=str(problem.guid))

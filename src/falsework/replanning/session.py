@@ -23,7 +23,7 @@ from falsework.search.problem.task import Direction, Task
 from falsework.search.problem.timed_oracle import TimedOracle
 from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.search.together.moves import graph_with_sets
-from falsework.stability.verdict import Verdict, Verdicts
+from falsework.stability.verdict import Verdicts
 
 _SAMPLES_GPU, _SAMPLES_CPU = 16, 4
 """Sampled rollouts where the settings give no number, see `ReplanSettings.samples`."""
@@ -210,7 +210,7 @@ class ReplanSession:
             proved = bool(verdicts.unstable[row])
             name = "state" if (row == 0) == (self.direction is Direction.DISASSEMBLY) else "target"
             self._unstable = (self.task.start, self.task.target)[row][None]
-            words = "is not stable" if proved else Verdict(verdicts.verdict[row]).words
+            words = "is not stable" if proved else verdicts.kinds[row].words
             self._why = f"the {name} {words}"
             if proved:
                 self.outcome, self.decided_by = Outcome.PROVED_IMPOSSIBLE, Stage.RULES

@@ -31,7 +31,7 @@ from falsework.search.problem.result import Outcome
 from falsework.stability.motion import motion_of
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import NumericalSettings, StabilitySettings
-from falsework.stability.verdict import Criterion, Proof, Verdict, Verdicts
+from falsework.stability.verdict import Criterion, Proof, Verdicts
 
 if TYPE_CHECKING:
     from falsework.replanning.replanner import Replanner, ReplanResult
@@ -168,8 +168,8 @@ class _Judge:
 
     def _done(self, number: int, verdicts: Verdicts, *, explain: bool) -> Done:
         records = []
-        for row in range(len(verdicts)):
-            verdict, residual = Verdict(verdicts.verdict[row]), float(verdicts.residual[row])
+        for row, verdict in enumerate(verdicts.kinds):
+            residual = float(verdicts.residual[row])
             record: dict[str, Any] = {
                 "verdict": verdict.name.lower(),
                 "proof": Proof(verdicts.proof[row]).name.lower(),

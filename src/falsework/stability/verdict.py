@@ -141,6 +141,11 @@ class Verdicts(Displayed):
         )
 
     @property
+    def kinds(self) -> tuple[Verdict, ...]:
+        """`Verdict` of each state, which prints as a word such as `stable`."""
+        return tuple(map(Verdict, self.verdict.tolist()))
+
+    @property
     def stable(self) -> NDArray[np.bool_]:
         """Whether each state is stable, shape (batch,)."""
         return self.verdict == Verdict.STABLE

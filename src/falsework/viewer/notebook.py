@@ -119,8 +119,8 @@ def _(thing: RobotPlan) -> str:
 @html_of.register
 def _(thing: Verdicts) -> str:
     rows = []
-    for row in range(min(len(thing), _ROWS)):
-        verdict, residual = Verdict(int(thing.verdict[row])), float(thing.residual[row])
+    for row, verdict in enumerate(thing.kinds[:_ROWS]):
+        residual = float(thing.residual[row])
         proof = Proof(int(thing.proof[row])).name.lower()
         rows.append((row, verdict.name.lower(), proof, format_quantity(residual, "share")))
     left = len(thing) - len(rows)

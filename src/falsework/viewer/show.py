@@ -186,7 +186,7 @@ def picture(
     key = None
     if single is not None:
         slides = single in proofs and proofs[single].slides and "sliding" not in arrows_by_kind
-        key = legend(timeline, slides, place=single)
+        key = legend(timeline, slides, places=[single])
         key += [(some.color, some.words(kind)) for kind, some in arrows_by_kind.items() if len(some)]
     shares = None if shown.policy is None or single is None else _model(shown, single).action_probabilities()
     if limits:
@@ -211,7 +211,7 @@ def picture(
             camera(1200, 2 / 3),
             arrows=arrows,
             key=key,
-            words=title or "; ".join(filter(None, (caption(timeline, single, proof), borne if proof else ""))),
+            words=title or "\n".join(filter(None, (caption(timeline, single, proof), borne if proof else ""))),
             marks=None if proof is None else proof.marks,
             arms=shown.arms,
             travelling=False,

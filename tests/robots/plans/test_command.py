@@ -80,6 +80,12 @@ def test_plan_check_export(run: Callable, cell_file: Path, tmp_path: Path) -> No
         code, _, error = run("robots", "export", out, "--format", form, "--out", folder)
         assert code == 0, error
         assert (folder / name).is_file()
+        assert "exists" not in error
+        code, _, error = run("robots", "export", out, "--format", form, "--out", folder)
+        words = (
+            f"{folder} exists with files: those of the same names are replaced, the others stay; --out names another"
+        )
+        assert words in error
 
 
 @pytest.mark.parametrize("command", [("check",), ("export", "--format", "rapid", "--out", "programs")])
@@ -137,7 +143,9 @@ def test_a_bag_says_what_it_lacks(run: Callable, cell_file: Path, tmp_path: Path
     cell_file.rename(tmp_path / "moved.toml")
     code, _, error = run(*export)
     assert (code, error.count("\n")) == (2, 1)  # nothing is written for robots that nobody knows
-    assert run(*export, "--cell", tmp_path / "moved.toml")[::2] == (0, "")
+    code, _, error = run(*export, "--cell", tmp_path / "moved.toml")
+    assert (code, error.count("\n")) == (0, 1)
+    assert "bag exists with files" in error
     assert (tmp_path / "bag" / "plan.mcap").stat().st_size == full
     data = json.loads(out.read_text())
     data["plan"]["structure"]["source"] = {"path": "gone"}
@@ -145,7 +153,7 @@ def test_a_bag_says_what_it_lacks(run: Callable, cell_file: Path, tmp_path: Path
     bare = ("robots", "export", tmp_path / "bare.json", "--cell", tmp_path / "moved.toml", *export[3:])
     code, _, error = run(*bare)
     assert code == 0, error
-    assert error.startswith("falsework: the bag has no shapes of parts: ")
+    assert "falsework: the bag has no shapes of parts: " in error
     assert (tmp_path / "bag" / "plan.mcap").stat().st_size < full
     code, _, error = run(*export, "--cell", tmp_path / "moved.toml", "--structure", "stack:blocks=3")
     assert code == 2

@@ -332,7 +332,7 @@ def test_on_the_command_line(
     assert "tool load in programs lacks center_of_mass" in capsys.readouterr().err
     assert main([*words, "csv", "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
-    assert "csv has one motion after the other" in record["notes"][0]
+    assert "csv has one motion after the other" in record["notes"][-1]
 
 
 def test_notes_name_a_maker_that_is_taken_from_a_name(robot_plan: RobotPlan, cell: Cell) -> None:

@@ -81,7 +81,7 @@ def test_a_plan_is_the_sequence_of_its_steps(plan: Plan, small_arch: Assembly) -
     assert plan[0] is plan.steps[0]
     assert plan[-2:] == plan.steps[-2:]
     assert [step.number for step in plan] == list(range(1, len(plan) + 1))
-    with pytest.raises(IndexError):
+    with pytest.raises(IndexError, match=f"the plan has {len(plan)} steps, from index 0"):
         plan[len(plan)]
     for step, before in zip(plan, plan.states, strict=False):
         value, now = before[step.part], step.state[step.part]

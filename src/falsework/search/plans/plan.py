@@ -229,7 +229,10 @@ class Plan(Displayed):
     def __getitem__(self, index: slice) -> tuple[PlanStep, ...]: ...
 
     def __getitem__(self, index: int | slice) -> PlanStep | tuple[PlanStep, ...]:
-        return self.steps[index]
+        try:
+            return self.steps[index]
+        except IndexError:
+            raise IndexError(f"index {index}: the plan has {counted(len(self), 'step')}, from index 0") from None
 
     def __repr__(self) -> str:
         return (

@@ -12,7 +12,7 @@ from falsework.search.margins.demands import Demands
 from falsework.search.plans.plan import Plan
 from falsework.stability.certificate import StabilityCriterion
 from falsework.stability.contact.hold_loads import Loads
-from falsework.stability.verdict import Verdict, Verdicts
+from falsework.stability.verdict import Verdicts
 
 PROOF_NAMES = {"contact": "displacements", "equilibrium": "contact forces"}
 """Certificates of stable states under each criterion."""
@@ -168,7 +168,7 @@ def comparable(claimed: StabilityCriterion, asked: StabilityCriterion) -> bool:
 def describe_unstable(plan: Plan, row: int, verdict: Verdicts) -> str:
     """Say why a state of a plan is not stable, and where it is in the plan."""
     hangs = ", which depends on the tolerance" if verdict.on_tolerance[0] else ""
-    return f"the structure {Verdict(verdict.verdict[0]).words} {describe_place(plan, row)}{hangs}"
+    return f"the structure {verdict.kinds[0].words} {describe_place(plan, row)}{hangs}"
 
 
 def describe_place(plan: Plan, row: int) -> str:

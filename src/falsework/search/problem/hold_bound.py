@@ -33,12 +33,14 @@ class Barrier:
     """Number of robots with which no plan exists."""
     core: tuple[int, ...]
     """Parts, of which no state has `robots` with one robot free, whatever is there of the others."""
+    names: tuple[str, ...]
+    """Names of those parts."""
 
     @property
     def text(self) -> str:
         """The same in words."""
         held = f"at most {self.robots - 1} held" if self.robots > 1 else "none held"
-        some = f"the {len(self.core)} parts {listed([str(part) for part in self.core])}"
+        some = f"the {len(self.core)} parts {listed(list(self.names))}"
         counted = f"{self.robots if self.robots > 1 else 'one'} of {some}"
         return f"no state with {counted} placed and {held} is in equilibrium, whichever others are there"
 
@@ -83,7 +85,8 @@ class HoldBound:
             DeadlineExceeded: the clock ran out.
         """
         core = self.core(robots)
-        return Barrier(robots, core) if core else None
+        names = tuple(self._oracle.assembly.names[part] for part in core)
+        return Barrier(robots, core, names) if core else None
 
     def core(self, robots: int) -> tuple[int, ...]:
         """Return parts of which no plan with so many robots places more than `robots`; none where none were found.

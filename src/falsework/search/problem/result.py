@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, REMOVED, States, state_of_key
+from falsework.assembly.state import HELD, REMOVED, States, complete_state, state_of_key
 from falsework.errors import NotFoundError
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Direction, Task
@@ -304,6 +304,11 @@ def progress_text(reached: int, steps: int, *, backwards: bool) -> str:
     return f"from the beginning, the search reached step {reached} of {steps}"
 
 
+def end_subject(task: Task, state: States, name: str) -> str:
+    """Return what a message calls an end of a task: the complete structure, or else by its name."""
+    return "complete structure" if np.array_equal(state, complete_state(task.boundary)) else f"{name} state"
+
+
 def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
     """Return the failed search if the start or the target of a task is not stable, else None."""
     ends = np.stack([task.start, task.target])
@@ -314,9 +319,9 @@ def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
     if verdicts.stable.all():
         return None
     row = int(np.argmin(verdicts.stable))
-    name = ("start", "target")[row]
+    subject = end_subject(task, ends[row], ("start", "target")[row])
     proved, moves = bool(verdicts.unstable[row]), bool((verdicts.slides | verdicts.tips)[row])
-    words = Verdict(verdicts.verdict[row]).words
+    words = verdicts.kinds[row].words
     return SearchResult(
         outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
         routes=(),
@@ -327,8 +332,8 @@ def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
         rejected=ends[row : row + 1],
         counters=SearchCounters(asked=2, rejected=int((~verdicts.stable).sum())),
         seconds=0.0,
-        limit="" if proved else f"the {name} state {words}",
+        limit="" if proved else f"the {subject} {words}",
         undecided=int(verdicts.undecided[row]),
         sliding=int(moves),
-        notes=(f"the {name} state {words}",),
+        notes=(f"the {subject} {words}",),
     )

@@ -21,6 +21,7 @@ from falsework.viewer.palette import INK, MISSING, robot_color, unit_rgb
 from falsework.viewer.pictures.contact_sheet import (
     check_suffix,
     import_pillow,
+    legend_height,
     to_pixels,
     write_legend,
     write_text,
@@ -98,15 +99,17 @@ def picture_cell(
     said = said or [("no faults: the arms at home are free of collisions", INK)]
     across = max(40, (width or _WIDTH) // 8)
     lines = [(line, color) for text, color in said for line in textwrap.wrap(text, across)]
-    whole = pillow.Image.new("RGB", (camera.width, camera.height + _LINE * (len(lines) + 2) + 16), "white")
+    arms = [(robot_color(k), f"{robot.name}: {robot.model.name}") for k, robot in enumerate(sight.cell.robots)]
+    key = arms + [(COLLIDES, "collision")] * any(pair.collides for pair in pairs)
+    key += [(NEAR, "too near")] * any(not pair.collides for pair in pairs)
+    foot = camera.height + _LINE * (len(lines) + 1) + 18
+    whole = pillow.Image.new("RGB", (camera.width, foot + legend_height(key, camera.width)), "white")
     whole.paste(pillow.Image.fromarray(image), (0, _LINE + 6))
     pen = pillow.ImageDraw.Draw(whole)
-    write_text(pen, (camera.width / 2, _LINE / 2 + 3), title or sight.cell.name, 18)
+    write_text(pen, (camera.width / 2, _LINE / 2 + 3), title or sight.cell.name, 18, across=camera.width)
     for row, (line, color) in enumerate(lines):
         write_text(pen, (16, camera.height + _LINE * (row + 1) + 18), line, 15, color, "lm")
-    arms = [(robot_color(k), f"{robot.name}: {robot.model.name}") for k, robot in enumerate(sight.cell.robots)]
-    key = [*arms, (COLLIDES, "collision"), (NEAR, "too near")]
-    write_legend(pen, camera.width, camera.height + _LINE * (len(lines) + 1) + 18, key)
+    write_legend(pen, camera.width, foot, key)
     Picture(sight.cell.name, content=png_of(np.asarray(whole))).save(path)
     return CellPicture(
         f"{counted(len(arms), 'arm')} of {sight.cell.name}", sight.faults, tuple(pair.words for pair in pairs)

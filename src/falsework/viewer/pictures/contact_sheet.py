@@ -36,6 +36,8 @@ FRAME = Camera(width=480, height=320, zoom=0.94)
 """Camera for the picture of an environment."""
 _LINE = 26
 """Pixels for a line of text."""
+_SMALLEST = 6
+"""Smallest size of a font, pixels."""
 _NOT_INSTALLED, PALE = "#f4f1ea", 0.16
 """Colour of parts that are not installed in the legend, and share of their own colour with which they are seen."""
 _ARROW = 0.006
@@ -134,14 +136,17 @@ def contact_sheet(
     head, cell = (_LINE + 6 if title else 0), camera.height + _LINE
     proofs = proofs or {}
     sliding = any(proofs[position].slides for position in chosen if position in proofs)
-    entries = legend(timeline, sliding, any(timeline.presses_at(position) for position in chosen), outlined=True)
+    pressing = any(timeline.presses_at(position) for position in chosen)
+    entries = legend(timeline, sliding, pressing, outlined=True, places=chosen)
     box = bounds_of(timeline.assembly)
     box = box if arms is None else bounds_with_arms(arms, box)
     outline = outline_of(timeline, camera, box)
-    sheet = pillow.Image.new("RGB", (columns * camera.width, head + rows * cell + _LINE + 14), "white")
+    across = columns * camera.width
+    foot = legend_height(entries, across)
+    sheet = pillow.Image.new("RGB", (across, head + rows * cell + foot + 14), "white")
     pen = pillow.ImageDraw.Draw(sheet)
     if title:
-        write_text(pen, (sheet.width / 2, head / 2 + 2), title, 18)
+        write_text(pen, (across / 2, head / 2 + 2), title, 18, across=across)
     for number, position in enumerate(chosen):
         left, top = (number % columns) * camera.width, head + (number // columns) * cell
         proof = proofs.get(position)
@@ -151,8 +156,9 @@ def contact_sheet(
         drawn = draw(timeline.assembly, appearance, camera, bounds=box, arrows=arrows, extra=extra, outline=outline)
         picture = to_pixels(drawn)
         sheet.paste(pillow.Image.fromarray(picture), (left, top + _LINE))
-        write_text(pen, (left + camera.width / 2, top + _LINE / 2 + 4), caption(timeline, position, proof))
-    write_legend(pen, sheet.width, sheet.height - _LINE / 2 - 5, entries)
+        text = caption(timeline, position, proof)
+        write_text(pen, (left + camera.width / 2, top + _LINE / 2 + 4), text, across=camera.width)
+    write_legend(pen, across, sheet.height - foot + _LINE / 2 - 5, entries)
     return np.asarray(sheet)
 
 
@@ -183,7 +189,7 @@ def one_state(
         action_probabilities: probability of the action that concerns each part, or another share that colours it, NaN
             where there is none, shape (parts,).
         bounds: box that the picture shows, shape (2, 3); the structure and the ways of its parts if not given.
-        words: the line above; the step if not given.
+        words: the lines above; the step if not given.
         marks: colours of parts that stand out, such as those that slide.
         travelling: whether to show the parts that come next on their way.
         outline: as for `draw`.
@@ -210,16 +216,18 @@ def one_state(
     drawn = draw(
         timeline.assembly, appearance, camera, bounds=box, arrows=arrows, extra=extra, outline=outline, samples=samples
     )
-    height = camera.height + 2 * _LINE + 14
-    image = pillow.Image.new("RGB", (camera.width, height + height % 2), "white")
-    image.paste(pillow.Image.fromarray(to_pixels(drawn)), (0, _LINE + 4))
-    pen = pillow.ImageDraw.Draw(image)
-    text = caption(timeline, timeline.next(position)) if words is None else words
-    write_text(pen, (camera.width / 2, _LINE / 2 + 4), text, 18)
     entries = list(legend(timeline) if key is None else key)
     if action_probabilities is not None:
         entries = entries[:1] + legend_of_shares(share_of)
-    write_legend(pen, camera.width, camera.height + 1.5 * _LINE + 4, entries)
+    lines = (caption(timeline, timeline.next(position)) if words is None else words).split("\n")
+    head = _LINE * len(lines) + 4
+    height = head + camera.height + legend_height(entries, camera.width) + 10
+    image = pillow.Image.new("RGB", (camera.width, height + height % 2), "white")
+    image.paste(pillow.Image.fromarray(to_pixels(drawn)), (0, head))
+    pen = pillow.ImageDraw.Draw(image)
+    for row, text in enumerate(lines):
+        write_text(pen, (camera.width / 2, _LINE * (row + 0.5) + 4), text, 18, across=camera.width)
+    write_legend(pen, camera.width, head + camera.height + 0.5 * _LINE, entries)
     return np.asarray(image)
 
 
@@ -227,7 +235,10 @@ def state_frame(assembly: Assembly, state: States, robots: int, words: str) -> P
     """Draw a state with a line above and the legend; see `falsework.utils.display.frame.frame_of`."""
     timeline = Timeline.from_state(assembly, state, robots).turned(Direction.DISASSEMBLY)
     box = bounds_of(assembly)
-    return one_state(timeline, 0, FRAME, key=legend(timeline), bounds=box, words=words or assembly.name, samples=2)
+    # Every frame of a film has the same size, so the legend has all robots.
+    key = [(robot_color(k), f"held by {timeline.robot_name(k)}") for k in range(min(robots, len(ROBOTS)))]
+    key = legend(timeline)[:2] + key
+    return one_state(timeline, 0, FRAME, key=key, bounds=box, words=words or assembly.name, samples=2)
 
 
 def legend(
@@ -236,14 +247,14 @@ def legend(
     pressing: bool = False,
     outlined: bool = False,
     *,
-    place: int | None = None,
+    places: Sequence[int] | None = None,
 ) -> list[tuple[str, str]]:
-    """Return the colour and words of all that a timeline shows, or one place of it."""
+    """Return the colour and words of all that a timeline shows, or some places of it."""
     entries = [(BOUNDARY, "boundary"), (INSTALLED, "installed")]
     entries += [(_NOT_INSTALLED, "not installed")] * outlined
-    holders = timeline.holders if place is None else timeline.holders[place]
+    holders = timeline.holders if places is None else timeline.holders[[timeline.row(place) for place in places]]
     for robot in range(min(int(timeline.holders.max(initial=NO_ROBOT)) + 1, len(ROBOTS))):
-        if place is None or (holders % len(ROBOTS) == robot)[holders != NO_ROBOT].any():
+        if places is None or (holders % len(ROBOTS) == robot)[holders != NO_ROBOT].any():
             entries.append((robot_color(robot), f"held by {timeline.robot_name(robot)}"))
     if sliding:
         entries.append((SLIDING, "would slide"))
@@ -314,23 +325,49 @@ def import_pillow() -> Any:
 
 
 def write_text(
-    pen: Any, position: tuple[float, float], text: str, size: int = 14, color: str = INK, anchor: str = "mm"
+    pen: Any,
+    position: tuple[float, float],
+    text: str,
+    size: int = 14,
+    color: str = INK,
+    anchor: str = "mm",
+    across: float = np.inf,
 ) -> None:
-    """Write a line of text, its middle or another anchor of Pillow at a position in pixels."""
-    pen.text(position, text, fill=color, font=import_pillow().ImageFont.load_default(size), anchor=anchor)
-
-
-def write_legend(pen: Any, width: int, middle: float, entries: Sequence[tuple[str, str]]) -> None:
-    """Write colours and words in one line, as small as it takes, in the middle of a picture so many pixels across."""
-    size = 14
-    while True:
-        font = import_pillow().ImageFont.load_default(size)
-        lengths = [pen.textlength(words, font=font) + 42 for _, words in entries]
-        if sum(lengths) <= width or size <= 5:
-            break
+    """Write a line of text, its middle or another anchor of Pillow at a position, smaller if it is too wide; pixels."""
+    fonts = import_pillow().ImageFont
+    while size > _SMALLEST and pen.textlength(text, font=fonts.load_default(size)) > across:
         size -= 1
-    left = (width - sum(lengths)) / 2 + 8
-    for (color, words), length in zip(entries, lengths, strict=True):
-        pen.rectangle((left, middle - 7, left + 20, middle + 7), fill=color)
-        write_text(pen, (left + 26, middle), words, size, anchor="lm")
-        left += length
+    pen.text(position, text, fill=color, font=fonts.load_default(size), anchor=anchor)
+
+
+def in_rows(lengths: Sequence[float], across: float) -> list[list[int]]:
+    """Return the numbers of the entries of a legend, row by row; no row is wider than the picture if it can be."""
+    rows: list[list[int]] = [[]]
+    for number, length in enumerate(lengths):
+        if rows[-1] and sum(lengths[k] for k in rows[-1]) + length > across:
+            rows.append([])
+        rows[-1].append(number)
+    return rows
+
+
+def _lengths(entries: Sequence[tuple[str, str]]) -> list[float]:
+    font = import_pillow().ImageFont.load_default(14)
+    return [font.getlength(words) + 42 for _, words in entries]
+
+
+def legend_height(entries: Sequence[tuple[str, str]], across: int) -> int:
+    """Return the height of a legend under a picture so many pixels across."""
+    return _LINE * len(in_rows(_lengths(entries), across))
+
+
+def write_legend(pen: Any, across: int, middle: float, entries: Sequence[tuple[str, str]]) -> None:
+    """Write colours and words in rows, the middle of the first at a height, in the middle of a picture; pixels."""
+    lengths = _lengths(entries)
+    for row in in_rows(lengths, across):
+        left = (across - sum(lengths[k] for k in row)) / 2 + 8
+        for number in row:
+            color, words = entries[number]
+            pen.rectangle((left, middle - 7, left + 20, middle + 7), fill=color)
+            write_text(pen, (left + 26, middle), words, anchor="lm")
+            left += lengths[number]
+        middle += _LINE

@@ -14,7 +14,7 @@ from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.palette import INK
-from falsework.viewer.pictures.contact_sheet import caption, check_places, legend
+from falsework.viewer.pictures.contact_sheet import caption, check_places, in_rows, legend
 from falsework.viewer.proof import StateProof
 from falsework.viewer.timeline import Timeline
 
@@ -27,7 +27,7 @@ _FLAT = 1e-3
 """Largest component of a normal along the axis of a two-dimensional structure."""
 _MARGIN = 12.0
 """Space around a drawing, pixels."""
-_TEXT = 13.0
+_TEXT, _LETTER = 13.0, 6.6
 """Size of letters, pixels."""
 _LINE = 24.0
 """Height of a line of text, pixels."""
@@ -102,21 +102,24 @@ def drawing(
     rows = -(-len(places) // columns)
     proofs = proofs or {}
     sliding, pressing = any(proof.slides for proof in proofs.values()), any(map(timeline.presses_at, places))
-    entries = legend(timeline, sliding, pressing) if key is None else key
-    whole = max(columns * width, sum(40 + 6.6 * len(words) for _, words in entries))
-    left_edge = (whole - columns * width) / 2
+    entries = legend(timeline, sliding, pressing, places=places) if key is None else key
+    lengths = [40 + _LETTER * len(words) for _, words in entries]
+    captions = {place: caption(timeline, place, proofs.get(place)) for place in places}
+    column = max(width, *(_LETTER * len(words) for words in captions.values()))
+    whole = max(columns * column, *lengths)
+    left_edge = (whole - columns * column) / 2
     body = []
     for number, place in enumerate(places):
-        x, y = left_edge + (number % columns) * width, (number // columns) * (height + _LINE)
+        x, y = left_edge + (number % columns) * column, (number // columns) * (height + _LINE)
 
         def at(line: Array, x: float = x, y: float = y) -> str:
-            across = x + (width - (high - low)[0] * scale) / 2 + (line[:, 0] - low[0]) * scale
+            across = x + (column - (high - low)[0] * scale) / 2 + (line[:, 0] - low[0]) * scale
             down = y + _LINE + height - _MARGIN - (line[:, 1] - low[1]) * scale
             return " ".join(f"{u:.2f},{v:.2f}" for u, v in zip(across, down, strict=True))
 
         proof = proofs.get(place)
         look = appearance_at(timeline, place, marks=None if proof is None else proof.marks, travelling=False)
-        body.append(_text(x + width / 2, y + _LINE - 8, caption(timeline, place, proof)))
+        body.append(_text(x + column / 2, y + _LINE - 8, captions[place]))
         for part in np.flatnonzero(look.opacity > 0):
             red, green, blue = look.color[part].tolist()
             path = " ".join(f"M{at(line)}Z" for line in lines[part])
@@ -134,17 +137,20 @@ def drawing(
                         f'marker-end="url(#tip{some.color[1:]})"/>'
                     )
     top = rows * (height + _LINE) + _LINE / 2
-    x = (whole - sum(40 + 6.6 * len(words) for _, words in entries)) / 2
-    for color, words in entries:
-        body.append(f'<rect x="{x + 6:.1f}" y="{top - 7:.1f}" width="18" height="14" fill="{color}"/>')
-        body.append(_text(x + 30, top + 4.5, words, anchor="start"))
-        x += 40 + 6.6 * len(words)
+    for row in in_rows(lengths, whole):
+        x = (whole - sum(lengths[k] for k in row)) / 2
+        for number in row:
+            color, words = entries[number]
+            body.append(f'<rect x="{x + 6:.1f}" y="{top - 7:.1f}" width="18" height="14" fill="{color}"/>')
+            body.append(_text(x + 30, top + 4.5, words, anchor="start"))
+            x += lengths[number]
+        top += _LINE
     tips = "".join(
         f'<marker id="tip{color[1:]}" viewBox="0 0 8 8" refX="6" refY="4" markerWidth="5" markerHeight="5" '
         f'orient="auto"><path d="M0,0L8,4L0,8Z" fill="{color}"/></marker>'
         for color in dict.fromkeys(some.color for shown in drawn.values() for some in shown)
     )
-    size = f"{whole:.0f} {top + _LINE / 2 + 4:.0f}"
+    size = f"{whole:.0f} {top - _LINE / 2 + 4:.0f}"
     wide, tall = size.split()
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide}" height="{tall}" viewBox="0 0 {size}" '
