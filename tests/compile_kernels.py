@@ -52,10 +52,10 @@ def _picture() -> None:
 
 
 def _clearance() -> None:
-    from falsework.geometry.clearance.table import clearance_table
+    from falsework.geometry.clearance.table import StraightWays
 
     assembly, states, _ = _arch()
-    clearance_table(assembly.meshes, assembly.contacts, tolerance=1e-4).can_leave(states)
+    StraightWays(assembly.meshes, assembly.contacts, tolerance=1e-4).table.can_leave(states)
 
 
 if __name__ == "__main__":
