@@ -20,7 +20,7 @@ from record import report, spread, write_to
 from states import find, one_core, real_structures
 
 from falsework import load_structure
-from falsework.geometry.clearance.table import clearance_table
+from falsework.geometry.clearance.table import StraightWays
 
 REAL = ("dome-72", "dome-37", "vault-62")
 BUILT_IN = ("dome", "vault")
@@ -45,18 +45,18 @@ def main(options: Options) -> None:
     one_core()
     write_to(options.out)
     warm_up = load_structure("arch")
-    clearance_table(warm_up.meshes, warm_up.contacts, 10, tolerance=1e-4).can_leave(
+    StraightWays(warm_up.meshes, warm_up.contacts, 10, tolerance=1e-4).table.can_leave(
         np.ones((1, warm_up.part_count), dtype=np.uint8)
     )
     locked = load_structure("shelf:shelves=0")  # needs the proof, which is compiled then
-    clearance_table(locked.meshes, locked.contacts, 10, tolerance=1e-4)
+    StraightWays(locked.meshes, locked.contacts, 10, tolerance=1e-4).prepare()
     for structure in options.structures or (*real_structures(REAL), *BUILT_IN):
         assembly = load_structure(find(structure))
         _, overlap = assembly.contact_settings.lengths(assembly.meshes)
         table, seconds, cpu = None, [], []
         for _ in range(options.repeats):
             begin, begin_cpu = time.perf_counter(), time.process_time()
-            table = clearance_table(assembly.meshes, assembly.contacts, options.directions, tolerance=overlap)
+            table = StraightWays(assembly.meshes, assembly.contacts, options.directions, tolerance=overlap).table
             seconds.append(time.perf_counter() - begin)
             cpu.append(time.process_time() - begin_cpu)
         assert table is not None

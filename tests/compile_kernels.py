@@ -26,7 +26,9 @@ def _judge() -> None:
 
 
 def _cones() -> None:
-    make_task(load_structure("shelf:shelves=0"), removable_only_if_clear=True)
+    clearance = make_task(load_structure("shelf:shelves=0"), removable_only_if_clear=True).clearance
+    assert clearance is not None
+    clearance.prepare()
 
 
 if __name__ == "__main__":

@@ -96,7 +96,7 @@ def save(thing: Assembly | Plan | RobotPlan | StateGraph, path: Path | str, *, p
 
 
 def _load_run(folder: Path) -> Run:
-    from falsework.utils.optional_packages import check_torch
+    from falsework.utils.tensors import check_torch
 
     check_torch()
     from falsework.learn.training.checkpoint import load_run

@@ -12,13 +12,13 @@ from falsework.errors import InputError
 from falsework.geometry import ContactSettings, find_contacts, load_meshes
 from falsework.geometry.clearance.directions import exit_directions, sphere_directions
 from falsework.geometry.clearance.sweep import Sweeper
-from falsework.geometry.clearance.table import clearance_table
+from falsework.geometry.clearance.table import StraightWays
 
 TOLERANCE = 1e-4
 
 
 def table_of(meshes, directions=1000):
-    return clearance_table(meshes, find_contacts(meshes), directions, tolerance=TOLERANCE)
+    return StraightWays(meshes, find_contacts(meshes), directions, tolerance=TOLERANCE).table
 
 
 def blocked_by_stepping(one, other, direction, steps, ignore=0.0):
@@ -142,7 +142,7 @@ def test_what_is_left_out_of_the_table_changes_no_answer(shared_assembly):
     meshes = load_meshes(shared_assembly("cube-17"))
     contacts = find_contacts(meshes)
     _, overlap = ContactSettings().lengths(meshes)
-    table = clearance_table(meshes, contacts, 300, tolerance=overlap)
+    table = StraightWays(meshes, contacts, 300, tolerance=overlap).table
     sweeper = Sweeper(meshes, contacts, overlap)
     random = np.random.default_rng(2)
     states = random.integers(0, 2, (300, len(meshes)), dtype=np.uint8)
@@ -197,7 +197,7 @@ def test_bad_questions(shapes):
     meshes = [shapes.box((0, 0, 0), (1, 1, 1)), shapes.box((0, 0, 1), (1, 1, 2))]
     contacts = find_contacts(meshes)
     with pytest.raises(InputError, match="0 directions"):
-        clearance_table(meshes, contacts, 0, tolerance=TOLERANCE)
-    table = clearance_table(meshes, contacts, 10, tolerance=TOLERANCE)
+        StraightWays(meshes, contacts, 0, tolerance=TOLERANCE)
+    table = StraightWays(meshes, contacts, 10, tolerance=TOLERANCE).table
     with pytest.raises(InputError, match=r"\(1, 3\).*\(batch, 2\)"):
         table.can_leave(np.zeros((1, 3), np.uint8))

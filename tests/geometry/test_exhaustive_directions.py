@@ -13,14 +13,14 @@ from falsework.geometry.clearance.cover import Triangles
 from falsework.geometry.clearance.directions import exit_directions
 from falsework.geometry.clearance.exhaustive_directions import all_exits
 from falsework.geometry.clearance.sweep import Sweeper
-from falsework.geometry.clearance.table import clearance_table
+from falsework.geometry.clearance.table import StraightWays
 from falsework.utils.bits import unpack
 
 TOLERANCE = 1e-4
 
 
 def table_of(meshes, directions=1000):
-    return clearance_table(meshes, find_contacts(meshes), directions, tolerance=TOLERANCE)
+    return StraightWays(meshes, find_contacts(meshes), directions, tolerance=TOLERANCE).table
 
 
 def slot(shapes):
@@ -72,7 +72,7 @@ def test_no_direction_beats_the_ways_of_an_exact_part(shared_assembly, name):
     meshes = load_meshes(shared_assembly(name))
     contacts = find_contacts(meshes)
     _, overlap = ContactSettings().lengths(meshes)
-    table = clearance_table(meshes, contacts, tolerance=overlap)
+    table = StraightWays(meshes, contacts, tolerance=overlap).table
     assert table.exact.all()
     sweeper = Sweeper(meshes, contacts, overlap)
     random = np.random.default_rng(4)

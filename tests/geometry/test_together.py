@@ -15,14 +15,14 @@ from falsework.geometry.clearance.locked import LockedSets
 from falsework.geometry.clearance.part_sets import SetClearance
 from falsework.geometry.clearance.relative_motions import can_begin_to_move
 from falsework.geometry.clearance.sweep import Sweeper
-from falsework.geometry.clearance.table import clearance_table
+from falsework.geometry.clearance.table import StraightWays
 
 TOLERANCE = 1e-4
 
 
 def clearance_of(meshes) -> SetClearance:
     contacts = find_contacts(meshes)
-    singles = clearance_table(meshes, contacts, tolerance=TOLERANCE)
+    singles = StraightWays(meshes, contacts, tolerance=TOLERANCE)
     return SetClearance(meshes, contacts, singles, TOLERANCE)
 
 
@@ -135,7 +135,7 @@ def test_a_block_that_can_turn_but_not_shift(shapes):
         meshes = [shapes.box((0, 0, 0), (1, 1, 1)), *(shapes.box(low, high) for low, high in walls + sides)]
         contacts = find_contacts(meshes)
         assert can_begin_to_move(contacts, (0,), np.ones(7, dtype=bool)) is turns
-        assert not clearance_table(meshes, contacts, tolerance=TOLERANCE).can_leave(np.ones((1, 7), np.uint8))[0, 0]
+        assert not StraightWays(meshes, contacts, tolerance=TOLERANCE).can_leave(np.ones((1, 7), np.uint8))[0, 0]
         assert can_begin_to_move(contacts, (0,), np.arange(7) != 6), "out at the side"
 
 

@@ -45,6 +45,7 @@ from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.together.exits import sets_of
+from falsework.utils.interruption import interrupted_by
 from falsework.viewer import Timeline
 from falsework.viewer.appearance import TRAVEL, appearance_at, diagonal
 
@@ -340,12 +341,13 @@ def test_a_search_for_a_way_ends_at_the_deadline() -> None:
         calls.append(1)
         raise DeadlineExceeded
 
-    timed = task.until(late).clearance
-    assert timed is not None
-    with pytest.raises(DeadlineExceeded):
-        timed.can_leave(task.start[None])
+    assert task.clearance is not None
+    task.clearance.prepare()
+    with interrupted_by(late), pytest.raises(DeadlineExceeded):
+        task.clearance.can_leave(task.start[None])
     assert calls == [1]
-    found = Planner(task.until(late), StabilityOracle(new, SETTINGS)).run()
+    with interrupted_by(late):
+        found = Planner(task, StabilityOracle(new, SETTINGS)).run()
     assert found.interrupted
     assert not found.found
 

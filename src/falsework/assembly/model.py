@@ -19,7 +19,7 @@ from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.touching import check_touching, contact_warnings, warn_of
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.part_sets import SetClearance
-from falsework.geometry.clearance.table import ClearanceTable, clearance_table
+from falsework.geometry.clearance.table import ClearanceTable, StraightWays
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
 from falsework.geometry.contact.joints import JointReport
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, ground_slab, mass_properties
@@ -230,16 +230,21 @@ class Assembly(Displayed):
         return loads.applied(self.mass.mass, gravity)
 
     @cached_property
-    def clearance(self) -> ClearanceTable:
-        """Exit directions of every part and their blockers; computed at first use, in seconds to minutes."""
+    def straight_ways(self) -> StraightWays:
+        """Straight ways out of every part."""
         _, overlap = self.contact_settings.lengths(self.meshes)
-        return clearance_table(self.meshes, self.contacts, tolerance=overlap)
+        return StraightWays(self.meshes, self.contacts, tolerance=overlap)
+
+    @property
+    def clearance(self) -> ClearanceTable:
+        """Exit directions of every part and their blockers."""
+        return self.straight_ways.table
 
     @cached_property
     def clearance_of_sets(self) -> SetClearance:
         """Ways out of several parts that leave together; each is computed at first use."""
         _, overlap = self.contact_settings.lengths(self.meshes)
-        return SetClearance(self.meshes, self.contacts, self.clearance, overlap)
+        return SetClearance(self.meshes, self.contacts, self.straight_ways, overlap)
 
     @cached_property
     def part_motions(self) -> PartMotions:
@@ -283,7 +288,7 @@ class Assembly(Displayed):
         )
         for array in (fixed, densities):
             array.setflags(write=False)
-        for name in ("clearance", "clearance_of_sets", "part_motions"):  # they depend on the meshes alone
+        for name in ("straight_ways", "clearance_of_sets", "part_motions"):  # they depend on the meshes alone
             if name in self.__dict__:
                 changed.__dict__[name] = self.__dict__[name]
         return changed

@@ -54,7 +54,7 @@ class Evaluate(Command):
 
     def run(self, output: Output) -> Exit:
         """Load, roll out, count."""
-        from falsework.utils.optional_packages import check_torch
+        from falsework.utils.tensors import check_torch
 
         check_torch()
         from falsework.learn.evaluate import evaluate

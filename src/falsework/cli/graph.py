@@ -142,7 +142,7 @@ class MakeGraph(JudgingCommand):
         output: Output,
     ) -> Exit:
         """Search for solvable states, and save them in disjoint sets for training, validation and test."""
-        from falsework.utils.optional_packages import check_torch
+        from falsework.utils.tensors import check_torch
 
         check_torch()
         from falsework.learn.data.dataset import DataSettings, build_dataset, save_dataset

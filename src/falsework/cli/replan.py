@@ -219,7 +219,7 @@ class MakeReplan(Command):
         return replace(own, solver=self.solver)
 
     def _load_run(self, folder: Path, assembly: Assembly | None = None) -> Run:
-        from falsework.utils.optional_packages import check_torch
+        from falsework.utils.tensors import check_torch
 
         check_torch()
         import torch

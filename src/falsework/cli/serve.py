@@ -77,7 +77,7 @@ class Serve(JudgingCommand):
 
     def _load(self) -> tuple[Assembly, Path | None]:
         """Return the structure, and the run if there is one."""
-        from falsework.utils.optional_packages import check_torch
+        from falsework.utils.tensors import check_torch
 
         folder = Path(self.structure.spec)
         if not (folder / "run.json").is_file():

@@ -93,7 +93,7 @@ class Train(JudgingCommand):
 
     def run(self, output: Output) -> Exit:
         """Search, train and save."""
-        from falsework.utils.optional_packages import check_torch
+        from falsework.utils.tensors import check_torch
 
         check_torch()
         from falsework.learn.data.dataset import training_task

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction, Task
-from falsework.utils.optional_packages import check_torch
+from falsework.utils.tensors import check_torch
 
 _FLOOR = -30.0
 """Least log probability that a legal action counts with: a search may need actions that the policy considers

@@ -23,6 +23,7 @@ from falsework.search.problem.result import Outcome, Progress, SearchProgress, S
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction
 from falsework.search.settings import PlannerSettings
+from falsework.utils.interruption import interrupted_by
 
 _PLAIN_LEVELS = 4
 """Levels of the plain search for each level of the policy-guided one, which evaluates a network as well. A count, not
@@ -46,9 +47,7 @@ class _ReachabilityStage:
 
     def __init__(self, session: ReplanSession) -> None:
         self._session = session
-        self._search = ExhaustiveSearch(
-            session.timed_task, session.oracle, state_limit=session.context.settings.state_limit
-        )
+        self._search = ExhaustiveSearch(session.task, session.oracle, state_limit=session.context.settings.state_limit)
 
     def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
         session, census = self._session, self._search.run(progress=progress, stop=stop)
@@ -75,7 +74,7 @@ class _GuidedBeams:
 
     def _beam(self, width: int) -> BeamSearch:
         settings = BeamSettings(width, Direction.DISASSEMBLY, "none", seed=self._session.request.seed)
-        return BeamSearch(self._session.timed_task, self._session.oracle, settings, guide=self._guide)
+        return BeamSearch(self._session.task, self._session.oracle, settings, guide=self._guide)
 
     def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
         session = self._session
@@ -126,7 +125,7 @@ def search_on(session: ReplanSession, guide: Guide) -> Iterator[None]:
 def _first_plan(session: ReplanSession, guide: Guide) -> Iterator[None]:
     settings = PlannerSettings(session.context.settings.width, seed=session.request.seed)
     # Later missing parts are looked for once there is a plan.
-    task = replace(session.timed_task, missing=(), postponed=())
+    task = replace(session.task, missing=(), postponed=())
     rivals = [TimeSlices(Planner(task, session.oracle, settings, guide=guide), Stage.SEARCH, _PLAIN_LEVELS)]
     policy = session.context.guide
     if policy is not None and _affordable(session, policy):
@@ -146,7 +145,7 @@ def _affordable(session: ReplanSession, policy: PolicyGuide) -> bool:
 def _better_plans(session: ReplanSession, guide: Guide) -> Iterator[None]:
     request = session.request
     settings = PlannerSettings(session.context.settings.width, alternatives=request.alternatives, seed=request.seed)
-    planner = Planner(session.timed_task, session.oracle, settings, guide=guide)
+    planner = Planner(session.task, session.oracle, settings, guide=guide)
     planner.begin_with(session.routes[0])
     planner.states = np.concatenate([route.states for route in session.routes])
     clock, reserve = session.clock, session.clock.reserve
@@ -202,7 +201,8 @@ class TimeSlices:
         """
         self._left, self._session, self._told, session.busy = self._levels, session, False, True
         try:
-            result = self.run(self._over)
+            with interrupted_by(session.clock.check):
+                result = self.run(self._over)
         finally:
             session.busy = False
         if result is None or not result.interrupted:

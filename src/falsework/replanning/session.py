@@ -116,11 +116,6 @@ class ReplanSession:
         self._why = ""
 
     @property
-    def timed_task(self) -> Task:
-        """The task for searches, in which those for ways out end at the deadline; plans are proved without one."""
-        return self.task.until(self.clock.check)
-
-    @property
     def done(self) -> bool:
         """Whether the work is complete, or no time is left."""
         enough = bool(self.routes) and self.request.alternatives == 1 and not self.task.missing

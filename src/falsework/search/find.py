@@ -51,6 +51,7 @@ from falsework.search.together.posed_states import PosedStates
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import or_notebook
+from falsework.utils.interruption import interrupted_by
 
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
@@ -151,21 +152,21 @@ def find_plans(
         if found.found or found.result.interrupted or not (quick.clearance and quick.clearance.were_cut):
             return found
     guide = guide or SupportGuide(assembly)
-    searched = task.until(clock.check)
     how: dict[str, Any] = {"guide": guide, "wide": backend == "cuda"}
-    planner = Planner(searched, timed(oracle, clock), settings, **how)
+    planner = Planner(task, timed(oracle, clock), settings, **how)
     if checkpoint is not None:
         planner.check_saved()
         if Path(checkpoint).exists():
-            planner = Planner.load(checkpoint, searched, timed(oracle, clock), settings, **how)
-    result = _run(
-        planner,
-        lambda: HoldBound(
-            assembly, task, oracle.settings, Deadline(max(min(settings.bound_after / 2, clock.left), 1e-3))
-        ),
-        progress=_saving(planner, checkpoint, more["progress"]),
-        stop=lambda: clock.passed or (stop is not None and stop()),
-    )
+            planner = Planner.load(checkpoint, task, timed(oracle, clock), settings, **how)
+    with interrupted_by(clock.check):
+        result = _run(
+            planner,
+            lambda: HoldBound(
+                assembly, task, oracle.settings, Deadline(max(min(settings.bound_after / 2, clock.left), 1e-3))
+            ),
+            progress=_saving(planner, checkpoint, more["progress"]),
+            stop=lambda: clock.passed or (stop is not None and stop()),
+        )
     if checkpoint is not None:
         if result.interrupted:
             planner.save(checkpoint)
@@ -246,14 +247,14 @@ def _clearance(assembly: Assembly, moves: int, fixed: Sequence[int], *, turns: b
     if waiting and moves == 1:
         raise InputError("a part waits half way out only on a way of several moves; give moves (--moves) above 1")
     if moves == 1 and not turns:
-        return assembly.clearance
+        return assembly.straight_ways
     from falsework.geometry.paths.exit_paths import ExitPaths  # few tasks need it
 
     still = assembly.immovable.copy()
     still[list(fixed)] = True
     meshes, contacts = assembly.meshes, assembly.contacts
     posed = PosedStates(assembly) if waiting else None
-    return ExitPaths(meshes, contacts, assembly.clearance, assembly.part_motions, still, moves, turns, posed)
+    return ExitPaths(meshes, contacts, assembly.straight_ways, assembly.part_motions, still, moves, turns, posed)
 
 
 def prove_route(
@@ -316,7 +317,7 @@ def _choose(
     """
     if settings.alternatives == 1:
         return Alternatives.from_routes(list(result.routes))
-    task = planner.task.until(lambda: None).postpone(planner.postponed)  # the choice has a time of its own
+    task = planner.task.postpone(planner.postponed)
     states = np.concatenate([planner.states, *(route.states for route in planner.routes)])
     known = {route.states.tobytes() for route in planner.routes}
     while True:

@@ -25,6 +25,7 @@ from falsework.search.task_rules import TaskRules
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import or_notebook
+from falsework.utils.interruption import interrupted_by
 from falsework.utils.quantity import listed
 
 EFFORT = 60.0
@@ -182,9 +183,10 @@ class _Query:
     def answer(self) -> MinRobots:
         impossible, interrupted, late = "", False, False
         try:
-            impossible = self._no_number()
-            if not impossible:
-                self._search()
+            with interrupted_by(self._clock.check):
+                impossible = self._no_number()
+                if not impossible:
+                    self._search()
         except DeadlineExceeded:
             late = True
         except KeyboardInterrupt:
@@ -287,7 +289,7 @@ class _Query:
             KeyboardInterrupt: from the keyboard.
         """
         if robots not in self._planners:
-            task = replace(self._task, robots=robots).until(self._clock.check)
+            task = replace(self._task, robots=robots)
             guide = SupportGuide(self._assembly)
             self._planners[robots] = Planner(task, self._timed, self._settings, guide=guide)
         planner, end, told = self._planners[robots], self._spent + seconds, False

@@ -73,7 +73,7 @@ class Planner:
         self.regrasps, self.together = regrasps(task, settings), task.together is not None
         """Whether plans may hold parts again, and whether steps may move several parts."""
         self._pace = Pace(lambda: len(self._left) > 1)
-        self.task = self._pace.of(task.judged_by(oracle))
+        self.task = task.judged_by(oracle)
         self.settings = settings
         self.routes: list[Route] = []
         """Plans found so far; the first keeps missing parts out longest."""
@@ -155,6 +155,8 @@ class Planner:
             for route in self.routes if self.settings.judge else ():  # given, or of a search that was resumed
                 if route.states.tobytes() not in self.tests.replays:
                     self.tests.passes(route, stop=stop)
+            if self.task.clearance is not None:
+                self.task.clearance.prepare()
             while not self.done and not interrupted:
                 interrupted = self._advance(report, stop)
         except KeyboardInterrupt:
@@ -258,12 +260,9 @@ class Planner:
             paused = portfolio.is_over(self._round, turn, beam.work, least)
             return paused or (stop is not None and stop())
 
-        self._pace.begin(self._round)
-        try:
+        with self._pace.turn(self._round):
             result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
-        finally:
-            slow = self._pace.end()
-        if (paused or slow) and not result.found:
+        if (paused or self._pace.over) and not result.found:
             self._turn, turn.owed = self._turn + 1, 0.0
         elif result.interrupted:
             return True

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import STAGE, Direction, Task
 from falsework.search.settings import PlannerSettings
+from falsework.utils.interruption import interrupted_by
 
 EDGES = "edges"
 """Beam that closes free edges first, see `EdgeGuide`."""
@@ -62,30 +64,22 @@ class Pace:
 
     def __init__(self, others: Callable[[], bool]) -> None:
         """Take what says whether there are other strategies."""
-        self._others, self._left = others, np.inf
+        self._others, self._left = others, 0.0
+        self.over = False
+        """Whether the last turn ended since it had too many."""
 
-    def of(self, task: Task) -> Task:
-        """Return a task whose searches for ways keep the pace."""
-        if task.clearance is None:
-            return task
-        given = task.clearance.check
+    @contextmanager
+    def turn(self, round: int) -> Iterator[None]:
+        """Count the pieces of a turn, of a round from 0, and end the search in which it is over."""
+        self._left, self.over = _PIECES * 2.0**round, False
+        with interrupted_by(self._count, large=True):
+            yield
 
-        def check() -> None:
-            given()
-            self._left -= 1
-            if self._left < 0 and self._others():
-                raise DeadlineExceeded
-
-        return task.until(check)
-
-    def begin(self, round: int) -> None:
-        """Count the pieces of a turn, of a round from 0."""
-        self._left = _PIECES * 2.0**round
-
-    def end(self) -> bool:
-        """Count no more, and return whether there were too many."""
-        over, self._left = self._left < 0, np.inf
-        return over
+    def _count(self) -> None:
+        self._left -= 1
+        self.over = self._left < 0 and self._others()
+        if self.over:
+            raise DeadlineExceeded
 
 
 @dataclass(frozen=True)

@@ -368,7 +368,7 @@ def _load_policy(config: WorkerConfig) -> tuple[Any, str]:
     """Return the policy of a run and its description."""
     if config.run is None:
         return None, ""
-    from falsework.utils.optional_packages import check_torch
+    from falsework.utils.tensors import check_torch
 
     check_torch()
     import torch

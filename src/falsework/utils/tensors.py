@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +21,13 @@ def import_torch() -> Any:
     except ImportError as error:
         raise DependencyError("a search on tensors needs torch; pip install 'falsework[gpu]'") from error
     return torch
+
+
+def check_torch() -> None:
+    """Look for the packages that learning cannot do without."""
+    for name in ("torch", "safetensors"):
+        if find_spec(name) is None:
+            raise DependencyError(f"learning needs {name}; pip install 'falsework[learn]'")
 
 
 def choose_device(name: str = "auto") -> torch.device:

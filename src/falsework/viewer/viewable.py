@@ -168,7 +168,7 @@ def _cell_of(plan: RobotPlan, file: Path | None, cell: AnyCell | None, assembly:
 
 
 def _load_run(folder: Path | str, assembly: Assembly | None) -> Any:
-    from falsework.utils.optional_packages import check_torch
+    from falsework.utils.tensors import check_torch
 
     check_torch()
     from falsework.learn.training.checkpoint import load_run

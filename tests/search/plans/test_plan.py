@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import jsonschema
@@ -459,7 +460,7 @@ def test_ways_out_are_checked(small_arch: Assembly, arch_oracle: StabilityOracle
             return np.repeat((states == 0).any(axis=1)[:, None], states.shape[1], axis=1)
 
     shut = small_arch.replace()
-    shut.__dict__["clearance"] = Shut()
+    shut.__dict__["straight_ways"] = SimpleNamespace(table=Shut())
     report = validate_plan(clear, shut)
     last = max(step.number for step in clear if step.action is Action.INSERT)
     assert "finds no straight way past" in report.reason

@@ -8,6 +8,7 @@ import numpy as np
 
 from falsework.geometry.clearance.cover import DEEPEST, Triangles, uncovered
 from falsework.geometry.clearance.sweep import Exits, Sweeper
+from falsework.utils.interruption import check_interruption
 
 _SWEEPS = 192
 """Directions that are swept for one part before giving up."""
@@ -36,6 +37,7 @@ def all_exits(sweeper: Sweeper, part: int | Sequence[int], exits: Exits) -> tupl
     cones, named = None, np.zeros(0, dtype=np.int64)
     triangles, limit, swept = Triangles.sphere(), _FINER, 0
     while swept < _SWEEPS:
+        check_interruption()
         blockers = np.flatnonzero(exits.blockers.any(axis=0))
         if len(blockers) > 64:
             return exits, False

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.geometry.clearance.directions import sphere_directions
+from falsework.utils.interruption import check_interruption
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -67,6 +68,7 @@ class LockedSets:
         seen: set[PartSet] = {(part,) for part in movable.tolist()}
         stack = sorted(seen, reverse=True)
         while stack:
+            check_interruption()
             parts = stack.pop()
             joined, near = self.neighbours(parts, movable)
             if len(parts) > 1 and joined and self._cycles(parts):

@@ -16,7 +16,7 @@ from falsework.geometry.clearance.exhaustive_directions import all_exits
 from falsework.geometry.clearance.locked import LockedSets, PartSet
 from falsework.geometry.clearance.relative_motions import RelativeMotions, can_begin_to_move
 from falsework.geometry.clearance.sweep import Sweeper
-from falsework.geometry.clearance.table import ClearanceTable
+from falsework.geometry.clearance.table import StraightWays
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.utils.bits import Words, pack
@@ -54,7 +54,7 @@ class SetClearance:
     """
 
     def __init__(
-        self, meshes: Sequence[TriangleMesh], contacts: Contacts, singles: ClearanceTable, tolerance: float
+        self, meshes: Sequence[TriangleMesh], contacts: Contacts, singles: StraightWays, tolerance: float
     ) -> None:
         """Take a structure.
 
@@ -165,8 +165,8 @@ class SetClearance:
 
     def _blockers(self, part: int) -> Words:
         """Return what blocks each way of a part alone, shape (exits, words)."""
-        start = self.singles.start
-        return self.singles.blockers[start[part] : start[part + 1]]
+        table = self.singles.table
+        return table.blockers[table.start[part] : table.start[part + 1]]
 
     def _fewer(self, parts: PartSet) -> list[PartSet]:
         """Return the sets of two and more, but not all, of some parts that may leave together."""

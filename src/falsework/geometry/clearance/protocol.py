@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -26,8 +25,6 @@ class Clearance(Protocol):
     """Whether a part that leaves may turn."""
     waiting: bool = False
     """Whether parts may wait half way out, standing without a robot."""
-    check: Callable[[], None] = staticmethod(lambda: None)
-    """Called by searches for ways from time to time; what it raises ends them."""
 
     def judged_by(self, oracle: Any, robots: int) -> Self:
         """Return the same clearance, where parts move aside only if an oracle says that the rest stands.
@@ -38,9 +35,9 @@ class Clearance(Protocol):
         """
         return self
 
-    def until(self, check: Callable[[], None]) -> Self:
-        """Return the same clearance, whose searches call something from time to time and end with what that raises."""
-        return self
+    def prepare(self) -> None:
+        """Compute now what all answers need, if that takes long."""
+        return
 
     most: float = np.inf
     """Poses that a search for a way in several moves tries."""

@@ -17,6 +17,7 @@ from falsework.geometry.mesh.collision import Body, shrink
 from falsework.geometry.mesh.edges import components, directed_edges
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.utils.bits import intersect, pack
+from falsework.utils.interruption import check_interruption
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -87,6 +88,7 @@ class Sweeper:
         if others is not None:
             free |= ~(hit | others)
         for ray in np.flatnonzero((~free & ~hit).any(axis=1)).tolist():
+            check_interruption()
             walls: dict[tuple[int, int], Body] = {}
             for other in np.flatnonzero(~free[ray] & ~hit[ray]).tolist():
                 hit[ray, other] = self._meets(moving, other, directions[ray], walls)
@@ -115,6 +117,7 @@ class Sweeper:
             batch = directions[start : start + _BATCH]
             free, hit = self._known_together(moving, batch)
             for ray in np.argsort(hit.sum(axis=1), kind="stable").tolist():
+                check_interruption()
                 row = hit[ray]
                 walls: dict[tuple[int, int], Body] = {}
                 beaten = includes_one(row, rows)
@@ -157,6 +160,7 @@ class Sweeper:
     def _cones_between(self, part: int, other: int) -> Cones:
         """Return the cones between two parts; those of the last pairs are kept, since sets share them."""
         if (part, other) not in self._pairs:
+            check_interruption()
             level = self.level(part, other)
             self._pairs[part, other] = cones_between(self._pieces(part, level), self._pieces(other, level), other)
             while len(self._pairs) > _PAIRS:

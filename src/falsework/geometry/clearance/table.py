@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from falsework.errors import InputError
 from falsework.geometry.clearance.directions import exit_directions
 from falsework.geometry.clearance.exhaustive_directions import all_exits
 from falsework.geometry.clearance.protocol import Clearance
-from falsework.geometry.clearance.sweep import Sweeper
+from falsework.geometry.clearance.sweep import Exits, Sweeper
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.utils.bits import pack
@@ -82,41 +83,65 @@ class ClearanceTable(Clearance):
         return found
 
 
-def clearance_table(
-    meshes: Sequence[TriangleMesh], contacts: Contacts, directions: int = 1000, *, tolerance: float
-) -> ClearanceTable:
-    """Sweep every part along straight lines to infinity and record the parts that block it.
+class StraightWays(Clearance):
+    """Straight ways out by a clearance table, which is computed when it is needed first, in seconds to minutes.
 
-    The first directions are those of `exit_directions`. More follow until all others are proved to be no
-    better than a known one (`all_exits`); a part for which that fails is not `exact`. For the sweep of a pair, parts
-    are shrunk by a little more than the tolerance, so that touching parts can slide along each other.
-
-    Args:
-        meshes: closed meshes that face outwards.
-        contacts: their contacts; a contact blocks all directions into it, without a sweep.
-        directions: number of directions to sample for each part before the proof.
-        tolerance: overlap of touching parts that modelling may leave, metres.
-
-    Raises:
-        InputError: fewer than one direction.
+    After an interruption it is continued with the part at which it ended.
     """
-    if directions < 1:
-        raise InputError(f"{directions} directions lead nowhere; give at least 1")
-    sweeper = Sweeper(meshes, contacts, tolerance)
-    exits, exact = [], np.zeros(len(meshes), dtype=bool)
-    for part in range(len(meshes)):
-        sampled = sweeper.least_blocked(part, exit_directions(contacts, part, directions))
-        found, exact[part] = all_exits(sweeper, part, sampled)
-        exits.append(found)
-    arrays = (
-        np.concatenate([found.directions for found in exits]),
-        np.concatenate([pack(found.blockers) for found in exits]),
-        np.concatenate([[0], np.cumsum([len(found.directions) for found in exits])]).astype(np.int32),
-        exact,
-    )
-    for array in arrays:
-        array.setflags(write=False)
-    return ClearanceTable(*arrays, sampled=directions)
+
+    def __init__(
+        self, meshes: Sequence[TriangleMesh], contacts: Contacts, directions: int = 1000, *, tolerance: float
+    ) -> None:
+        """Take a structure.
+
+        Args:
+            meshes: closed meshes that face outwards.
+            contacts: their contacts; a contact blocks all directions into it, without a sweep.
+            directions: number of directions to sample for each part before the proof.
+            tolerance: overlap of touching parts that modelling may leave, metres.
+
+        Raises:
+            InputError: fewer than one direction.
+        """
+        if directions < 1:
+            raise InputError(f"{directions} directions lead nowhere; give at least 1")
+        self._meshes, self._contacts, self._sampled, self._tolerance = meshes, contacts, directions, tolerance
+        self._found: list[tuple[Exits, bool]] = []
+
+    @cached_property
+    def table(self) -> ClearanceTable:
+        """The table: every part is swept along straight lines to infinity, and the parts that block it are recorded.
+
+        The first directions are those of `exit_directions`. More follow until all others are proved to be no
+        better than a known one (`all_exits`); a part for which that fails is not `exact`. For the sweep of a pair,
+        parts are shrunk by a little more than the tolerance, so that touching parts can slide along each other.
+        """
+        sweeper = Sweeper(self._meshes, self._contacts, self._tolerance)
+        for part in range(len(self._found), len(self._meshes)):
+            sampled = sweeper.least_blocked(part, exit_directions(self._contacts, part, self._sampled))
+            self._found.append(all_exits(sweeper, part, sampled))
+        exits = [found for found, _ in self._found]
+        arrays = (
+            np.concatenate([found.directions for found in exits]),
+            np.concatenate([pack(found.blockers) for found in exits]),
+            np.concatenate([[0], np.cumsum([len(found.directions) for found in exits])]).astype(np.int32),
+            np.array([exact for _, exact in self._found]),
+        )
+        for array in arrays:
+            array.setflags(write=False)
+        return ClearanceTable(*arrays, sampled=self._sampled)
+
+    def prepare(self) -> None:
+        """See `Clearance.prepare`."""
+        _ = self.table
+
+    def can_leave(self, states: NDArray[np.uint8], wanted: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+        """See `ClearanceTable.can_leave`."""
+        return self.table.can_leave(states, wanted)
+
+    def caveat(self, parts: NDArray[np.bool_]) -> str:
+        """See `ClearanceTable.caveat`."""
+        return self.table.caveat(parts)
 
 
 @njit(cache=True)

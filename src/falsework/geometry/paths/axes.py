@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from falsework.geometry.mesh.collision import Body
 from falsework.geometry.mesh.mesh import triangle_normals
+from falsework.utils.interruption import check_interruption
 
 Array = NDArray[np.float64]
 
@@ -131,6 +132,7 @@ def _slides(surface: _Surface, extent: float) -> list[Axis]:
     axes = []
     for component in range(6):
         for sign in (1.0, -1.0):
+            check_interruption()
             motion = _least_motion(rows, weights, component, sign)
             spin, shift = motion[3:] / extent, motion[:3]
             size = float(np.linalg.norm(spin))

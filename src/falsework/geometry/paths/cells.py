@@ -17,6 +17,7 @@ from falsework.geometry.mesh.collision import inside
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.geometry.paths.cell_moves import BASE, expand
 from falsework.geometry.paths.departure import Departure, Parts
+from falsework.utils.interruption import check_interruption
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -264,7 +265,7 @@ class CellLayers:
         """Return the moves from shifts by which sets are out, or to other shifts, in the order in which to try them."""
         found = [np.zeros((0, 4), dtype=np.int64)]
         for first in range(0, len(at), _BATCH):
-            departure.check()
+            check_interruption(large=True)
             rows = slice(first, first + _BATCH)
             some = self._ordered(self._expanded(at[rows], moved[rows], out=out), departure)
             some[:, 0] += first

@@ -33,9 +33,6 @@ class Departure:
     """Whether robots can carry some parts as one body; None: any."""
     stands: Callable[[ExitPath, bool], bool] | None
     """Whether everything stands along a way, and, if the parts are out, until others are back; None: it does."""
-    check: Callable[[], None]
-    """Called from time to time; what it raises ends the search."""
-
     most: float = np.inf
     """Poses after which no more moves are tried."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -12,7 +12,6 @@ from falsework.errors import InputError
 from falsework.geometry.clearance.moves import MOST_MOVES, ExitPath, after
 from falsework.geometry.clearance.protocol import Clearance, Mask, States
 from falsework.geometry.clearance.relative_motions import can_begin_to_move
-from falsework.geometry.clearance.table import ClearanceTable
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.paths.departure import Parts
@@ -52,7 +51,7 @@ class ExitPaths(Clearance):
         self,
         meshes: Sequence[TriangleMesh],
         contacts: Contacts,
-        straight: ClearanceTable,
+        straight: Clearance,
         motions: PartMotions,
         fixed: Mask,
         moves: int,
@@ -81,7 +80,6 @@ class ExitPaths(Clearance):
         self.waiting = waiting is not None
         self._oracle: StandsOracle | None = None
         self._robots = 1
-        self.check: Callable[[], None] = lambda: None
         self._ways: dict[tuple[Parts, bool], list[_KeptWay]] = {}
         self._closed: dict[tuple[Parts, bool], list[_Closed]] = {}
         self._waited: dict[tuple[int, bytes], ExitPath | None] = {}
@@ -105,9 +103,9 @@ class ExitPaths(Clearance):
             return self
         return self._with(_oracle=oracle, _robots=robots, _waited={}, _stands={})
 
-    def until(self, check: Callable[[], None]) -> ExitPaths:
-        """See `Clearance.until`."""
-        return self._with(check=check)
+    def prepare(self) -> None:
+        """See `Clearance.prepare`."""
+        self._straight.prepare()
 
     def within(self, poses: float) -> ExitPaths:
         """Return the same ways out, each searched for among so many poses; those that this leaves open `were_cut`."""
@@ -200,7 +198,6 @@ class ExitPaths(Clearance):
                 tuple(np.flatnonzero(movable).tolist()),
                 carried=lambda parts: has_hands(parts, state, (part,), spare),
                 stands=stands,
-                check=self.check,
                 most=self.most,
             )
             found = search.run(self.moves, turns=self.turns)
@@ -235,7 +232,6 @@ class ExitPaths(Clearance):
             present & ~held,
             tuple(np.flatnonzero(held).tolist()),
             carried=(lambda some: set(leaving) <= set(some) or set(leaving).isdisjoint(some)) if joined else None,
-            check=self.check,
             most=self.most,
         )
         found = search.run(self.moves)

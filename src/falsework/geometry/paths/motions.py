@@ -16,6 +16,7 @@ from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.paths.cells import CellGrid
 from falsework.geometry.paths.hulls import first_hits, near_order, swept
+from falsework.utils.interruption import check_interruption
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -82,6 +83,7 @@ class PartMotions:
         """
         found = np.zeros(len(self.meshes), dtype=bool)
         for begin, end in self._stretches(move, poses, stop):
+            check_interruption()
             found |= np.isfinite(self._first_shares(move, begin, end, others & ~found, poses, stop))
             if stop and found.any():
                 break
@@ -93,6 +95,7 @@ class PartMotions:
         Arguments as of `blockers`.
         """
         for begin, end in self._stretches(move, poses, True):
+            check_interruption()
             shares = self._first_shares(move, begin, end, others, poses, False)
             if np.isfinite(shares).any():
                 return float(shares.min()), shares == shares.min()

@@ -57,7 +57,6 @@ class PathSearch:
         *,
         carried: Callable[[Parts], bool] | None = None,
         stands: Callable[[ExitPath, bool], bool] | None = None,
-        check: Callable[[], None] = lambda: None,
         most: float = np.inf,
     ) -> None:
         """Take a structure.
@@ -70,12 +69,11 @@ class PathSearch:
             carried: whether robots can carry some parts as one body; without it they can.
             stands: whether everything stands along a way, and, if the parts are out, until others are back in place;
                 without it everything does.
-            check: called from time to time; what it raises ends the search.
             most: whole cells are shifted no further from so many poses on.
         """
         self._motions = motions
         boxes = motions.bounds_without(()), motions.bounds_without(leaving)
-        self._departure = Departure(leaving, (*leaving, *aside), rest, *boxes, carried, stands, check, most)
+        self._departure = Departure(leaving, (*leaving, *aside), rest, *boxes, carried, stands, most)
 
     def run(self, moves: int, *, turns: bool = False) -> Found:
         """Search for a way out in up to some number of moves.

@@ -9,6 +9,7 @@ from falsework.geometry.clearance.moves import ExitPath, PathMove, Poses
 from falsework.geometry.paths.departure import Departure, Mask
 from falsework.geometry.paths.motions import IN_PLACE
 from falsework.geometry.paths.rigid_poses import Begun, RigidPoses
+from falsework.utils.interruption import check_interruption
 
 _POSES = 2000
 """Poses from which moves are tried, at most."""
@@ -59,14 +60,14 @@ class PoseLayers:
         self._begun, self._turned = [], []
         # Straight ways out first: they take the least time, and turns serve to open them.
         for node in self._front:
-            departure.check()
+            check_interruption(large=True)
             self._begun.append(list(self._poses.begun(node.at, node.move)))
             for begun in self._begun[-1]:
                 out = self._poses.out(node.at, begun)
                 if out is not None:
                     yield node.way(out)
         for node in self._front:
-            departure.check()
+            check_interruption(large=True)
             turned = list(self._poses.turned(node.at, node.move)) if node.touches else []
             self._turned.append([(at, move, True) for at, move, _ in turned])
             for _, move, out in turned:
@@ -78,7 +79,7 @@ class PoseLayers:
         if number:
             reached: list[_Node] = []
             for node, beginnings, following in zip(self._front, self._begun, self._turned, strict=True):
-                departure.check()
+                check_interruption(large=True)
                 for begun in beginnings:
                     following.extend(self._poses.ends(node.at, begun))
                 for at, move, touches in following:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -92,8 +91,8 @@ class ExitWays:
         """The same for the rules of a task: a part that can only leave downwards cannot leave."""
         self._sets: tuple[PartSet, ...] = ()
 
-    def allow(self, task: Task, oracle: StabilityOracle, robots: int, check: Callable[[], None] = lambda: None) -> None:
-        """Let parts leave in as many moves, and as many at once, as a task allows; searches for ways call `check`.
+    def allow(self, task: Task, oracle: StabilityOracle, robots: int) -> None:
+        """Let parts leave in as many moves, and as many at once, as a task allows.
 
         Parts that so many robots hold may move aside where the rest stands by verdicts of the oracle.
         """
@@ -109,7 +108,7 @@ class ExitWays:
             posed = PosedStates(assembly) if task.waiting else None
             given = assembly.meshes, assembly.contacts, self._table, assembly.part_motions, still
             paths = ExitPaths(*given, task.moves_out, task.turns, posed)
-            self.clearance = paths.judged_by(oracle, robots).until(check)
+            self.clearance = paths.judged_by(oracle, robots)
 
     def blockers(self, part: int) -> NDArray[np.bool_]:
         """Return the parts that block each straight way of a part, shape (ways, parts)."""

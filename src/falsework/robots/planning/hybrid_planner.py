@@ -137,7 +137,7 @@ def plan_robots(
 
     def search(limits: HybridSettings, graph: KeyframeGraph | None, clock: Deadline) -> HybridResult:
         graph = graph or KeyframeGraph(assembly, cell, settings=limits.keyframes, seed=limits.seed, **needed)
-        within = task_in_cell(assembly, cell, task, graph.exits, oracle, clock.check)
+        within = task_in_cell(assembly, cell, task, graph.exits, oracle)
         if groups_of(assembly) is None:  # parts that are joined may also be carried one by one
             leaving = np.flatnonzero((within.target == REMOVED) & (within.start != REMOVED)).tolist()
             graph.grasp_configurations.check(part for part in leaving if part not in (held or ()))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,23 +22,16 @@ from falsework.stability.oracle import StabilityOracle
 from falsework.utils.quantity import format_quantity
 
 
-def task_in_cell(
-    assembly: Assembly,
-    cell: Cell,
-    task: Task | None,
-    exits: ExitWays,
-    oracle: StabilityOracle,
-    check: Callable[[], None] = lambda: None,
-) -> Task:
+def task_in_cell(assembly: Assembly, cell: Cell, task: Task | None, exits: ExitWays, oracle: StabilityOracle) -> Task:
     """Return a task with the number of robots of the cell, and with ways out of which none begins downwards.
 
-    `exits` then know the ways that the task allows, by verdicts of the oracle where others than the part move, and call
-    `check` while they search. InputError for props, StateError for more held parts than robots.
+    `exits` then know the ways that the task allows, by verdicts of the oracle where others than the part move.
+    InputError for props, StateError for more held parts than robots.
     """
     given = task or Task.from_rules(assembly.boundary, cell.robot_count, identity=assembly.identity)
     if given.props:
         raise InputError("robot plans have no props; plan for the structure without them")
-    exits.allow(given, oracle, cell.robot_count, check)
+    exits.allow(given, oracle, cell.robot_count)
     freed = np.flatnonzero(STAGE[given.target] < STAGE[given.start])
     if len(freed):
         name = assembly.names[int(freed[0])]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, as_states, held_count
 from falsework.errors import StateError
 from falsework.geometry.clearance.protocol import Clearance
-from falsework.geometry.clearance.table import ClearanceTable
+from falsework.geometry.clearance.table import ClearanceTable, StraightWays
 from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.task import STAGE, Direction, Task
 from falsework.utils.bits import unpack
@@ -207,22 +208,26 @@ class ExitTable:
 
     def __init__(self, clearance: Clearance | None, parts: int, device: torch.device) -> None:
         """Copy a clearance table to the device; without one, every part can leave."""
-        self._clearance = clearance
-        self._device = device
-        self._blockers = None
-        if isinstance(clearance, ClearanceTable):
-            owner = np.repeat(np.arange(parts), np.diff(clearance.start))
-            self._blockers = put(unpack(clearance.blockers)[:, :parts].T.astype(np.float32), device)
-            self._owner = put((owner[:, None] == np.arange(parts)).astype(np.float32), device)
+        self._clearance, self._parts, self._device = clearance, parts, device
+
+    @cached_property
+    def _products(self) -> tuple[torch.Tensor, torch.Tensor] | None:
+        """What blocks each exit, shape (parts, exits), and whose it is, shape (exits, parts); None without a table."""
+        table = self._clearance.table if isinstance(self._clearance, StraightWays) else self._clearance
+        if not isinstance(table, ClearanceTable):
+            return None
+        owner = np.repeat(np.arange(self._parts), np.diff(table.start))
+        blockers = put(unpack(table.blockers)[:, : self._parts].T.astype(np.float32), self._device)
+        return blockers, put((owner[:, None] == np.arange(self._parts)).astype(np.float32), self._device)
 
     def can_leave(self, states: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
         """Return which parts have a free exit, of those that are wanted at least; shape (batch, parts) each."""
         if self._clearance is None:
             return import_torch().ones_like(states, dtype=import_torch().bool)
-        if self._blockers is None:
+        if self._products is None:
             return put(np.asarray(self._clearance.can_leave(states.cpu().numpy(), wanted.cpu().numpy())), self._device)
-        free = ((states != REMOVED).float() @ self._blockers == 0).float()
-        return free @ self._owner > 0
+        blockers, owner = self._products
+        return ((states != REMOVED).float() @ blockers == 0).float() @ owner > 0
 
 
 def hash_states(states: torch.Tensor, words: torch.Tensor) -> torch.Tensor:

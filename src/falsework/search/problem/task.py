@@ -195,10 +195,6 @@ class Task:
         clearance = None if self.clearance is None else self.clearance.judged_by(oracle, self.robots)
         return replace(self, holds_keep_stable=oracle.holds_keep_stable, clearance=clearance)
 
-    def until(self, check: Callable[[], None]) -> Task:
-        """Return the same task, whose searches for ways out end with what `check` raises; see `Clearance.until`."""
-        return self if self.clearance is None else replace(self, clearance=self.clearance.until(check))
-
     @property
     def caveat(self) -> str:
         """Reason why an exhaustive search so far would not prove that there is no plan; empty if it would."""

@@ -1,0 +1,149 @@
+"""Long computations of plans with ways in several moves: each asks often enough whether it is to end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import pytest
+
+from falsework import Assembly, PlannerSettings, StabilityOracle, StabilitySettings, find_plans, make_task
+from falsework.geometry.clearance.table import StraightWays
+from falsework.geometry.paths.path_search import PathSearch
+from falsework.search.problem.deadline import DeadlineExceeded
+from falsework.search.problem.task import Direction
+from falsework.utils.interruption import interrupted_by
+from tests.geometry.test_burrs import pelikan
+from tests.geometry.test_exit_paths import motions_of, solid, structure
+from tests.search.test_exit_paths import bolt
+from tests.search.test_waiting import dodge
+
+GAP = 0.5
+"""Seconds of the processor between two questions at most, once kernels are compiled: numba cannot be interrupted."""
+LONG = 4.0
+"""Seconds of the processor after which a computation is ended here."""
+SETTINGS = StabilitySettings(criterion="equilibrium")
+
+
+def burr() -> Assembly:
+    return structure(*(solid(cells, fixed=piece == 0) for piece, cells in enumerate(pelikan())))
+
+
+def straight_ways() -> Callable[[], Any]:
+    assembly = burr()
+    return lambda: StraightWays(assembly.meshes, assembly.contacts, tolerance=1e-4).table
+
+
+def pieces(turn: float, *, turns: bool = False) -> Callable[[], Any]:
+    """A search for the way of a piece past the others that are held: by cells, or where these are turned by poses."""
+    motions = motions_of(*map(solid, pelikan()), turn=turn)
+    search = PathSearch(motions, (3,), np.arange(7) == 0, () if turns else (1, 2, 4, 5, 6))
+    return lambda: search.run(99, turns=turns)
+
+
+def screw() -> Callable[[], Any]:
+    task = make_task(bolt(), 1, turns=True)
+    assert task.clearance is not None
+    task.clearance.prepare()
+    return lambda: task.clearance and task.clearance.can_leave(task.start[None])
+
+
+def waiting() -> Callable[[], Any]:
+    assembly = dodge()
+    task = make_task(assembly, 1, moves=4, waiting=True).judged_by(StabilityOracle(assembly, SETTINGS))
+    assert task.clearance is not None
+    task.clearance.prepare()
+    return lambda: task.clearance and task.clearance.can_leave(np.array([[2, 1, 2]], dtype=np.uint8))
+
+
+def sets() -> Callable[[], Any]:
+    assembly = burr()
+    clearance = assembly.clearance_of_sets
+    assembly.straight_ways.prepare()
+
+    def ask() -> None:
+        for parts in clearance.sets(~assembly.boundary, 3):
+            clearance.leave_together(parts, np.ones((1, 7), dtype=np.uint8), apart=True)
+
+    return ask
+
+
+KINDS = {
+    "straight ways": straight_ways,
+    "cells": lambda: pieces(0.0),
+    "rigid poses": lambda: pieces(0.3),
+    "turns of a piece": lambda: pieces(0.3, turns=True),
+    "screw": screw,
+    "waiting": waiting,
+    "sets": sets,
+}
+
+
+def longest_gap(run: Callable[[], Any]) -> float:
+    """Seconds of the processor between two questions of a computation, which is ended where it is long."""
+    begun = last = time.process_time()
+    gap = 0.0
+
+    def ask() -> None:
+        nonlocal last, gap
+        now = time.process_time()
+        gap, last = max(gap, now - last), now
+        if now - begun > LONG:
+            raise DeadlineExceeded
+
+    with interrupted_by(ask), suppress(DeadlineExceeded):
+        run()
+    return max(gap, time.process_time() - last)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_long_computations_ask_often_whether_they_are_to_end(kind: str) -> None:
+    """For the second time, that no kernel is compiled meanwhile."""
+    longest_gap(KINDS[kind]())
+    assert longest_gap(KINDS[kind]()) < GAP
+
+
+def test_a_deadline_ends_the_table_of_straight_ways_which_then_goes_on() -> None:
+    """The search says that the deadline ended it; what the table has found by then is kept."""
+    assembly, asked = burr(), 0
+    found = find_plans(assembly, robots=6, moves=99, stability=SETTINGS, start=np.full(7, 2), deadline=0.2)
+    assert found.deadline_passed
+    assert not found.found
+    whole = burr().clearance
+
+    def ask() -> None:
+        nonlocal asked
+        asked += 1
+        if asked % 1500 == 0:
+            raise DeadlineExceeded
+
+    for _ in range(20):
+        with interrupted_by(ask), suppress(DeadlineExceeded):
+            assembly.straight_ways.prepare()
+            break
+    np.testing.assert_array_equal(assembly.clearance.directions, whole.directions)
+    np.testing.assert_array_equal(assembly.clearance.blockers, whole.blockers)
+
+
+@pytest.mark.parametrize("moves", [1, 300])
+def test_the_keyboard_ends_a_search_that_has_one_strategy(moves: int) -> None:
+    """In the table of straight ways, and in a search for a way that is longer than a turn."""
+    asked, assembly = 0, burr()
+
+    def interrupt() -> None:
+        nonlocal asked
+        asked += 1
+        if asked == moves:
+            raise KeyboardInterrupt
+
+    given: Any = {"settings": PlannerSettings(directions=(Direction.DISASSEMBLY,)), "stability": SETTINGS}
+    if moves > 1:
+        assembly.straight_ways.prepare()
+    with interrupted_by(interrupt, large=moves > 1):
+        found = find_plans(assembly, robots=6, moves=99, start=np.full(7, 2), **given)
+    assert asked == moves
+    assert found.result.interrupted
+    assert not found.deadline_passed
