@@ -195,7 +195,7 @@ def test_plans_are_found_without_making_a_task(arch: Assembly) -> None:
     assert by_name.plans[0].robots == 3
     assert by_name.plans[0].missing == (2,)
     assert fw.find_plans(arch, robots=1).result.outcome is not Outcome.FOUND
-    assert make_task(arch, removable_only_if_clear=True).clearance is arch.clearance
+    assert make_task(arch, removable_only_if_clear=True).clearance is arch.straight_ways
     with pytest.raises(InputError, match="robots"):
         fw.find_plans(arch, make_task(arch), robots=2)
 

@@ -580,7 +580,7 @@ def test_a_deadline_may_pass_before_a_search_begins() -> None:
         def run(self, *, progress: object = None, stop: object = None) -> SearchResult:
             raise DeadlineExceeded
 
-    clock = SimpleNamespace(passed=True, limited=True, between=lambda: None)
+    clock = SimpleNamespace(passed=True, limited=True, between=lambda: None, check=lambda: None)
     session = cast(ReplanSession, SimpleNamespace(busy=False, clock=clock))
     turns = TimeSlices(Late(), Stage.EXHAUSTIVE, 1)
     assert turns.take(session) is None

@@ -109,8 +109,8 @@ def test_no_proof_on_undecided_verdicts(rules: Any) -> None:
 
 
 @pytest.mark.parametrize("sure", [True, False])
-@pytest.mark.parametrize("end", ["start", "target"])
-def test_no_plan_between_ends_that_do_not_stand(rules: Any, end: str, sure: bool) -> None:
+@pytest.mark.parametrize(("end", "name"), [("start", "complete structure"), ("target", "target state")])
+def test_no_plan_between_ends_that_do_not_stand(rules: Any, end: str, name: str, sure: bool) -> None:
     """Free blocks come apart in any order, but not from or to a state that is not stable itself."""
     task = Task.from_rules(rules.ground(4), 1)
 
@@ -124,7 +124,7 @@ def test_no_plan_between_ends_that_do_not_stand(rules: Any, end: str, sure: bool
     assert census.plans == 0
     assert (census.result.outcome is Outcome.PROVED_IMPOSSIBLE) == sure
     words = "is unstable" if sure else "could be proved neither stable nor unstable"
-    assert census.result.notes[0] == f"the {end} state {words}"
+    assert census.result.notes[0] == f"the {name} {words}"
 
 
 def test_stopped_it_can_be_run_on(rules: Any) -> None:
