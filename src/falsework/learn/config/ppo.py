@@ -49,7 +49,7 @@ class PpoPhase:
     searches, which moves in the direction of assembly find during the training."""
     imitation: float = 0.1
     """Weight of imitating states known to be solvable, which preserves what imitation learned. With goals nothing is
-    imitated beside the rollouts: paths between the states of searches are learned by heart."""
+    imitated beside the rollouts: the network would memorise the paths between states of searches."""
 
     def __post_init__(self) -> None:
         if self.starts not in get_args(Starts):

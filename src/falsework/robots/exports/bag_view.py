@@ -53,7 +53,7 @@ def write_view(plan: RobotPlan, placed: PlacedParts, write: Write) -> None:
     names = [joint for robot in range(len(plan.robots)) for joint in joint_names(plan, robot, "{robot}_")]
     markers = _arm_markers(plan, placed.cell)
     shown, moved = set[int](), set[int]()
-    for now in np.arange(0.0, plan.makespan + 2.0 / RATE, 1.0 / RATE).tolist():  # the last after the end
+    for now in np.arange(0.0, plan.makespan + 2.0 / RATE, 1.0 / RATE).tolist():  # up to a sample that shows the end
         values, frames, loads = [], list[tuple[str, Array]](), dict[int, Array]()
         for arm in activities_at(plan, starts, now):
             configuration = arm.at(np.array([now]))[0]

@@ -55,7 +55,7 @@ class PathHistories(Generic[K]):
 
     @property
     def lost(self) -> float:
-        """How many steps at rest, on average, take the iterations of those that failed: they take many each."""
+        """Iterations of the steps that failed, divided by the mean of those at rest."""
         return self._lost * self._taken / max(self._spent, 1)
 
     def step(self, before: K, after: States) -> History | None:

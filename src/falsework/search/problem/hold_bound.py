@@ -106,7 +106,7 @@ class HoldBound:
                     core[part] = False
                     del left[part]
                     beside = np.flatnonzero(core & self._beside[part]).tolist()
-                    for other in beside:
+                    for other in beside:  # moved to the end, so tried next: what it touches now is held
                         left.pop(other, None)
                         left[other] = self._holds_beside(core, other, robots - 1)
             self._cores[robots] = tuple(np.flatnonzero(core).tolist()) if core.sum() > robots else ()

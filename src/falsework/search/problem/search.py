@@ -61,7 +61,7 @@ class Search(ABC):
 
     @property
     def effort(self) -> float:
-        """Verdicts so far; a replay that failed counts as as many as it has iterations of others."""
+        """Verdicts so far; failed replays count by their iterations, in units of the mean of steps at rest."""
         return self.asked
 
     @property
