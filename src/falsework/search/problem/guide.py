@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.search.problem.result import Route
@@ -57,25 +58,18 @@ class SupportGuide:
         """Read the contacts of an assembly."""
         parts, pairs = assembly.part_count, assembly.contacts.parts
         self._pairs, self._boundary = pairs, assembly.boundary
-        ends = np.concatenate([pairs, pairs[:, ::-1]])
-        first, back = np.unique(ends, axis=0, return_inverse=True)
-        area = np.bincount(back.ravel(), np.tile(assembly.contacts.areas, 2), len(first))
-        own, other = first.T
-        whole = np.bincount(own, area, parts)
-        share = np.divide(area, whole[own], out=np.zeros(len(area)), where=whole[own] > 0)
-        count = np.bincount(own, minlength=parts)
-        place = np.arange(len(own)) - np.repeat(np.cumsum(count) - count, count)
-        # Rows are filled up with a part that does not exist and is never present.
-        self._other = np.full((parts + 1, int(count.max(initial=0))), parts, dtype=np.int64)
-        self._share = np.zeros(self._other.shape, dtype=np.float32)
-        self._other[own, place] = other
-        self._share[own, place] = share
-        self._before = np.zeros(parts + 1, dtype=bool), np.zeros(parts, dtype=np.float32)
-        """The parts that are present in a state, and their shares."""
+        own, other = np.concatenate([pairs, pairs[:, ::-1]]).T
+        areas = np.tile(assembly.contacts.areas, 2)
+        whole = np.bincount(own, areas, parts)
+        share = csr_array((areas, (own, other)), shape=(parts, parts))
+        share.sum_duplicates()
+        share.data = np.divide(share.data, np.repeat(whole, np.diff(share.indptr)), out=np.zeros(share.nnz), where=share.data > 0)
+        self._share = share.astype(np.float32)
+        """Share of the contact area of each part that touches each other one."""
 
     def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float32]:
         """See `Guide`."""
-        support = self._supports(states)
+        support = (self._share @ (states != REMOVED).T.astype(np.float32)).T
         if direction is Direction.DISASSEMBLY:
             support = -support
         return np.concatenate([support, support], axis=1)
@@ -103,31 +97,6 @@ class SupportGuide:
     def _rows(self) -> NDArray[np.intp] | None:
         """Row of each part, where there are rows behind free edges."""
         return edge_rows(self._pairs, self._boundary)
-
-    def _supports(self, states: States) -> NDArray[np.float32]:
-        """Return the shares of all parts; states mostly differ from the first of the call before in a few parts."""
-        batch, parts = states.shape
-        present = np.zeros((batch, parts + 1), dtype=bool)
-        present[:, :-1] = states != REMOVED
-        reference, known = self._before
-        rows, changed = np.divmod(np.flatnonzero(present != reference), parts + 1)
-        if len(rows) * self._other.shape[1] > states.size:
-            support = self._support(present, np.arange(batch)[:, None], np.arange(parts))
-        else:
-            support = np.repeat(known[None], batch, axis=0)
-            near = self._other[changed]
-            rows, near = np.broadcast_to(rows[:, None], near.shape)[near < parts], near[near < parts]
-            support[rows, near] = self._support(present, rows, near)
-        if batch:
-            self._before = present[0], support[0].copy()
-        return support
-
-    def _support(self, present: Mask, rows: NDArray[np.int64], parts: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return the shares of the contact area of some parts that touch parts now present."""
-        support = np.zeros(np.broadcast_shapes(rows.shape, parts.shape), dtype=np.float32)
-        for k in range(self._other.shape[1]):
-            support += self._share[parts, k] * present[rows, self._other[parts, k]]
-        return support
 
 
 class HeldNeighbourGuide:
