@@ -101,7 +101,7 @@ class Selector:
             commit: once `width` are found, drop states that keep more robots busy than these.
         """
         frontier, promise = self.frontier, Priorities(self.scores, self.rng)
-        loose = self.order(promise.loose, promise.of, width)
+        loose = self.order(np.flatnonzero(frontier.moves & ~frontier.fixing), promise.of, width)
         proven, rejected = self._verify_untried_first(loose, width, paths, waits=commit and self.judge.replayed)
         most_held = np.inf
         if commit and len(proven) >= width:

@@ -63,7 +63,7 @@ class SupportGuide:
         whole = np.bincount(own, areas, parts)
         share = csr_array((areas, (own, other)), shape=(parts, parts))
         share.sum_duplicates()
-        share.data = np.divide(share.data, np.repeat(whole, np.diff(share.indptr)), out=np.zeros(share.nnz), where=share.data > 0)
+        share.data /= np.repeat(np.where(whole > 0, whole, 1.0), np.diff(share.indptr))
         self._share = share.astype(np.float32)
         """Share of the contact area of each part that touches each other one."""
 
