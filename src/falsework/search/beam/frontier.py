@@ -159,15 +159,17 @@ def expand(task: Task, direction: Direction, level: States, state_hash: StateHas
         level: distinct stable states, all the same number of steps from the start, shape (level, parts).
         state_hash: how hashes are made.
     """
-    parts = task.part_count
-    legal, fixing = task.moves(level, direction), np.zeros((len(level), 2 * parts), dtype=bool)
-    moves = legal.copy()
-    half = slice(0, parts) if direction is Direction.DISASSEMBLY else slice(parts, None)
-    # Two moves lead to the same state only if the states they come from differ in the parts that move.
-    differs = np.flatnonzero((level != level[:1]).any(axis=0)) if len(level) > 1 else np.empty(0, dtype=np.int64)
-    if len(differs):
-        fixing |= _merge(task, direction, level[:, differs], differs, moves, state_hash)
-    fixing[:, half] = moves[:, half]
+    legal = task.moves(level, direction)
+    parent, action = np.nonzero(legal)
+    first = place = np.arange(len(action))
+    if len(level) > 1:  # moves of one state never lead to the same
+        part = action % task.part_count
+        value = task.moved_value(action, direction)
+        hashes = state_hash.after(state_hash(level)[parent], part, level[parent, part], value)
+        first, place = merge(hashes, lambda rows: task.follow(level[parent[rows]], action[rows], direction))
+    fixed = first[place[task.fixes(action, direction)]]
+    moves, fixing = np.zeros_like(legal), np.zeros_like(legal)
+    moves[parent[first], action[first]] = fixing[parent[fixed], action[fixed]] = True
     frontier = Frontier(task, direction, level, legal, moves, fixing)
     if task.clearance is not None and direction is Direction.ASSEMBLY:
         candidates = frontier.candidates()
@@ -176,42 +178,3 @@ def expand(task: Task, direction: Direction, level: States, state_hash: StateHas
             dead = rows[task.dead_ends(frontier.states(rows), direction)]
             moves.ravel()[dead] = fixing.ravel()[dead] = False
     return frontier
-
-
-def _merge(
-    task: Task, direction: Direction, level: States, differs: NDArray[np.intp], moves: Mask, state_hash: StateHash
-) -> Mask:
-    """Keep the first of all moves that lead to the same state.
-
-    Args:
-        task: rules of the search.
-        direction: which way to move.
-        level: values of the parts in which states differ, shape (level, differs).
-        differs: these parts.
-        moves: legal moves of all parts, shape (level, 2 parts); out: without those that lead to the state of another.
-        state_hash: how hashes are made.
-
-    Returns:
-        Moves kept that lead to a state to which one that fixes a part leads too, shape (level, 2 parts).
-    """
-    columns = np.concatenate([differs, task.part_count + differs])
-    parent, column = np.nonzero(moves[:, columns])
-    place, action = column % len(differs), columns[column]
-    value = task.moved_value(action, direction)
-    words = state_hash.words[differs]
-    before = np.bitwise_xor.reduce(words[np.arange(len(differs)), level], axis=1)
-    hashes = before[parent] ^ words[place, level[parent, place]] ^ words[place, value]
-
-    def rows(index: NDArray[np.intp]) -> States:
-        states = level[parent[index]]
-        states[np.arange(len(index)), place[index]] = value[index]
-        return states
-
-    first, position = merge(hashes, rows)
-    again = np.ones(len(parent), dtype=bool)
-    again[first] = False
-    moves[parent[again], action[again]] = False
-    fixed = first[position[task.fixes(action, direction)]]
-    fixing = np.zeros_like(moves)
-    fixing[parent[fixed], action[fixed]] = True
-    return fixing
