@@ -20,7 +20,6 @@ from falsework.stability.certificate import (
     StabilityCriterion,
     residual_bound_of_velocity,
     residual_of_forces,
-    residuals_in_order,
 )
 from falsework.stability.criterion import Cone
 from falsework.stability.problem import build_problem
@@ -122,17 +121,11 @@ def along_a_plan() -> tuple[Assembly, NDArray, NDArray]:
     return assembly, states, np.concatenate([each.forces for each in found if each.forces is not None])
 
 
-@pytest.fixture(params=["together", "changes"])
-def residual_along(request: pytest.FixtureRequest) -> Any:
-    """Return residuals of states all at once, or one after the other only where they change."""
-    return residual_of_forces if request.param == "together" else residuals_in_order
-
-
-def test_states_along_a_plan_are_checked_as_each_alone(along_a_plan: tuple, residual_along: Any) -> None:
+def test_states_along_a_plan_are_checked_as_each_alone(along_a_plan: tuple) -> None:
     assembly, states, forces = along_a_plan
     same = (forces[1:] == forces[:-1]).all(axis=2)
     assert same.mean() > 0.5
-    together = residual_along(assembly, states, forces, EQUILIBRIUM.claim)
+    together = residual_of_forces(assembly, states, forces, EQUILIBRIUM.claim)
     alone = [residual_of_forces(assembly, states[k : k + 1], forces[k : k + 1])[0] for k in range(len(states))]
     np.testing.assert_array_equal(together, alone)
     assert (together <= EQUILIBRIUM.claim.tolerance).all()
@@ -141,7 +134,7 @@ def test_states_along_a_plan_are_checked_as_each_alone(along_a_plan: tuple, resi
 @pytest.mark.parametrize("until_the_end", [False, True])
 @pytest.mark.parametrize("change", ["more", "less", "none", "pulls", "slides", "nan", "inf"])
 def test_a_force_changed_anywhere_along_a_plan_is_rejected(
-    along_a_plan: tuple, residual_along: Any, change: str, until_the_end: bool
+    along_a_plan: tuple, change: str, until_the_end: bool
 ) -> None:
     """Also one that stays as it is in all states that follow."""
     assembly, states, forces = along_a_plan
@@ -163,14 +156,14 @@ def test_a_force_changed_anywhere_along_a_plan_is_rejected(
             "inf": np.inf,
         }[change]
         with np.errstate(invalid="ignore"):
-            residual = residual_along(assembly, states, tampered, EQUILIBRIUM.claim)
+            residual = residual_of_forces(assembly, states, tampered, EQUILIBRIUM.claim)
         assert residual[row] > EQUILIBRIUM.claim.tolerance
         untouched = np.ones(len(states), dtype=bool)
         untouched[rows] = False
         np.testing.assert_array_equal(residual[untouched], before[untouched])
 
 
-def test_a_part_that_is_gone_or_let_go_of_along_a_plan_is_rejected(along_a_plan: tuple, residual_along: Any) -> None:
+def test_a_part_that_is_gone_or_let_go_of_along_a_plan_is_rejected(along_a_plan: tuple) -> None:
     """Forces of contacts whose part is not there count for nothing, and a part that nobody holds has its weight."""
     assembly, states, forces = along_a_plan
     random, claim = np.random.default_rng(0), EQUILIBRIUM.claim
@@ -185,18 +178,18 @@ def test_a_part_that_is_gone_or_let_go_of_along_a_plan_is_rejected(along_a_plan:
         for row, part in places[random.permutation(len(places))[:40]]:
             tampered = states.copy()
             tampered[row, part] = value
-            residual = residual_along(assembly, tampered, forces, claim)
+            residual = residual_of_forces(assembly, tampered, forces, claim)
             alone = residual_of_forces(assembly, tampered[row : row + 1], forces[row : row + 1], claim)
             assert residual[row] == alone[0] > claim.tolerance
 
 
-def test_what_only_grows_along_a_plan_is_added_up(along_a_plan: tuple, residual_along: Any) -> None:
+def test_what_only_grows_along_a_plan_is_added_up(along_a_plan: tuple) -> None:
     """The sum of all forces is bounded in each state, not that of the changes."""
     assembly, states, forces = along_a_plan
     pressed = np.where(build_problem(assembly).active(states), forces[:, :, 0], 0.0).sum(axis=1)
     weight = EQUILIBRIUM.gravity * assembly.mass.mass[~assembly.boundary].sum()
     claim = replace(EQUILIBRIUM.claim, force_bound=float(np.median(pressed) / weight))
-    refused = np.isinf(residual_along(assembly, states, forces, claim))
+    refused = np.isinf(residual_of_forces(assembly, states, forces, claim))
     assert 0 < refused.sum() < len(states)
     np.testing.assert_array_equal(refused, pressed > np.median(pressed) * (1 + 1e-9))
 

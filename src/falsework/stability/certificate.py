@@ -89,7 +89,7 @@ def verify_certificates(
             accepted[tips] &= growth_of_motion(assembly, states[tips], *motion, claim) > NEUTRAL
     balanced = np.flatnonzero(proof == Proof.FORCES)
     forces = [verdicts.forces[row] for row in balanced]
-    accepted[balanced] = residuals_in_order(assembly, states[balanced], forces, claim) <= claim.tolerance
+    accepted[balanced] = residual_of_forces(assembly, states[balanced], forces, claim) <= claim.tolerance
     for rows in chunks(np.flatnonzero(proof == Proof.VELOCITY), points):
         bound = residual_bound_of_velocity(assembly, states[rows], verdicts.velocity[rows], claim)
         accepted[rows] = bound > np.where(verdicts.on_tolerance[rows], claim.resolution, claim.tolerance)
@@ -125,41 +125,17 @@ def residual_of_displacement(
 
 
 def residual_of_forces(
-    assembly: Assembly, states: States, forces: Array, claim: StabilityCriterion = StabilityCriterion()
-) -> Array:
-    """Return the residual that contact forces leave; infinity where they are not admissible.
-
-    Args:
-        states: shape (batch, parts).
-        forces: `(n, t1, t2)` in N at every contact point, shape (batch, points, 3); those that do not act in
-            a state are ignored.
-        claim: cone, gravity and force bound.
-
-    Returns:
-        Shares of gravity, shape (batch,).
-    """
-    strength, geometry = (
-        strength_of(assembly, claim.gravity, claim.reserve),
-        geometry_of(assembly.contacts, assembly.mass),
-    )
-    forces, refused = _admit(forces, geometry.acts(states), strength, claim.cone, _weight(assembly, claim))
-    admissible = ~refused.any(axis=1) & (forces[:, :, 0].sum(axis=1) <= _most(assembly, claim))
-    share = _share_of_gravity(assembly, geometry.wrenches(forces), np.arange(states.shape[1]), claim)
-    residual = np.where(states == 1, share, 0.0).max(axis=1, initial=0.0)
-    return np.where(admissible, residual, np.inf)
-
-
-def residuals_in_order(
     assembly: Assembly,
     states: States,
     forces: Array | StateArrays | list[Array],
     claim: StabilityCriterion = StabilityCriterion(),
 ) -> Array:
-    """Return the residuals of `residual_of_forces` for states one after the other, see `RunningResidual`.
+    """Return the residual that contact forces leave; infinity where they are not admissible.
 
     Args:
         states: shape (batch, parts).
-        forces: of each state, shape (points, 3); not all of them need to be in memory.
+        forces: `(n, t1, t2)` in N at every contact point of each state, shape (points, 3); not all of them need to be
+            in memory. Those that do not act in a state are ignored.
         claim: cone, gravity and force bound.
 
     Returns:

@@ -26,7 +26,7 @@ from falsework.search.plans.plan_report import (
 )
 from falsework.search.plans.plan_rules import broken_rule
 from falsework.search.plans.plan_source import structure_of_plan
-from falsework.stability.certificate import StabilityCriterion, chunks, residuals_in_order, verify_certificates
+from falsework.stability.certificate import StabilityCriterion, chunks, residual_of_forces, verify_certificates
 from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate
 from falsework.stability.contact.hold_loads import CLOSE, Loads, larger_loads, largest_load, loads_in
 from falsework.stability.contact.replay import Replayer
@@ -314,7 +314,7 @@ def _residuals_of_forces(plan: Plan, assembly: Assembly, claim: StabilityCriteri
     assert plan.forces is not None
     # Numbers from a file may overflow; what is not finite leaves an infinite residual.
     with np.errstate(over="ignore", invalid="ignore"):
-        return residuals_in_order(assembly, plan.states, plan.forces, claim)
+        return residual_of_forces(assembly, plan.states, plan.forces, claim)
 
 
 def _unproven(plan: Plan, row: int, residual: float, claim: StabilityCriterion) -> str:
