@@ -163,26 +163,6 @@ def test_what_a_narrow_beam_finds_is_a_plan(rules: Any, direction: Direction, di
         assert len(rows_of(level.states)) == len(level.states)
 
 
-def test_memory_that_runs_out_halves_the_batch(rules: Any) -> None:
-    oracle, _ = rules.random(2, 12)
-    task = Task.from_rules(rules.ground(12), 2)
-    expected = beam(task, oracle, width=8)
-    expected.run()
-    sizes = []
-
-    class Small(HostOracle):
-        def __call__(self, states: Any, parents: Any) -> Any:
-            sizes.append(len(states))
-            if len(states) > 5:
-                raise torch.OutOfMemoryError("out of memory")
-            return super().__call__(states, parents)
-
-    search = device_beam(task, Small(oracle), BeamSettings(width=8))
-    search.run()
-    assert np.array_equal(search.states(), expected.states())
-    assert max(sizes[-5:]) <= 5 < max(sizes)
-
-
 def test_devices_that_do_not_exist_are_refused() -> None:
     with pytest.raises(InputError, match="choose auto"):
         choose_device("cuda:99")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.search.device.oracle import BatchedTensorOracle, TensorOracle
+from falsework.search.device.oracle import TensorOracle
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
@@ -143,7 +143,7 @@ class _Beams:
         self.device = device
         self._width, self._seed, self._steps = width, seed, task.steps
         self._rules = TensorRules(task, device, direction)
-        self._judge = BatchedTensorOracle(oracle)
+        self._judge = oracle
         self._dead = not task.contains(task.origin(direction)[None])[0]
 
     def run(self, owners: torch.Tensor) -> list[ParallelLevel]:

@@ -16,7 +16,7 @@ from falsework.errors import InputError
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.device.k_means import SAMPLE, find_centers
-from falsework.search.device.oracle import BatchedTensorOracle, TensorOracle, tensor_oracle
+from falsework.search.device.oracle import TensorOracle, tensor_oracle
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Task
 from falsework.stability.contact.press_oracle import PressOracle
@@ -34,7 +34,7 @@ class SharedOracle(Oracle):
     """Oracle on arrays whose verdicts come from one on tensors, divided between processes that search alike."""
 
     def __init__(self, oracle: TensorOracle, device: torch.device, shards: ProcessGroup = ProcessGroup()) -> None:
-        self._device, self._shards, self._oracle = device, shards, BatchedTensorOracle(oracle)
+        self._device, self._shards, self._oracle = device, shards, oracle
 
     @property
     def holds_keep_stable(self) -> bool:

@@ -42,7 +42,8 @@ class Centers:
 
         Shapes (count, dimensions) float32, (count,).
         """
-        return _join([gaps.argmin(dim=1) for gaps in _products(points, self)], points.new_empty(0).long())
+        nearest = (gaps.argmin(dim=1) for gaps in _products(points, self))
+        return import_torch().cat([*nearest, points.new_empty(0).long()])
 
     def assign(self, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the cluster of each point, and squared distance from its centre.
@@ -103,7 +104,7 @@ def _seeds(x: torch.Tensor, words: torch.Tensor, clusters: int) -> torch.Tensor:
     for turn, wanted in enumerate(np.diff(np.linspace(0, clusters, rounds + 1).astype(int)).tolist()):
         fresh = x[torch.topk(weight / noise[turn], wanted).indices]
         chosen.append(fresh)
-        nearest = _join([gaps.amin(dim=1) for gaps in _products(x, Centers(fresh, 1))], squared[:0])
+        nearest = torch.cat([*(gaps.amin(dim=1) for gaps in _products(x, Centers(fresh, 1))), squared[:0]])
         nearest = nearest.add_(squared).double()
         weight = torch.minimum(weight, nearest) if turn else nearest
     return torch.cat(chosen)
@@ -117,8 +118,3 @@ def _products(x: torch.Tensor, centers: Centers) -> Iterator[torch.Tensor]:
     rows = max(_CHUNK_DISTANCES[x.device.type] // max(len(scaled), 1), 1)
     for begin in range(0, len(x), rows):
         yield torch.addmm(norm, x[begin : begin + rows], scaled.T, alpha=-2.0 * centers.scale)
-
-
-def _join(chunks: list[torch.Tensor], empty: torch.Tensor) -> torch.Tensor:
-    """Return the chunks one after the other; without a copy if there is only one."""
-    return chunks[0] if len(chunks) == 1 else import_torch().cat([*chunks, empty])

@@ -6,7 +6,7 @@ from copy import copy
 from typing import TYPE_CHECKING, Protocol
 
 from falsework.search.problem.oracle import Criterion, Oracle
-from falsework.utils.tensors import import_torch, put
+from falsework.utils.tensors import put
 
 if TYPE_CHECKING:
     import torch
@@ -98,33 +98,3 @@ def without_fallback(oracle: TensorOracle) -> TensorOracle:
 def tensor_oracle(oracle: StabilityOracle, device: torch.device) -> TensorOracle:
     """Return the oracle for states on a device: the GPU solver, or the CPU oracle behind copies."""
     return DeviceOracle(oracle, device) if device.type == "cuda" else HostOracle(oracle)
-
-
-class BatchedTensorOracle(TensorOracle):
-    """Oracle that splits batches into pieces that fit into memory."""
-
-    def __init__(self, oracle: TensorOracle) -> None:
-        """Begin with large pieces; they are halved whenever memory runs out."""
-        self._oracle, self._batch = oracle, 1 << 20
-
-    @property
-    def holds_keep_stable(self) -> bool:
-        """As of the oracle."""
-        return self._oracle.holds_keep_stable
-
-    def __call__(self, states: torch.Tensor, parents: torch.Tensor) -> torch.Tensor:
-        """See `TensorOracle`."""
-        torch = import_torch()
-        verdicts, begin = torch.zeros(len(states), dtype=torch.int8, device=states.device), 0
-        while begin < len(states):
-            rows = slice(begin, begin + self._batch)
-            try:
-                verdicts[rows] = self._oracle(states[rows], parents[rows])
-            except torch.OutOfMemoryError:
-                if len(states[rows]) < 2:
-                    raise
-                self._batch = len(states[rows]) // 2
-                torch.cuda.empty_cache()
-                continue
-            begin += self._batch
-        return verdicts
