@@ -51,7 +51,7 @@ class BeamSettings:
     pool: int = 8_000_000
     """Bound on candidates times parts that are written down and clustered at once; beyond it a random sample is."""
     restarts: bool = False
-    """Where the beam dies, jump back from the dead end, and at last restart wider, see `LevelSearch`."""
+    """Where the beam dies, jump back from the dead end, and at last restart wider, see `BeamSearch`."""
 
     @classmethod
     def from_width(

@@ -83,7 +83,7 @@ class StateSearch(Search):
     A state is the better the more parts are removed, or in assembly placed; then the smaller `RegraspMoves.burden`, and
     then by the guide's score of the step that leads to it. The best one is judged, and the states that steps lead to
     from it wait for their turns. None is judged twice. Where none is left of those with the most parts removed, the
-    search jumps back over levels as `LevelSearch` does over choices; the states that it leaves out come last. So a
+    search jumps back over levels as `BeamSearch` does over choices; the states that it leaves out come last. So a
     search that ends has examined every state.
     """
 
