@@ -62,7 +62,6 @@ class Joints:
         """Give contacts a strength.
 
         Args:
-            contacts: of the assembly.
             friction: coefficient of friction of every contact, or one a contact; NaN is that of the assembly.
             cohesion: Pa, likewise; NaN is friction times tension.
             tension: Pa, likewise.
@@ -112,7 +111,6 @@ class Joints:
         """Give all contacts with an area the same strength; None where there is none to give.
 
         Args:
-            contacts: of the assembly.
             cohesion: Pa; None is friction times tension.
             tension: Pa.
 

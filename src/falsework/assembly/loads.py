@@ -34,7 +34,6 @@ class Loads:
         """Check arrays and make loads of them.
 
         Args:
-            parts: number of parts.
             wrench: N and Nm about the centres of mass, shape (parts, 6).
             acceleration: in shares of gravity, shape (3,).
 

@@ -87,7 +87,6 @@ class Assembly(Displayed):
             density: one number or one a part, kg/m3.
             friction: coefficient of friction of every contact.
             name: name of the structure in plans and messages.
-            contact_settings: tolerances.
             ground: add a fixed slab under the lowest point, as the last part.
             contacts: contacts of the parts, if they are known; found from the meshes if not given.
             settle: largest motion with which parts settle into their clearance first, metres; none if not given or 0.

@@ -69,7 +69,6 @@ def load_assembly(
         friction: coefficient of friction of every contact.
         boundary: ids of the fixed parts, or a mask of shape (parts,).
         ground: add a fixed slab under the lowest point, as the last part, as for `Draft.assemble`.
-        contact_settings: tolerances.
         settle: largest motion with which parts settle into their clearance first, metres, as for `Draft.assemble`.
         loads: objects with `part`, `force` (N) and perhaps `at` (m) and `moment` (Nm).
         earthquake: pseudo-static horizontal acceleration in shares of gravity, along x, or along x and y.

@@ -29,7 +29,6 @@ def to_compas(assembly: Assembly, kind: CompasKind = "meshes") -> Any:
     """Return a structure as JSON values that `compas.json_load` reads.
 
     Args:
-        assembly: the structure.
         kind: `meshes`, a list of `compas.datastructures.Mesh` with the attributes `is_support`, `density` and
             `friction`, which plain COMPAS reads; `assembly`, a compas_assembly `Assembly` whose edges carry the
             contacts as `Interface`; `dem`, a compas_dem `BlockModel`.

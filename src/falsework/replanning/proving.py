@@ -58,7 +58,6 @@ class Prover:
         """Return a plan for disassembly along a route.
 
         Args:
-            task: task of the route.
             replayer: has replayed the route as far as time allowed; None without contact history.
             built: steps of the route, in assembly order, that `replayer` takes as built.
             forces: keep the certificates in the plan.

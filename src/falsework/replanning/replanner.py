@@ -64,7 +64,6 @@ class Replanner:
             assembly: the structure, or its name or path.
             policy: proposes actions, a `torch.nn.Module` as of `falsework.learn.networks.policy`; None searches alone.
             oracle: decides stability; pass an existing one to reuse its cache.
-            settings: how hard to try.
 
         Raises:
             DependencyError: a policy without torch.
@@ -220,7 +219,6 @@ def replan(
         stability: criterion, reserve and robots, where no oracle is given; by default those of the plan, else `PLANS`.
             Where no plan keeps the reserve, half of the deadline is left to look for one without; `Plan.claim` of the
             answer has its reserve.
-        settings: how hard to try.
         options: the other fields of `Request`, such as target, robots, missing and deadline; robots are those of the
             plan if not given. Loading the structure into the solver comes on top of a deadline; a `Replanner` has done
             that already.

@@ -51,8 +51,6 @@ class ExhaustiveSearch:
         """Begin at the start of the task.
 
         Args:
-            task: rules between start and target.
-            oracle: decides stability.
             state_limit: give up once more states than this were found.
             name: name of the structure, for the state graph.
 

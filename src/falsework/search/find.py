@@ -273,9 +273,6 @@ def prove_route(
     in `Plan.replay`.
 
     Args:
-        route: states and actions.
-        assembly: the structure.
-        task: task of the route.
         oracle: proves the states.
         forces: keep the forces in the plan, under `contact` the displacements too.
         replay: of the route by the oracle's replayer, where it is known already.

@@ -58,7 +58,6 @@ def maximise_margin(
 
     Args:
         assembly: the structure, or its name or path.
-        task: rules between start and target.
         kind: margin to maximise.
         stability: criterion and solver.
         demands: other margins that every state must keep.

@@ -61,8 +61,6 @@ class Planner:
         """Begin with nothing.
 
         Args:
-            task: rules between start and target.
-            oracle: decides stability.
             settings: effort of the search.
             guide: scores actions; `SupportGuide` is a good one. Repeated holds need one.
             wide: beams are as wide as they may be from the beginning, see `Portfolio.from_settings`.

@@ -123,7 +123,6 @@ class Verdicts(Displayed):
         """Return undecided verdicts to be filled in.
 
         Args:
-            batch: number of states.
             points: number of contact points, if forces are to be stored.
             parts: number of parts, if velocities are to be stored.
             displaced: whether displacements are to be stored too.

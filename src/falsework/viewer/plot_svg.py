@@ -120,7 +120,6 @@ def clearance_plot(plan: RobotPlan, times: NDArray[np.float64], found: Sequence[
     """Return a plot of the distance of each arm to the nearest body, and where it is least, in HTML.
 
     Args:
-        plan: the robot plan.
         times: seconds.
         found: as `clearances` returns them.
     """

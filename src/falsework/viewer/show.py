@@ -69,7 +69,6 @@ def view(
         structure: structure of a plan, graph or state that does not name it.
         policy: colours the parts and proposes new plans; a policy or the folder of a run.
         robots: number of robots, where no plan says it.
-        criterion: stability criterion.
         deadline: seconds that a new plan may take; None for as long as it takes.
         host: address to serve at. Beyond this machine, every client that can reach it can view and control the page.
         port: port to serve at; the next free one is taken if it is not free.
@@ -145,7 +144,6 @@ def picture(
         forces: draw the proof of a single state.
         verdicts: decide the stability of the states that are drawn, and mark those that are not stable.
         limits: colour the parts of a single state by how near they are to slipping or tipping.
-        criterion: stability criterion.
         policy: colours the parts of a single state, or marks its states in a state graph; a policy or the folder of a
             run.
         frames: pictures of a contact sheet.
@@ -278,7 +276,6 @@ def animate(
         rate: pictures a second.
         speed: seconds of a robot plan that pass in a second.
         verdicts: decide the stability of every state, and mark those that are not stable.
-        criterion: stability criterion.
         width: pixels across.
         azimuth: direction of view about the vertical, degrees.
         elevation: direction of view above the horizon, degrees.

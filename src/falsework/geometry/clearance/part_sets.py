@@ -60,7 +60,6 @@ class SetClearance:
 
         Args:
             meshes: closed meshes that face outwards.
-            contacts: their contacts.
             singles: clearance of single parts.
             tolerance: overlap of touching parts that modelling may leave, metres.
         """

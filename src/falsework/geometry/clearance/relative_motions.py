@@ -49,7 +49,6 @@ class RelativeMotions:
         Args:
             contacts: its contacts.
             sweeper: of its parts.
-            parts: number of parts.
         """
         self._contacts, self._sweeper, self._parts = contacts, sweeper, parts
         self._motions: dict[PartSet, list[RelativeMotion]] = {}
@@ -61,7 +60,6 @@ class RelativeMotions:
         """Return a motion that takes a set out along different directions; None if there is none, or none was found.
 
         Args:
-            parts: the set.
             present: parts that are there, shape (parts,); those of the set count as there.
         """
         there = present.copy()
@@ -90,7 +88,6 @@ class RelativeMotions:
         """Return velocities at which a set can begin to move apart, each of shape (parts of the set, 3); none if not.
 
         Args:
-            parts: the set.
             present: parts that are there, shape (parts,).
             slack: velocity into a contact that is allowed, as a share of the largest.
         """
@@ -162,7 +159,6 @@ def can_begin_to_move(contacts: Contacts, parts: PartSet, present: NDArray[np.bo
 
     Args:
         contacts: of the structure.
-        parts: the set.
         present: parts that are there, shape (parts,).
     """
     pairs = contacts.parts[contacts.contact_of_point]

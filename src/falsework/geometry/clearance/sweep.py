@@ -52,7 +52,6 @@ class Sweeper:
 
         Args:
             meshes: closed meshes that face outwards.
-            contacts: their contacts.
             tolerance: overlap of touching parts that modelling may leave, metres.
         """
         self._meshes = meshes

@@ -144,7 +144,6 @@ def find_joints(
     a narrow strip and by much more: a contact that is narrower than it is deep is left out.
 
     Args:
-        meshes: the parts.
         among: whether two parts may have a joint, shape (parts, parts).
         angle: largest angle between the normals of patches of one contact, degrees.
         narrowest: width below which a contact is left out, metres.
@@ -199,7 +198,6 @@ def depths_beyond(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Arr
     """Return how deep parts pass through each other where that is more than a joint may, else zero.
 
     Args:
-        meshes: the parts.
         overlaps: pairs that overlap beyond the tolerance.
         bound: as of `check_joints`.
 
@@ -266,7 +264,6 @@ def check_joints(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Arra
     """Raise for parts that overlap by more than a joint may.
 
     Args:
-        meshes: the parts.
         overlaps: pairs that overlap beyond the tolerance.
         bound: depth that is allowed to the joint of each of them, zero if it has none, shape (pairs,), metres.
 

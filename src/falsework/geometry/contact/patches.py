@@ -129,7 +129,6 @@ def face_patches(
     the distance from one to the other along the mean normal lies in `[-overlap, gap]`.
 
     Args:
-        meshes: the parts.
         gap: largest distance between touching faces, metres; negative to find overlapping ones alone.
         overlap: largest depth to which touching faces may pass through each other, metres.
         angle: degrees.

@@ -62,7 +62,6 @@ class ExitPaths(Clearance):
 
         Args:
             meshes: closed meshes that face outwards.
-            contacts: their contacts.
             straight: clearance of parts that leave in straight lines.
             motions: swept tests of the parts.
             fixed: parts that never move, shape (parts,).

@@ -45,7 +45,6 @@ class PartMotions:
 
         Args:
             meshes: closed meshes that face outwards.
-            contacts: their contacts.
             tolerance: overlap of touching parts that modelling may leave, metres.
         """
         self.meshes, self.tolerance, self._contacts = meshes, tolerance, contacts

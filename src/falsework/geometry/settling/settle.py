@@ -46,7 +46,6 @@ def settle_parts(
     """Move free parts by small amounts until their weight rests on contacts.
 
     Args:
-        meshes: the parts.
         fixed: parts that stay, shape (parts,).
         mass: of the parts.
         friction: coefficient of friction of parts that touch.

@@ -49,7 +49,6 @@ def normalized(advantage: torch.Tensor, shards: ProcessGroup = ProcessGroup()) -
 
     Args:
         advantage: of this process, shape (actions,).
-        shards: processes.
     """
     count, total = summed([float(len(advantage)), float(advantage.sum())], shards, advantage.device)
     mean = total / max(count, 1.0)
@@ -63,7 +62,6 @@ def explained_variance(advantage: torch.Tensor, returns: torch.Tensor, shards: P
     Args:
         advantage: return less estimate of each action of this process, shape (actions,).
         returns: shape (actions,).
-        shards: processes.
     """
     columns = [advantage.double(), returns.double()]
     sums = [value for column in columns for value in (float(column.sum()), float(column.square().sum()))]

@@ -102,7 +102,6 @@ def recommended(parts: int, *, goal_conditioned: bool = False, kind: str | None 
     without goals, since rollouts still count; there are far more pairs than states.
 
     Args:
-        parts: number of parts.
         goal_conditioned: whether the policy is conditioned on a goal.
         kind: kind of the network, if it is chosen already.
     """

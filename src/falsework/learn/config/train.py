@@ -123,7 +123,6 @@ class TrainSettings:
         """Return the settings with all defaults that depend on structure and device.
 
         Args:
-            parts: number of parts.
             device: kind of device, `cpu` or `cuda`.
         """
         gpu = device == "cuda"

@@ -152,9 +152,7 @@ def check_states(path: Path | str, arrays: Mapping[str, NDArray[Any]], parts: in
     """Refuse arrays of a file that are not states of so many parts.
 
     Args:
-        path: of the file.
         arrays: by name.
-        parts: number of parts.
         remedy: remedy, for the message.
 
     Raises:
@@ -171,7 +169,6 @@ def training_task(
     """Return the task of complete disassembly that data sets and policies use.
 
     Args:
-        assembly: the structure.
         robots: parts held at a time.
         removable_only_if_clear: parts are removed only if they have a free exit direction.
         fixed: parts that are never touched.
@@ -200,7 +197,6 @@ def search_states(
     In the direction of assembly each of them is solvable, since the search reached it from the empty structure.
 
     Args:
-        task: the task.
         oracle: verdicts on tensors.
         width: states kept a level.
         seed: of the search.
@@ -239,13 +235,11 @@ def search_several(
     """Return the states of narrow searches run side by side over all processes, and how many searches completed.
 
     Args:
-        task: the task.
         oracle: verdicts on tensors.
         count: searches.
         width: states that each keeps a level.
         direction: end to begin at.
         seed: of the searches.
-        device: where to search.
         shards: processes that share the searches.
 
     Returns:
@@ -281,7 +275,6 @@ def build_dataset(
     """Run the searches of the paper's protocol and, with `widths`, further ones.
 
     Args:
-        assembly: the structure.
         task: task to learn, as of `training_task`.
         settings: widths and seed.
         oracle: verdicts, whose criterion the data set then names; made if not given.

@@ -112,8 +112,6 @@ class SearchStates:
         Args:
             task: as of `build_goal_dataset`, like the next four.
             settings: widths and seed.
-            oracle: verdicts.
-            device: where to search.
             shards: processes that search together.
             report: called with progress messages.
             should_stop: asked before each lot of further searches, in all processes alike, whether they and those after
@@ -182,7 +180,6 @@ def build_goal_dataset(
     and with them paths, along which `falsework.learn.data.random_walks.RandomWalkGoals` draws tasks.
 
     Args:
-        assembly: the structure.
         task: complete disassembly, as of `falsework.learn.data.dataset.training_task`.
         settings: widths, numbers of pairs and seed.
         oracle: verdicts; made if not given.

@@ -55,7 +55,6 @@ class PairSource:
         """Prepare a graph, usually one that was searched in the direction of disassembly.
 
         Args:
-            graph: states and valid actions.
             held_out: states that are neither start nor target of any pair, such as those kept for testing; ways may
                 lead through them. Shape (count, parts).
 
@@ -134,7 +133,6 @@ def unsolved_at_random(
     Args:
         pairs: states and targets.
         rules: of disassembly, on the device where verdicts are computed.
-        oracle: verdicts.
         known: verdicts that earlier calls learned; this one adds its own.
         tries: rollouts of each pair; one, and the others together if it fails.
         seed: of the actions.

@@ -104,7 +104,6 @@ def parallel_beam_search(
     """Run beam searches that choose at random among the stable states of each level.
 
     Args:
-        task: rules between start and target.
         oracle: verdicts on tensors; a state that slides, or stays undecided, is not kept.
         count: searches.
         width: states that each keeps a level.

@@ -37,7 +37,6 @@ class GoalSampler(Protocol):
         """Draw tasks.
 
         Args:
-            count: how many.
             generator: source of randomness, on the device of the results.
 
         Returns:
@@ -53,7 +52,6 @@ class RandomWalkGoals:
         """Put a graph on a device; it may come from searches in both directions.
 
         Args:
-            graph: states and valid actions.
             device: where to draw.
             held_out: states that are neither start nor target, such as those kept for testing; ways may lead through
                 them. Shape (count, parts).
@@ -99,7 +97,6 @@ class RandomWalkGoals:
         is longer on average from there.
 
         Args:
-            count: how many.
             generator: source of randomness, on the device of the graph.
 
         Returns:

@@ -150,7 +150,6 @@ class SolvableStates:
 
         Args:
             horizon: steps at most.
-            count: how many.
             generator: source of randomness, on the device of the states.
 
         Returns:

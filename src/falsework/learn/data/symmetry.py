@@ -23,9 +23,6 @@ def symmetries(assembly: Assembly) -> NDArray[np.intp]:
     Centres of mass, masses and every contact's area times normal have to agree with those of the images. Parts that
     are boundary may stay where they are: the ground is no smaller for being turned. With joints there are none.
 
-    Args:
-        assembly: the structure.
-
     Returns:
         A row for each symmetry, of shape (symmetries, parts). Part `i` goes to where part `row[i]` is; the first row is
         the identity.

@@ -124,7 +124,6 @@ class Environment:
         """Copy rules and problem to the device.
 
         Args:
-            assembly: the structure.
             robots: number of parts that may be held at once.
             oracle: decides stability; pass an existing `StabilityOracle` to reuse its cache.
             device: where states, rules and verdicts live: `auto`, `cpu`, `cuda`, `cuda:1`.

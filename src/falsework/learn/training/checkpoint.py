@@ -77,7 +77,6 @@ def describe_structure(assembly: Assembly, source: Mapping[str, Any]) -> dict[st
     """Return the description of a structure in a run: enough to reload it and to detect another one.
 
     Args:
-        assembly: the structure.
         source: `built_in` or `path`, the latter relative to the folder of the run, and options of `load_structure`.
 
     Raises:

@@ -53,7 +53,6 @@ def propose_home(cell: Cell, parts: PartShapes, robot: int) -> Array | None:
     front of the base and points down, with the joints far from their limits. The result is deterministic.
 
     Args:
-        cell: the cell.
         parts: the structure in it.
         robot: index of the robot.
 
@@ -155,7 +154,6 @@ def check_cell(cell: Cell, parts: PartShapes | None = None) -> None:
     """Validate a cell: bases and home configurations without collision, payloads sufficient for the parts.
 
     Args:
-        cell: the cell.
         parts: the structure in it; without it only the cell itself is checked.
 
     Raises:

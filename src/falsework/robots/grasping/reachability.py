@@ -84,8 +84,6 @@ def reach_table(
     """Test whether each robot can hold each part, alone with the boundary and with the other robots at home.
 
     Args:
-        assembly: the structure.
-        cell: the cell.
         parts: the structure in the cell, as `place_parts` returns it.
         report: callback `(done, total)` with numbers of parts.
     """
@@ -126,7 +124,6 @@ def propose_bases(
     Check the result with `reach_table`, which includes collisions.
 
     Args:
-        assembly: the structure.
         cell: its robots, whose bases the search begins from.
         parts: shapes of the parts in the cell.
         report: called with the number of bases tried and of all.

@@ -46,8 +46,6 @@ class BeamSearch(Search):
         """Begin at the origin of the direction; the start and the target are taken as stable.
 
         Args:
-            task: rules between start and target.
-            oracle: decides stability.
             settings: width, direction and how states are chosen.
             guide: scores actions; without it only diversity decides.
 

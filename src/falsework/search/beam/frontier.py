@@ -154,10 +154,7 @@ def expand(task: Task, direction: Direction, level: States, state_hash: StateHas
     """Return every legal move from every state of a level; states reached twice are kept once, dead ends not at all.
 
     Args:
-        task: rules of the search.
-        direction: which way to move.
         level: distinct stable states, all the same number of steps from the start, shape (level, parts).
-        state_hash: how hashes are made.
     """
     legal = task.moves(level, direction)
     parent, action = np.nonzero(legal)

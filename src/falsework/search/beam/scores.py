@@ -49,7 +49,6 @@ class Priorities:
         """Return the first candidates that a move which fixes a part leads to.
 
         Args:
-            count: number of candidates.
             most_held: leave out those in which robots hold more parts.
         """
         fixing = np.flatnonzero(self._frontier.fixing)

@@ -66,7 +66,6 @@ def device_beam(
     and for any number of processes: these divide the verdicts and repeat the rest.
 
     Args:
-        task: rules between start and target.
         oracle: verdicts on tensors.
         settings: width, direction and how states are chosen.
         device: where verdicts and clusters are found.
@@ -99,7 +98,6 @@ def beam_search(
     """Yield a beam search on the given device, shared with the other processes if `torchrun` started several.
 
     Args:
-        task: rules between start and target.
         oracle: decides stability, or lends its problem to the solver of the GPU; one that presses, on the CPU.
         settings: width, direction and how states are chosen.
         device: `cpu`; `cuda`; or `auto`, a GPU if this machine has one that can be used, else the processor.

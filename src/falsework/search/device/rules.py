@@ -35,9 +35,7 @@ class TensorRules:
         """Copy the rules to the device.
 
         Args:
-            task: rules between start and target.
             device: where the states are: a device, or `auto`, `cpu` or `cuda`.
-            direction: direction of the search.
 
         Raises:
             InputError: no such device.

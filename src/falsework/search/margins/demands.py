@@ -100,9 +100,6 @@ class Demands(FileModel, frozen=True):
     def variants(self, assembly: Assembly) -> list[tuple[str, Assembly]]:
         """Return the structures in which states must be stable too, each with the margin that requires it.
 
-        Args:
-            assembly: the structure.
-
         Raises:
             InputError: displaced parts that make no assembly, or joints with friction in a structure without.
         """

@@ -168,11 +168,8 @@ class Plan(Displayed):
 
         Args:
             route: states and actions, in the order of disassembly.
-            assembly: the structure.
-            task: task of the route.
             verdicts: of the states of the route in the order of assembly, with forces if the plan is to carry its
                 proofs.
-            claim: stability criterion of the verdicts.
 
         Raises:
             PlanError: a state that the verdicts do not call stable.

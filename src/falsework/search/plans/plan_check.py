@@ -98,7 +98,6 @@ def validate_plan(
     too. A plan with a certificate that proves nothing is not good, even if the state is stable.
 
     Args:
-        plan: plan to check.
         assembly: the structure, with the props of the plan; or its name or path, to which they are added.
         settings: stability criterion.
         demands: margins that every state must keep; those that the plan was made to keep if not given.
@@ -162,7 +161,6 @@ def _solve(
     """Check under `equilibrium` the stability of states from the first on, up to the first bad one.
 
     Args:
-        report: report so far.
         plan, assembly, settings: as for `validate_plan`.
         count: states to check.
         carried: residuals that the certificates in the plan leave, shape (states,), or None; states that they do not
@@ -207,7 +205,6 @@ def _check_build(
     """Check under `contact` the stability of states as built, up to the first bad one.
 
     Args:
-        report: report so far.
         plan, assembly, settings: as for `validate_plan`, with the reserve and the robots of the plan.
         carried: the plan carries a certificate for each of its states.
         progress: as for `validate_plan`.

@@ -23,8 +23,6 @@ def save_plan(plan: Plan, path: Path | str, *, proofs: bool = False) -> None:
     """Write a plan as JSON, format `falsework.plan/4`, whole or not at all.
 
     Args:
-        plan: the plan.
-        path: file to write.
         proofs: write the displacements or contact forces too, some hundred kilobytes.
 
     Raises:

@@ -26,7 +26,6 @@ def broken_rule(
     """Return the first state that the rules do not allow, and why; None if all are allowed.
 
     Args:
-        plan: plan to check.
         assembly: needed to check that removed parts have a way out; that is left out without it.
         settings: with it, for the check that groups which robots carry hold together.
     """
@@ -121,7 +120,6 @@ def broken_together(plan: Plan, step: int, assembly: Assembly | None, settings: 
 
     Args:
         plan, assembly, settings: as for `broken_rule`.
-        step: index of the step.
     """
     before, after = plan.states[step : step + 2]
     moved, held = moved_parts(before, after)

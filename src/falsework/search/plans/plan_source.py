@@ -82,7 +82,6 @@ def structure_to_check(
     them. A structure with options is read twice for this.
 
     Args:
-        plan: the plan.
         file, structure: as for `structure_of_plan`.
         options: options of `load_structure` from the caller.
 
@@ -124,7 +123,6 @@ def moved_source(plan: Plan, file: Path, beside: Path) -> Mapping[str, Any] | No
     """Return the source of a plan that was read from one file for another file, to whose folder its path is relative.
 
     Args:
-        plan: the plan.
         file: where it was read from.
         beside: where it is going to be written.
     """

@@ -54,9 +54,6 @@ def prove_build(
     """Return the plan along a route, each state proved as built; up to where its replay fails, if it does.
 
     Args:
-        route: states and actions.
-        assembly: the structure.
-        task: task of the route.
         replayer: of the structure.
         known: replay of the route, where there was one.
         forces: keep the certificates and contact forces in the plan.

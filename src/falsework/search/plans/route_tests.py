@@ -52,7 +52,6 @@ class RouteTests:
         An oracle that requires margins first checks every state in full. The judge, which is slow, comes last.
 
         Args:
-            route: the route.
             known: its replay, where the search has made it along the way.
             stop: asked before every state that is judged.
 

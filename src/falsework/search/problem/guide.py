@@ -110,7 +110,6 @@ class HeldNeighbourGuide:
         """Prefer parts beside others.
 
         Args:
-            base: heuristic to add to.
             neighbours: which movable parts are in contact, shape (parts, parts).
         """
         self._base, self._neighbours = base, neighbours
@@ -137,7 +136,6 @@ class EdgeGuide:
         """Prefer parts by their rows.
 
         Args:
-            base: heuristic to add to.
             rows: row of each part, 0 at the edge, shape (parts,).
         """
         self._base = base
@@ -187,7 +185,6 @@ class MemoizedGuide:
         """Begin empty.
 
         Args:
-            base: heuristic to evaluate.
             limit: number of cached scores.
         """
         self.calls = 0

@@ -56,7 +56,6 @@ class HoldBound:
         """Prepare to refute.
 
         Args:
-            assembly: the structure.
             task: start, target and fixed parts; its number of robots does not matter.
             settings: of the plan; the friction cone, gravity, tolerances and reserve are taken over.
             clock: raises `DeadlineExceeded` out of `barrier` once it has run out.

@@ -45,7 +45,6 @@ def read_criterion(path: Path | str, header: dict[str, Any], remedy: str) -> Cri
     """Take the criterion out of the header of a file of states; files of older versions have none.
 
     Args:
-        path: of the file.
         header: as read; `criterion` is removed.
         remedy: remedy for a damaged file.
 
@@ -95,7 +94,6 @@ class StateGraph:
             task: rules between start and target, `judged_by` the oracle that found the states stable; only states
                 between these two are used.
             states: stable states in any order, repeated or not, shape (count, parts).
-            name: name of the structure.
             origin: where it is.
             several: yields the states that removals of several parts from a state, shape (parts,), lead to, each with
                 the number of the step.

@@ -333,7 +333,6 @@ class Task:
         Args:
             space: `numpy` or `torch`.
             put: turns an array of numpy into one of these.
-            direction: of the moves.
             can_leave: which parts of those asked for have a free exit; None where that does not matter.
         """
         touchable = ~self.boundary

@@ -39,7 +39,6 @@ def exit_path(task: Task, state: States, leaving: PartSet) -> ExitPath | None:
     """Return the moves in which parts leave a state in one step of a task; none of them where they leave straight.
 
     Args:
-        task: the task.
         state: shape (parts,), with the parts in it.
         leaving: one part, or several that leave together: each held by a robot, or all carried by that of one.
 

@@ -151,7 +151,6 @@ def graph_with_sets(task: Task, oracle: Oracle, states: States, *, name: str = "
         task: rules between start and target, `judged_by` the oracle.
         oracle: found the states stable, and says by which parts a robot can carry others.
         states: shape (count, parts).
-        name: name of the structure.
     """
     several = None if task.together is None else TaskMoves(task, oracle).removals
     return StateGraph.from_states(task, states, name=name, several=several)

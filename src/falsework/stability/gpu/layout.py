@@ -167,9 +167,6 @@ def kernel_options(settings: StabilitySettings) -> KernelOptions:
 def build_layout(problem: Problem) -> Layout:
     """Lay out a problem for the kernel.
 
-    Args:
-        problem: the structure.
-
     Raises:
         InputError: the structure has more contacts or fill than the kernel can index.
     """

@@ -157,7 +157,6 @@ def checked(
     """Probe a family half way to its bound; where it fails there, return the bound before that.
 
     Args:
-        bracket: the bound.
         probe: the family; solves from rest where no nearby answer is given.
         start: the answer at `origin`.
         again: finds the bound between `origin` and a failing value, given with its answer.

@@ -343,7 +343,6 @@ class MarginFinder:
 
         Args:
             state: shape (parts,).
-            bracket: the bound.
             beyond: the family, for a value further outside where a proof may exist.
             shift: offset of the reported values.
             part, direction: those of the weakest load.

@@ -98,7 +98,6 @@ class Prober:
 
         Args:
             state: shape (parts,).
-            condition: friction and loads.
             near: the answer under a nearby condition, for a warm start.
             moved: where displacements are part of the proof, those of fixed parts, shape (parts, 6), m and rad.
             coarse: whether states that rest need not be found if iterations from the nearby answer do not end there.
@@ -144,7 +143,6 @@ class Prober:
 
         Args:
             state: shape (parts,).
-            condition: friction and loads.
             size: the load in weights of a part.
         """
         alone, options = condition.extra / size, self._options
@@ -185,7 +183,6 @@ class Prober:
 
         Args:
             state: shape (parts,).
-            conditions: friction and loads.
             near: for each the stable answer under a nearby condition.
         """
         answers: list[Answer] = []
@@ -237,7 +234,6 @@ class Prober:
 
         Args:
             state: shape (parts,).
-            answer: the answer to prove.
             near: verdict under a nearby condition, whose forces are a first guess.
         """
         verdicts = self.problem.undecided(1, displaced=self.displaced)

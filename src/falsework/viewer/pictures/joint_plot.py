@@ -49,9 +49,7 @@ def draw_joints(plan: RobotPlan, cell: Cell, path: Path, *, width: int = 0, titl
     """Draw positions and velocities of all joints as PNG or SVG, and return the largest share of a velocity limit.
 
     Args:
-        plan: the robot plan.
         cell: its cell, which has the limits.
-        path: file to write.
         width: pixels across; 0 chooses.
         title: a line above.
     """
