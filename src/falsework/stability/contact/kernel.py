@@ -144,6 +144,7 @@ def solve_contact_state(law, state, options, steps, contact, displacement, force
     Args:
         law, options, contact: `ContactArrays`, `ContactOptions` and `ContactScratch`.
         state: shape (parts,).
+        steps: limit on iterations.
         displacement: in: a guess in m and rad where `warm`; out: the displacement. Shape (parts, 6).
         forces: out: contact forces in N, shape (points, 3) or (0, 3).
         warm: whether to start from the guess; else the structure is loaded from rest.

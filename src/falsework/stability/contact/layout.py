@@ -154,6 +154,7 @@ def build_contact_structure(
     """Lay out the stiffness of a structure for the kernel.
 
     Args:
+        assembly: the structure.
         problem: its scaled equilibrium problem.
         structure: the layout of that.
         gravity: m/s2.

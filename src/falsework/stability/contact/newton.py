@@ -154,6 +154,7 @@ def equilibrate(law, contact, pairs, steps, tolerance, first_step, schedule):
 
     Args:
         law, contact, pairs: `ContactArrays`, and a state prepared by `restrict` and `place_contacts`.
+        steps: limit on iterations.
         tolerance: largest residual of a state at rest, as `largest_residual`.
         first_step: first time step.
         schedule: `StepSchedule`.
