@@ -70,7 +70,6 @@ def save(thing: Assembly | Plan | RobotPlan | StateGraph, path: Path | str, *, p
     """Write a structure, plan, robot plan or state graph, whole or not at all; `load` reads it.
 
     Args:
-        thing: what to write.
         path: file to write; of a structure a folder, which must be new or empty, or a file of an export format.
         proofs: write the proofs of the states of a plan too.
 

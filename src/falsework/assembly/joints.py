@@ -135,7 +135,6 @@ class Joints:
                 all contacts; or None.
             materials: name of the material of each part, or one for all; or None.
             names: of the parts; a ground added to them is the last and of the material `ground`.
-            contacts: of the parts.
 
         Returns:
             Joints, or None where there is no entry. Contacts along lines and at points have no area, and so no strength

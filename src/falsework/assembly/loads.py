@@ -57,7 +57,6 @@ class Loads:
         Args:
             entries: objects with `part` (id or name), `force` (N), and perhaps `at` (m) and `moment` (Nm); or None.
             earthquake: horizontal acceleration in shares of gravity: along x, or along x and y; or None.
-            names: of the parts.
             center: centres of mass, shape (parts, 3), m.
 
         Returns:

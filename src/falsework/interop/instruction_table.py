@@ -152,7 +152,6 @@ def sheet(assembly: AnyStructure, plan: Plan) -> AssemblyInstructions:
 
     Args:
         assembly: the structure, or its name or path.
-        plan: its plan.
 
     Raises:
         InputError: something other than a plan.

@@ -48,7 +48,6 @@ def evaluate(
             the package, with a structure.
         structure: another structure than that of the run, its name or path.
         robots: robots; with another number than that of the run, states of new searches are taken.
-        criterion: stability criterion, likewise.
         targets: pairs of start and goal instead of complete disassembly.
         search: search where the policy fails, for the share of test states with a proven plan.
         states: states of each set, a fixed sample; all if not given.

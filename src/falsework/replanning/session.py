@@ -159,7 +159,6 @@ class ReplanSession:
 
         Args:
             states: stable, shape (count, parts).
-            given: routes to begin with.
         """
         count = len(states) + 1
         while True:

@@ -273,7 +273,6 @@ def prove_route(
     in `Plan.replay`.
 
     Args:
-        oracle: proves the states.
         forces: keep the forces in the plan, under `contact` the displacements too.
         replay: of the route by the oracle's replayer, where it is known already.
         all_props: keep the places for props that the route does not use.

@@ -58,10 +58,8 @@ def maximise_margin(
 
     Args:
         assembly: the structure, or its name or path.
-        kind: margin to maximise.
         stability: criterion and solver.
         demands: other margins that every state must keep.
-        settings: effort of each search.
         progress: called after every level of every attempt.
         stop: called before every level; true ends it with the best plan so far.
         forces: keep the proofs of the states in the plan.

@@ -61,7 +61,6 @@ class Planner:
         """Begin with nothing.
 
         Args:
-            settings: effort of the search.
             guide: scores actions; `SupportGuide` is a good one. Repeated holds need one.
             wide: beams are as wide as they may be from the beginning, see `Portfolio.from_settings`.
 

@@ -104,7 +104,6 @@ class Portfolio:
 
         Args:
             round: counted from 0.
-            turn: of the strategy.
             work: `Search.work` of the strategy.
             least: work of the other strategy that has begun and worked least.
         """
@@ -118,9 +117,7 @@ class Portfolio:
         """Return the strategies of a search.
 
         Args:
-            settings: effort and directions.
             stage: `plan`, `postpone` or `alternatives`.
-            task: the rules.
             edges: in stage `plan`, a beam that closes free edges first takes turns too.
             wide: beams are as wide as they may be from the beginning, so that verdicts are asked for in batches.
         """

@@ -221,7 +221,6 @@ def _share_of_gravity(assembly: Assembly, wrench: Array, parts: NDArray[np.int64
 
     Args:
         wrench: of the contact forces, shape (..., parts, 6).
-        parts: their numbers.
         claim: gravity.
     """
     mass, geometry = assembly.mass, geometry_of(assembly.contacts, assembly.mass)
@@ -293,7 +292,6 @@ def chunks(rows: NDArray, points: int, least: int = 1) -> list[NDArray]:
     """Split rows of states with a number of contact points into chunks whose arrays fit into the cache.
 
     Args:
-        rows: numbers of the states.
         points: contact points of the structure.
         least: states of a chunk, however many points they have.
     """

@@ -49,8 +49,7 @@ class HoldMode(StrEnum):
     FORCE = "force"
     """The wrench: a robot that presses gives way in all directions."""
     HYBRID = "hybrid"
-    """The force along one direction, and the pose across it: a robot that presses gives way along that direction only.
-    """
+    """The force along one direction, and the pose across it: a robot that presses gives way along that direction only."""
 
 
 @dataclass(frozen=True)
@@ -177,7 +176,6 @@ def describe_loads(
 
     Args:
         loads: in the state.
-        parts: names of the parts.
         who: robot that holds each part, shape (parts,).
         robots: names of the robots.
     """

@@ -21,7 +21,6 @@ def motion_of(assembly: Assembly, verdicts: Verdicts, row: int) -> NDArray[np.fl
 
     Args:
         verdicts: with certificates, as `StabilityOracle.verdicts` returns them where asked to.
-        row: index of the state.
 
     Returns:
         `(linear, angular)` about the centres of mass, shape (parts, 6); None where the state is stable or undecided,

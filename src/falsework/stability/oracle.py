@@ -279,7 +279,6 @@ class StabilityOracle:
         Args:
             states: shape (batch, parts).
             verdicts: in and out, of the solver.
-            solver: who was asked.
             rest: rows of the states that it leaves.
             accept: whether verdicts count.
             near: states near to these. Where one is known to be stable, the exact solver decides on the parts that

@@ -70,7 +70,6 @@ def plot_svg(title: str, curves: Sequence[Curve], span: float, ends: tuple[float
 
     Args:
         title: line above.
-        curves: the lines.
         span: seconds of the plan.
         ends: values at the lower and the upper end of the axis.
         words: names of values at equal distances between the ends, from the lower one on.

@@ -74,7 +74,6 @@ class Timeline:
         """Return the timeline of a plan.
 
         Args:
-            assembly: its structure.
             direction: order in which it is shown.
             who: robot that holds each part in each state; as in `Plan.holders` if not given.
             robot_names: of the arms, if any.

@@ -30,7 +30,6 @@ class Clearance(Protocol):
         """Return the same clearance, where parts move aside only if an oracle says that the rest stands.
 
         Args:
-            oracle: stability oracle.
             robots: parts that may be held, or carried, at a time.
         """
         return self

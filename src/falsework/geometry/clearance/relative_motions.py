@@ -47,7 +47,6 @@ class RelativeMotions:
         """Take a structure.
 
         Args:
-            contacts: its contacts.
             sweeper: of its parts.
         """
         self._contacts, self._sweeper, self._parts = contacts, sweeper, parts
@@ -158,7 +157,6 @@ def can_begin_to_move(contacts: Contacts, parts: PartSet, present: NDArray[np.bo
     To first order: no contact point is pushed into. Each part of the set moves on its own.
 
     Args:
-        contacts: of the structure.
         present: parts that are there, shape (parts,).
     """
     pairs = contacts.parts[contacts.contact_of_point]

@@ -155,7 +155,6 @@ def rises(surface: Surface, vertices: Index, normals: Array, least: float) -> ND
     """Return whether parts stand on planes through their vertices like a tip: all edges rise, and the tip is solid.
 
     Args:
-        surface: the parts.
         vertices: shape (candidates,).
         normals: of the planes, upwards, shape (candidates, 3).
         least: sine of the angle to the plane that every edge has to exceed.

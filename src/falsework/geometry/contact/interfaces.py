@@ -94,7 +94,6 @@ def find_contacts(meshes: Sequence[TriangleMesh], settings: ContactSettings | No
 
     Args:
         meshes: closed meshes that face outwards.
-        settings: tolerances.
 
     Returns:
         Contacts sorted by their parts, of one pair planar ones first, then lines, then points; their order and

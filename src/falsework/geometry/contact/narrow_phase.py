@@ -268,7 +268,6 @@ def _with_edges(ends: Array, part: NDArray[np.int32], edges: Creases, width: flo
     Args:
         ends: of the segments, or points twice, shape (segments, 2, 3), metres.
         part: of each segment, shape (segments,).
-        edges: of all parts.
         width: metres.
     """
     if not len(ends) or not len(edges.tail):

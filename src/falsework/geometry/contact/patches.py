@@ -151,7 +151,6 @@ def opposed_faces(
     """Yield pairs of faces that look at each other and may touch, as far as their boxes tell; in chunks.
 
     Args:
-        faces: faces of all parts.
         gap: largest distance between each face and others that touch it, shape (faces,), metres.
         overlap: largest depth to which others that touch each face may pass through it, shape (faces,), metres.
         angle: largest angle between the faces, degrees.
@@ -183,7 +182,6 @@ def intersect_faces(
     """Project pairs of faces along their mean normal, intersect them, and keep what is near enough.
 
     Args:
-        faces: faces of all parts.
         i: first face of each pair, shape (pairs,).
         j: second face of each pair, shape (pairs,).
         gap: largest distance between the faces of each pair, shape (pairs,), metres.

@@ -16,7 +16,6 @@ def check_growth(path: Path, count: int, *, beside: int = 0) -> None:
     """Refuse a file whose parts, with all copies, have more corners and triangles than a file of its size may have.
 
     Args:
-        path: the file.
         count: corners and triangles.
         beside: bytes of further files that it consists of.
 

@@ -76,9 +76,6 @@ def read_surfaces(path: str | Path) -> list[PartSurface]:
     object a part, in the order of the file or of ids; separate solids are parts of their own. Files whose names begin
     with a dot are not looked at. glTF is read as its standard has it, y up, and turned to z up.
 
-    Args:
-        path: folder or file.
-
     Returns:
         At least one; those of a file in a folder that cannot be read have an `error`.
 

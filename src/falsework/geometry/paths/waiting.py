@@ -53,7 +53,6 @@ def stages(way: ExitPath, state: States, leaving: Parts, spare: int, *, out: boo
     Args:
         way: moves of a part, and of others.
         state: in which it leaves, shape (parts,).
-        leaving: the part.
         spare: robots that hold nothing in that state.
         out: whether the way takes the part out, so that others go back.
     """

@@ -47,7 +47,6 @@ def settle_parts(
 
     Args:
         fixed: parts that stay, shape (parts,).
-        mass: of the parts.
         friction: coefficient of friction of parts that touch.
         bound: largest motion of any point, metres.
         most_steps: steps after which parts that still move are an error.

@@ -25,7 +25,6 @@ def generalized_advantages(
         rows: for each step the rollouts that took part, shape (active,).
         values: for each step their estimated return before the action, shape (active,).
         rewards: for each step the reward of the action, shape (active,).
-        rollouts: number of rollouts.
         discount: worth of a reward one step later.
         gae_lambda: 1 compares with the outcome, 0 with the next estimate.
 

@@ -64,7 +64,6 @@ class Exploration:
         """Explore, and draw states from the archive, evenly by the number of steps to the end.
 
         Args:
-            count: of states.
             horizon: steps to the end that states may be away.
             generator: source of randomness, on the device of the environment.
 
@@ -121,7 +120,6 @@ class Exploration:
         """Return rows of the archive: a random distance to the end for each, and the best of some states there.
 
         Args:
-            count: of rows.
             most: steps to the end that states may be away.
             compared: states of which the best one is taken, far from the data and not often left.
             generator: source of randomness.

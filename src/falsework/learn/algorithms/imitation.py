@@ -71,8 +71,6 @@ class Imitation(Learner):
             solved: states to draw from, and their valid actions.
             settings: resolved, see `ImitationPhase.resolved`.
             tasks: draws states with targets, in place of `solved`.
-            seed: of the batches.
-            precision: of the network.
             compiled: compile the network.
             shards: processes that share every batch and average their gradients.
             copies: policies with the very same weights for copies of the structure, as of

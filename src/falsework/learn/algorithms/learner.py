@@ -24,7 +24,6 @@ class Learner(ABC):
         Args:
             policy: trained in place.
             generator: of batches and rollouts, different in every process.
-            seed: of these.
             shards: processes that average their gradients.
             optimizer: further options of `PolicyOptimizer`.
         """
@@ -49,7 +48,6 @@ class Learner(ABC):
         """Take some steps of the optimizer.
 
         Args:
-            steps: how many.
             progress: of the whole training, before and after.
 
         Returns:

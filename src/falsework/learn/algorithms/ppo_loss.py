@@ -41,7 +41,6 @@ def ppo_loss(
     Args:
         logits: shape (batch, 2 parts).
         value: shape (batch,).
-        batch: transitions.
         weight: of each in the loss; 0 for padding. Shape (batch,).
         entropy_weight: of each, shape (batch,).
     """

@@ -199,10 +199,8 @@ def search_states(
     Args:
         oracle: verdicts on tensors.
         width: states kept a level.
-        seed: of the search.
         device: where to search; the states are the same on each.
         shards: processes that search together.
-        direction: end to begin at.
         report: called with progress messages.
         stop: asked before every level; true ends the search with the states that it has.
 
@@ -238,8 +236,6 @@ def search_several(
         oracle: verdicts on tensors.
         count: searches.
         width: states that each keeps a level.
-        direction: end to begin at.
-        seed: of the searches.
         shards: processes that share the searches.
 
     Returns:

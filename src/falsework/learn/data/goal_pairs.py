@@ -135,7 +135,6 @@ def unsolved_at_random(
         rules: of disassembly, on the device where verdicts are computed.
         known: verdicts that earlier calls learned; this one adds its own.
         tries: rollouts of each pair; one, and the others together if it fails.
-        seed: of the actions.
 
     Returns:
         Shape (pairs,).

@@ -76,7 +76,6 @@ def next_level(
         level: states that the candidates come from.
         candidates: parent, action and value of each, in the order in which each search prefers them, those of one
             search together, and no state twice in one search; shape (candidates,).
-        stable: verdicts.
         width: states that each search keeps.
         spare: candidates checked for each state that is kept, since some are unstable.
     """
@@ -107,7 +106,6 @@ def parallel_beam_search(
         oracle: verdicts on tensors; a state that slides, or stays undecided, is not kept.
         count: searches.
         width: states that each keeps a level.
-        direction: end to begin at.
         seed: of the choices; each search makes its own.
         device: where to search; the states are the same on each, as far as the verdicts are.
         numbers: parts of all states of a level that are in memory at once; the searches run in groups. There are fewer

@@ -19,7 +19,6 @@ class Network(torch.nn.Module):
         """Wrap a policy, whose weights stay its own.
 
         Args:
-            policy: the network.
             precision: `float32` or `bfloat16`.
             compiled: compile it for the batches of training, which all have one size.
         """

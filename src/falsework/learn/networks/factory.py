@@ -43,7 +43,6 @@ def make_policy(
         assembly: structure whose actions it proposes.
         settings: which network, and how large.
         device: where it lives.
-        seed: of the weights.
         given: for a class of your own, itself or a module of it, in place of the one that would be imported.
 
     Returns:
@@ -73,7 +72,6 @@ def transfer(
 
     Args:
         weights: `state_dict` of the trained policy.
-        settings: its settings.
         assembly: the other structure.
         device: where the new policy lives.
 

@@ -150,7 +150,6 @@ class LocalAttention(nn.Module):
         """Return logits and values.
 
         Args:
-            graph: of the structures.
             numbers: class of every part as of `Policy.numbers`, shape (structures, states, parts).
 
         Returns:

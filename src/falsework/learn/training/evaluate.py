@@ -65,7 +65,6 @@ def greedy_success(
 
     Args:
         environment: rules and verdicts.
-        policy: policy to evaluate.
         states: stable, shape (count, parts).
         targets: shape (count, parts), or None.
         shards: processes that share the states.
@@ -112,7 +111,6 @@ def measure_success(
         sets: states, and targets if there are any, of shape (count, parts).
         most: states of each set, a fixed sample; 0: all.
         search: replan where the most probable actions fail, so that every state gets a proven plan if one is found.
-        seed: of replanning.
         shards: processes that share the greedy rollouts.
         report: called with progress messages.
 

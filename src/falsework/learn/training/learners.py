@@ -43,11 +43,9 @@ def learner_of(
     """Make the learner of a phase.
 
     Args:
-        run: training run.
         environment: rules and verdicts.
         policy: trained in place.
         solved: states known to be solvable.
-        data: of the run.
         phase: its settings.
         begin: progress of the whole training at which the phase begins.
         compiled: compile the network.

@@ -35,7 +35,6 @@ class Journal:
         """Open the logs.
 
         Args:
-            folder: of the run.
             logs: `tensorboard`, `wandb` or both, beside `progress.jsonl`, which is always written.
             configuration: settings of the run, for those that show them.
             resumed_at: step of the checkpoint that training continues from; lines of later steps are dropped, since
@@ -105,7 +104,6 @@ class ProgressLines:
         """Write a line, if the last one is old enough.
 
         Args:
-            learner: at work.
             before: steps of the run less those of the learner, where the block begins.
             most: steps of the run where the block ends; a learner that finishes an update takes more.
             numbers: its figures.

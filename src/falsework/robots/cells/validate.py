@@ -54,7 +54,6 @@ def propose_home(cell: Cell, parts: PartShapes, robot: int) -> Array | None:
 
     Args:
         parts: the structure in it.
-        robot: index of the robot.
 
     Returns:
         Joint values in rad or m, rounded to half a degree or half a centimetre, shape (joints,); None if no free one

@@ -27,7 +27,6 @@ def clearances(
 
     Args:
         plan: the robot plan; its motions come one after the other where it has no schedule.
-        cell: its cell.
         parts: its structure in the cell.
         times: seconds from the beginning, shape (times,).
         within: largest distance that is looked at, metres.

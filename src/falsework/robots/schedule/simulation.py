@@ -46,9 +46,7 @@ def simulate(plan: RobotPlan, *, runs: int = 1000, most: float = 1.0, seed: int 
 
     Args:
         plan: robot plan with a schedule.
-        runs: number of runs.
         most: largest share by which a motion takes longer; uniform from 0.
-        seed: seed of the delays.
 
     Raises:
         PlanError: the plan has no schedule.

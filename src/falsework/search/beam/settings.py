@@ -66,7 +66,6 @@ class BeamSettings:
 
         Args:
             width: to begin with.
-            direction: end to begin at.
             seed: same seed, same machine, same result.
             lookahead: states ahead of narrow beams, so that the next level has a choice; with fewer, little but what
                 the guide puts first is tried.

@@ -102,8 +102,6 @@ class StateSearch(Search):
         dropped.
 
         Args:
-            direction: end to begin at.
-            guide: scores actions.
             state_limit: give up once more states than this were found.
 
         Raises:

@@ -41,7 +41,6 @@ class PlanMargins:
         """Measure the required margins, and one more.
 
         Args:
-            oracle: of the structure.
             states: of the plan, shape (states, parts).
             demands: margins required of the plan.
             also: another margin to measure.
@@ -57,7 +56,6 @@ class PlanMargins:
 
         Args:
             found: one entry a state, each of which is stable by itself.
-            kinds: margins to take.
             demands: margins required of the plan.
         """
         measured: dict[str, tuple[float | None, ...]] = {}
@@ -105,7 +103,6 @@ class PlanMargins:
         """Return the first state that is not stable at a recorded margin, and the reason; None if all are.
 
         Args:
-            oracle: of the structure.
             states: of the plan, in its order, shape (states, parts).
         """
         claims = MarginClaims(oracle.prober)

@@ -42,7 +42,6 @@ def unpack_proofs(
 
     Args:
         entry: `WHOLE` or `CHANGES`.
-        text: value of the entry.
         shape: states, rows and width that are expected.
         what: the text is to hold.
         room: bytes that arrays may take, or `_EXPANSION` times the size of the text if that is more.

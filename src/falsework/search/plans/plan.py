@@ -66,7 +66,6 @@ def _exit_paths(route: Route, task: Task, props: tuple[Prop, ...]) -> tuple[Exit
     Args:
         route: states of the parts, and of some of the props of the task.
         task: knows ways out.
-        props: those of the route.
     """
     if task.clearance is None or (task.moves_out == 1 and not task.turns):
         return ()

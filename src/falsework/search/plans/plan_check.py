@@ -99,7 +99,6 @@ def validate_plan(
 
     Args:
         assembly: the structure, with the props of the plan; or its name or path, to which they are added.
-        settings: stability criterion.
         demands: margins that every state must keep; those that the plan was made to keep if not given.
         progress: called with the number of states checked and of all states.
 

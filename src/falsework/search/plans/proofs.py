@@ -54,7 +54,6 @@ def prove_build(
     """Return the plan along a route, each state proved as built; up to where its replay fails, if it does.
 
     Args:
-        replayer: of the structure.
         known: replay of the route, where there was one.
         forces: keep the certificates and contact forces in the plan.
 

@@ -112,7 +112,6 @@ def steps_of(
         actions: as in `Plan.actions`, shape (steps,).
         who: robot that holds each part in each state, shape (steps + 1, parts).
         verdicts: one a state.
-        names: of the parts.
         presses: one entry a step, or none.
     """
     parts, found = states.shape[1], []
@@ -180,7 +179,6 @@ def undone(steps: tuple[PlanStep, ...], first: States, verdict: Verdict) -> tupl
     Args:
         steps: in the order of assembly.
         first: state before the first of them, shape (parts,).
-        verdict: verdict on that state.
     """
     before = [(first, verdict), *((step.state, step.verdict) for step in steps)]
     return tuple(

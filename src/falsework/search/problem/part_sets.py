@@ -100,7 +100,6 @@ def holds_together(assembly: Assembly, parts: Sequence[int], carrier: int, setti
     The group keeps its orientation, so one verdict is enough for its whole way out, as long as that is straight.
 
     Args:
-        parts: the group.
         carrier: the part of it that the robot holds.
         settings: criterion and limits of robots.
 

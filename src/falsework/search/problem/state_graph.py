@@ -94,7 +94,6 @@ class StateGraph:
             task: rules between start and target, `judged_by` the oracle that found the states stable; only states
                 between these two are used.
             states: stable states in any order, repeated or not, shape (count, parts).
-            origin: where it is.
             several: yields the states that removals of several parts from a state, shape (parts,), lead to, each with
                 the number of the step.
         """

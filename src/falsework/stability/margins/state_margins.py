@@ -110,9 +110,6 @@ class StateMargins:
         """Return the margins as a JSON object: those that were requested, null where there is no bound.
 
         For those that a deadline cut short, `fails_at` has values at which the state fails, without proof.
-
-        Args:
-            names: names of the parts.
         """
         data: dict[str, Any] = {"stands": self.stands}
         fails: dict[str, float] = {}
