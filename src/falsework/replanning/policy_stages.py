@@ -13,7 +13,7 @@ from falsework.assembly.state import Mask, States
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.result import Stage
 from falsework.replanning.session import ReplanContext, ReplanSession
-from falsework.search.problem.deadline import AdaptiveBatchSize
+from falsework.search.problem.deadline import pieces
 from falsework.search.problem.result import Route
 from falsework.search.problem.rollout import Rollout, follow_scores
 from falsework.search.problem.task import Direction, Task
@@ -171,19 +171,14 @@ def _judged_steps(rollout: Rollout, task: Task) -> list[int]:
 def _judge(owners: Sequence[ReplanSession], states: States, parents: States) -> NDArray[np.int8]:
     """Return verdicts for several sessions in one batch; 0 for those whose clock has run out."""
     verdict = np.zeros(len(states), dtype=np.int8)
-    pace = AdaptiveBatchSize(limited=any(session.clock.limited for session in owners))
     oracle = owners[0].context.prover.oracle
-    begin = 0
-    while begin < len(states):
-        rows = np.arange(begin, min(begin + pace.batch, len(states)))
-        begin += len(rows)
+    for rows in pieces(len(states), limited=any(session.clock.limited for session in owners)):
         owners[0].clock.between()
         rows = np.array([row for row in rows.tolist() if not owners[row].clock.passed], dtype=np.int64)
         if len(rows) == 0:
             continue
         since = time.perf_counter()
-        with pace.measure():
-            verdict[rows] = oracle.verdicts(states[rows], near=parents[rows]).verdict
+        verdict[rows] = oracle.verdicts(states[rows], near=parents[rows]).verdict
         taken = time.perf_counter() - since
         for row in rows.tolist():
             owners[row].oracle.asked += 1

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
+from numpy.typing import NDArray
 
 from falsework.errors import InputError
 
@@ -112,19 +113,16 @@ class Deadline:
         self.spent[what] = self.spent.get(what, 0.0) + seconds
 
 
-class AdaptiveBatchSize:
-    """Batch size between two checks of the deadline, adapted to the time that a state takes."""
+def pieces(count: int, *, limited: bool) -> Iterator[NDArray[np.int64]]:
+    """Yield the numbers of some states in pieces, between which to check a deadline: all at once if there is none.
 
-    def __init__(self, *, limited: bool) -> None:
-        """Begin small if there is a deadline; otherwise take all at once."""
-        self.batch = PIECE if limited else _MOST
-        self._limited = limited
-
-    @contextmanager
-    def measure(self) -> Iterator[None]:
-        """Adapt to the time that a batch of this size took."""
-        begun = time.perf_counter()
-        yield
-        if self._limited:
-            taken = max(time.perf_counter() - begun, 1e-6)
-            self.batch = int(min(max(self.batch * min(_SLICE / taken, 2.0), 1), _MOST))
+    Pieces adapt to the time that one takes until the next is asked for.
+    """
+    begin, size = 0, PIECE if limited else _MOST
+    while begin < count:
+        since = time.perf_counter()
+        yield np.arange(begin, min(begin + size, count))
+        begin += size
+        if limited:
+            taken = max(time.perf_counter() - since, 1e-6)
+            size = int(min(max(size * min(_SLICE / taken, 2.0), 1), _MOST))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.assembly.state import Mask, States
-from falsework.search.problem.deadline import AdaptiveBatchSize, Deadline
+from falsework.search.problem.deadline import Deadline, pieces
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.oracle import StabilityOracle
@@ -57,16 +57,12 @@ class TimedOracle(Oracle):
             with self._clock.piece("verdicts"):
                 return self._oracle.verdicts(states, near=near, require_certificate=True)
         verdicts = Verdicts.all_undecided(len(states))
-        pace = AdaptiveBatchSize(limited=self.limited)
-        begin = 0
-        while begin < len(states):
-            rows = np.arange(begin, min(begin + pace.batch, len(states)))
-            with self._clock.piece("verdicts"), pace.measure():
+        for rows in pieces(len(states), limited=self.limited):
+            with self._clock.piece("verdicts"):
                 found = self._oracle.verdicts(states[rows], near=None if near is None else near[rows])
             verdicts.put(rows, found)
             verdicts.verdict[rows[self.rules_out(states[rows])]] = Verdict.SLIDES
             self.asked += len(rows)
-            begin += len(rows)
         return verdicts
 
     def plausible(self, states: States, parents: States) -> Mask:
