@@ -12,7 +12,7 @@ from falsework import Assembly, Direction, Outcome, StabilityOracle, Task, load_
 from falsework.errors import InputError
 from falsework.search import BeamSearch, BeamSettings, ExhaustiveSearch, SearchProgress, SupportGuide
 from falsework.search.beam.frontier import Level, PackedLevel, expand, pack
-from falsework.search.beam.scores import Priorities, Scores
+from falsework.search.beam.scores import Scores
 from falsework.search.problem.hashing import StateHash
 from falsework.search.problem.result import Route
 
@@ -320,19 +320,18 @@ def test_the_best_are_the_first_of_all(rules: Any, direction: Direction, ties: b
         shapes = (len(level),), (len(level), 18)
         before, guide = (random.random(shape).round(0 if ties else 9) for shape in shapes)
         scores = Scores(frontier, before, guide)
-        promise = Priorities(scores, np.random.default_rng(step))
         rows = np.flatnonzero(frontier.fixing)
         everything = scores.of(frontier.candidates())
         gap = np.ptp(everything) + 1.0
-        np.testing.assert_array_equal(promise.of(rows), scores.of(rows) - gap * frontier.held(rows))
+        np.testing.assert_array_equal(scores.promise(rows), scores.of(rows) - gap * frontier.held(rows))
         shuffled = np.random.default_rng(step).permutation(rows)
-        ordered = shuffled[np.argsort(-promise.of(shuffled), kind="stable")]
+        ordered = shuffled[np.argsort(-scores.promise(shuffled), kind="stable")]
         for most_held in (np.inf, 2, 1):
             wanted = ordered[frontier.held(ordered) <= most_held]
             for count in (1, 3, 10, 1000):
-                best = Priorities(scores, np.random.default_rng(step)).best_fixing(count, most_held)
+                best = scores.best_fixing(count, most_held, np.random.default_rng(step))
                 if not ties:
-                    assert len(np.unique(promise.of(rows))) == len(rows)
+                    assert len(np.unique(scores.promise(rows))) == len(rows)
                 np.testing.assert_array_equal(best, wanted[:count])
         found = frontier.candidates()
         level = frontier.states(random.permutation(found)[:12])

@@ -12,7 +12,7 @@ from falsework.assembly.state import INSTALLED, REMOVED, States
 from falsework.search.beam.failed_moves import FailedMoves
 from falsework.search.beam.frontier import Frontier, Rows
 from falsework.search.beam.paths import BeamPaths
-from falsework.search.beam.scores import Priorities, Scores
+from falsework.search.beam.scores import Scores
 from falsework.search.beam.settings import AHEAD
 from falsework.search.problem.oracle import CountingOracle
 from falsework.search.problem.task import Direction
@@ -100,17 +100,17 @@ class Selector:
             paths: second test of candidates with a stable verdict.
             commit: once `width` are found, drop states that keep more robots busy than these.
         """
-        frontier, promise = self.frontier, Priorities(self.scores, self.rng)
-        loose = self.order(np.flatnonzero(frontier.moves & ~frontier.fixing), promise.of, width)
+        frontier, promise = self.frontier, self.scores.promise
+        loose = self.order(np.flatnonzero(frontier.moves & ~frontier.fixing), promise, width)
         proven, rejected = self._verify_untried_first(loose, width, paths, waits=commit and self.judge.replayed)
         most_held = np.inf
         if commit and len(proven) >= width:
             most_held = float(frontier.held(proven).max())
         if self.cluster is not None:
-            fixed = self.order(np.flatnonzero(frontier.fixing), promise.of, lookahead)
+            fixed = self.order(np.flatnonzero(frontier.fixing), promise, lookahead)
             fixed = fixed[frontier.held(fixed) <= most_held][:lookahead]
         else:
-            fixed = self._hopeful_first(promise.best_fixing(_CHOICE * lookahead, most_held), lookahead)
+            fixed = self._hopeful_first(self.scores.best_fixing(_CHOICE * lookahead, most_held, self.rng), lookahead)
         return self._selection(np.concatenate([proven, fixed]), rejected)
 
     def _hopeful_first(self, fixed: Rows, count: int) -> Rows:
