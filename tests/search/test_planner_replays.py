@@ -120,7 +120,7 @@ def test_what_is_left_out_before_its_replay_without_a_proof_proves_nothing(rules
     result = search.run()
     assert not result.found
     assert result.outcome is (Outcome.PROVED_IMPOSSIBLE if proven else Outcome.NOT_FOUND)
-    assert search.infeasible == proven
+    assert (search.done and not search.found and search.exhaustive) == proven
 
 
 def test_parts_slip_far_only_where_nothing_else_is_left(rules: Any) -> None:

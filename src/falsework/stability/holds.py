@@ -49,7 +49,8 @@ class HoldMode(StrEnum):
     FORCE = "force"
     """The wrench: a robot that presses gives way in all directions."""
     HYBRID = "hybrid"
-    """The force along one direction, and the pose across it: a robot that presses gives way along that direction only."""
+    """The force along one direction, and the pose across it: a robot that presses gives way along that direction only.
+    """
 
 
 @dataclass(frozen=True)

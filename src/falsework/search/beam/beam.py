@@ -174,11 +174,6 @@ class BeamSearch(Search):
         return self.found or (self._dead and (self.exhaustive or self._over or not self.settings.restarts))
 
     @property
-    def infeasible(self) -> bool:
-        """Whether the search is dead with no state left out: there is no plan."""
-        return self._dead and self.exhaustive
-
-    @property
     def exhaustive(self) -> bool:
         """Whether no state was left out so far: if so and the search is dead, there is no plan."""
         return all(self._whole)

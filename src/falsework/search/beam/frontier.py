@@ -135,10 +135,6 @@ class Frontier:
         """Return candidates written down, shape (rows, parts)."""
         return self.task.follow(self.level[self.parent(rows)], self.action(rows), self.direction)
 
-    def parents(self, rows: Rows) -> States:
-        """Return states of the level that candidates come from, shape (rows, parts)."""
-        return self.level[self.parent(rows)]
-
     @cached_property
     def held_before(self) -> NDArray[np.int64]:
         """Parts that robots hold in each state of the level, shape (level,)."""
