@@ -576,13 +576,12 @@ def test_errors_are_ours() -> None:
 def test_a_deadline_may_pass_before_a_search_begins() -> None:
     """A search that raises then, such as on the ends of the task, ends its turn and no other request."""
 
-    class Late:
-        def run(self, *, progress: object = None, stop: object = None) -> SearchResult:
-            raise DeadlineExceeded
+    def late(*, progress: object = None, stop: object = None) -> SearchResult:
+        raise DeadlineExceeded
 
     clock = SimpleNamespace(passed=True, limited=True, between=lambda: None, check=lambda: None)
     session = cast(ReplanSession, SimpleNamespace(busy=False, clock=clock))
-    turns = TimeSlices(Late(), Stage.EXHAUSTIVE, 1)
+    turns = TimeSlices(late, Stage.EXHAUSTIVE, 1)
     assert turns.take(session) is None
     assert turns.run(lambda: True) is None
     assert not session.busy

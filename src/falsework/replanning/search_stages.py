@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,14 +35,8 @@ _TURN_LEVELS = 8
 """Levels that a search has before it is the turn of another request, where it searches alone."""
 
 
-class _Search(Protocol):
-    def run(self, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
-        """Run as `BeamSearch.run`."""
-        ...
-
-
 class _ReachabilityStage:
-    """Exhaustive search behind the interface of the other searches."""
+    """Exhaustive search that goes on where the replay of a route fails."""
 
     def __init__(self, session: ReplanSession) -> None:
         self._session = session
@@ -93,16 +86,14 @@ class _GuidedBeams:
             self._search = self._beam(wider)
 
 
-class _TimedGuide:
-    """Action heuristic whose time counts as the policy's."""
+def _timed(guide: PolicyGuide, clock: Deadline) -> Guide:
+    """Return an action heuristic whose time counts as the policy's."""
 
-    def __init__(self, guide: PolicyGuide, clock: Deadline) -> None:
-        self._guide = guide
-        self._clock = clock
+    def scores(states: States, actions: Mask, direction: Direction) -> NDArray[np.float64]:
+        with clock.timed("policy"):
+            return guide(states, actions, direction)
 
-    def __call__(self, states: States, actions: Mask, direction: Direction) -> NDArray[np.float64]:
-        with self._clock.timed("policy"):
-            return self._guide(states, actions, direction)
+    return scores
 
 
 def search_on(session: ReplanSession, guide: Guide) -> Iterator[None]:
@@ -119,18 +110,18 @@ def search_on(session: ReplanSession, guide: Guide) -> Iterator[None]:
         yield from _better_plans(session, guide)
     task = session.task  # searches that hold parts again, or move several, end by examining every state themselves
     if not (session.decided or session.clock.passed or task.allow_regrasp or task.together is not None):
-        yield from _finish([TimeSlices(_ReachabilityStage(session), Stage.EXHAUSTIVE, _TURN_LEVELS)], session)
+        yield from _finish([TimeSlices(_ReachabilityStage(session).run, Stage.EXHAUSTIVE, _TURN_LEVELS)], session)
 
 
 def _first_plan(session: ReplanSession, guide: Guide) -> Iterator[None]:
     settings = PlannerSettings(session.context.settings.width, seed=session.request.seed)
     # Later missing parts are looked for once there is a plan.
     task = replace(session.task, missing=(), postponed=())
-    rivals = [TimeSlices(Planner(task, session.oracle, settings, guide=guide), Stage.SEARCH, _PLAIN_LEVELS)]
+    rivals = [TimeSlices(Planner(task, session.oracle, settings, guide=guide).run, Stage.SEARCH, _PLAIN_LEVELS)]
     policy = session.context.guide
     if policy is not None and _affordable(session, policy):
-        timed = _TimedGuide(policy.for_task(session.task), session.clock)
-        rivals.insert(0, TimeSlices(_GuidedBeams(session, timed), Stage.GUIDED, 1))
+        guided = _GuidedBeams(session, _timed(policy.for_task(session.task), session.clock))
+        rivals.insert(0, TimeSlices(guided.run, Stage.GUIDED, 1))
     yield from _finish(rivals, session)
 
 
@@ -151,7 +142,7 @@ def _better_plans(session: ReplanSession, guide: Guide) -> Iterator[None]:
     clock, reserve = session.clock, session.clock.reserve
     if clock.limited and request.alternatives > 1:
         clock.reserve += _CHOOSING * (clock.left - reserve)
-    yield from _finish([TimeSlices(planner, Stage.SEARCH, _TURN_LEVELS)], session)
+    yield from _finish([TimeSlices(planner.run, Stage.SEARCH, _TURN_LEVELS)], session)
     clock.reserve = reserve
     if request.alternatives == 1:
         session.take(planner.routes)
@@ -185,8 +176,8 @@ def _finish(rivals: list[TimeSlices], session: ReplanSession) -> Iterator[None]:
 class TimeSlices:
     """Search that runs some levels per turn."""
 
-    def __init__(self, search: _Search, decider: Stage, levels: int) -> None:
-        self.search = search
+    def __init__(self, search: Callable[..., SearchResult], decider: Stage, levels: int) -> None:
+        self._search = search
         self.decider = decider
         self._levels = levels
         self._left = 0
@@ -214,7 +205,7 @@ class TimeSlices:
     def run(self, stop: Stop) -> SearchResult | None:
         """Run the search; None if the deadline passed before it had anything to report."""
         try:
-            return self.search.run(progress=self._count, stop=stop)
+            return self._search(progress=self._count, stop=stop)
         except DeadlineExceeded:
             return None
 
