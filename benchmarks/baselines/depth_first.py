@@ -142,7 +142,7 @@ class DepthFirstSearch:
         stable = frontier.free(candidates)
         asked = candidates[~stable]
         if len(asked):
-            stable[~stable] = self._judge.stable(frontier.states(asked), frontier.parents(asked))
+            stable[~stable] = self._judge.stable(frontier.states(asked), frontier.level[frontier.parent(asked)])
         self._candidates += len(frontier)
         rows = candidates[stable]
         rng = np.random.default_rng((self.settings.seed, len(self._entered)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +18,7 @@ from falsework.stability.strength import strength_of
 from falsework.stability.verdict import Proof, Verdict, Verdicts
 
 if TYPE_CHECKING:
-    from scipy.sparse import csc_array
+    from scipy.sparse import csc_array, csr_array
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -55,9 +54,7 @@ class SecondOrder:
         points, parts = len(self._axes), assembly.part_count
         self._friction = strength_of(assembly, claim.gravity, claim.reserve).friction
         self._motion = geometry.motion.data.reshape(points, 3, 12)
-        both = np.stack([geometry.part_a, geometry.part_b], axis=1)
-        first = np.flatnonzero(np.r_[True, (both[1:] != both[:-1]).any(axis=1)][:points])
-        self._pairs, self._count = both[first], np.diff(np.r_[first, points])
+        self._columns = geometry.motion.indices.reshape(points, 3, 12)
         self._own = np.zeros((parts, 6, 6))
         self._own[:, :3, :3] = assembly.mass.mass[:, None, None] * np.eye(3)
         self._own[:, 3:, 3:] = assembly.mass.inertia
@@ -98,9 +95,9 @@ class SecondOrder:
             above `NEUTRAL`.
         """
         free = state == 1
-        if not free.any() or not len(self._pairs):
+        if not free.any() or not len(self._axes):
             return None
-        around = _Around.of(free, self._pairs, self._count)
+        around = np.flatnonzero(free[self._geometry.part_a] | free[self._geometry.part_b])
         known = state[None], np.where(free[:, None], displacement, 0.0)[None]
         history, springs = springs, springs or springs_of_displacement(self.assembly, *known, self.claim)
         turning = self._turning(springs, around)
@@ -109,12 +106,13 @@ class SecondOrder:
         while waiting and trials < _TRIALS:
             closed, gripped, lean = waiting.pop()
             trials += 1
-            pairs = self._of_springs(springs, closed, gripped, lean, around)
-            if _is_positive(around.matrix(pairs, turning + NEUTRAL * self._own)):
+            law = self._law(springs, closed, gripped, around)
+            if _is_positive(self._matrix(law, lean, around, free) + _diagonal((turning + NEUTRAL * self._own)[free])):
                 continue
-            own = around.matrix(np.zeros_like(pairs), self._own)
+            own = _diagonal(self._own[free])
             dragged = self._dragged(springs, gripped, around)
-            stiffness = around.matrix(pairs if dragged is None else pairs + dragged, turning)
+            stiffness = self._matrix(law if dragged is None else law + dragged, lean, around, free)
+            stiffness = stiffness + _diagonal(turning[free])
             least = _lowest(stiffness, own, symmetric=dragged is None)
             if least is None:
                 continue
@@ -131,17 +129,15 @@ class SecondOrder:
                     waiting.append((closes, grips, lean))
         return None
 
-    def _of_springs(self, springs: Springs, closed: Mask, gripped: Mask, lean: Array, around: _Around) -> Array:
-        """Return the stiffness of the contact springs of pairs of parts, shape (pairs, 12, 12).
+    def _law(self, springs: Springs, closed: Mask, gripped: Mask, at: NDArray[np.int64]) -> Array:
+        """Return the stiffness of contact springs in their frames, shape (points around, 3, 3).
 
         Args:
             springs: at rest.
             closed: open points that count as closed, without friction, shape (points,).
             gripped: points whose friction at its limit counts as sticking, shape (points,).
-            lean: stiffness of normal forces that turn with a surface, shape (points around, 12, 12) or (1, 1, 1).
-            around: the pairs.
+            at: points of parts that can move, shape (points around,).
         """
-        at = around.points
         bears, pull, grips = springs.closed[0, at], springs.pull[0, at], gripped[at]
         law = np.zeros((len(at), 3, 3))
         law[:, 0, 0] = np.where(bears | closed[at], springs.normal[0, at], 0.0)
@@ -149,27 +145,44 @@ class SecondOrder:
         across = np.where(grips, 1.0, springs.across[0, at])[:, None, None] * (np.eye(2) - along)
         lateral = across + np.where(grips, 1.0, 0.0)[:, None, None] * along
         law[:, 1:, 1:] = np.where(bears, springs.tangential[0, at], 0.0)[:, None, None] * lateral
-        motion = self._motion[at]
-        return around.by_pair(motion.transpose(0, 2, 1) @ (law @ motion) + lean)
+        return law
 
-    def _dragged(self, springs: Springs, gripped: Mask, around: _Around) -> Array | None:
+    def _dragged(self, springs: Springs, gripped: Mask, at: NDArray[np.int64]) -> Array | None:
         """Return what friction at its limit adds, since it follows the normal force; None where there is none.
 
-        Unsymmetric, shape (pairs, 12, 12).
+        Unsymmetric, shape (points around, 3, 3).
         """
-        at = around.points
         friction = self._friction[at]
         slips = springs.closed[0, at] & springs.slips[0, at, 0] & ~gripped[at] & (friction > 0.0)
         if not slips.any():
             return None
         law = np.zeros((len(at), 3, 3))
         law[slips, 1:, 0] = (friction * springs.normal[0, at])[slips, None] * springs.pull[0, at][slips]
-        motion = self._motion[at]
-        return around.by_pair(motion.transpose(0, 2, 1) @ (law @ motion))
+        return law
 
-    def _turning(self, springs: Springs, around: _Around) -> Array:
+    def _matrix(self, law: Array, lean: csr_array | None, at: NDArray[np.int64], free: Mask) -> csc_array:
+        """Return the stiffness of contact points in the motions of free parts.
+
+        Args:
+            law: in their frames, shape (points around, 3, 3).
+            lean: stiffness of normal forces that turn with a surface, of all parts.
+            at: points of parts that can move, shape (points around,).
+            free: shape (parts,).
+        """
+        moving, columns = np.flatnonzero(np.repeat(free, 6)), self._columns[at]
+        whole = self._rows(self._motion[at], columns).T @ self._rows(law @ self._motion[at], columns)
+        return (whole if lean is None else whole + lean).tocsc()[:, moving][moving]
+
+    def _rows(self, entries: Array, columns: NDArray[np.integer]) -> csr_array:
+        """Return a matrix in the motions of all parts by its rows, shapes (..., entries of a row)."""
+        from scipy.sparse import csr_array
+
+        count = entries[..., 0].size
+        start = entries.shape[-1] * np.arange(count + 1)
+        return csr_array((entries.ravel(), columns.ravel(), start), shape=(count, 6 * self.assembly.part_count))
+
+    def _turning(self, springs: Springs, at: NDArray[np.int64]) -> Array:
         """Return the stiffness of contact forces whose points turn with the parts, shape (parts, 6, 6)."""
-        at = around.points
         force = np.einsum("pi,pij->pj", springs.forces[0, at], self._axes[at])
         virial = np.zeros((self.assembly.part_count, 3, 3))
         for part, sign in ((self._geometry.part_a[at], -1.0), (self._geometry.part_b[at], 1.0)):
@@ -180,78 +193,31 @@ class SecondOrder:
         turning[:, 3:, 3:] -= 0.5 * (virial + virial.transpose(0, 2, 1))
         return turning
 
-    def _leaning(self, springs: Springs, around: _Around) -> list[Array]:
+    def _leaning(self, springs: Springs, at: NDArray[np.int64]) -> list[csr_array | None]:
         """Return the stiffness of normal forces that turn with the surface of part `a`, and of `b`, without friction.
 
-        Shape (points around, 12, 12); the same for both, and without entries, where every point has friction.
+        The same for both, none, where every point has friction.
         """
-        at = around.points
-        smooth = springs.closed[0, at] & (self._friction[at] == 0.0)
-        if not smooth.any():
-            return [np.zeros((1, 1, 1))]
-        found = []
+        smooth = at[springs.closed[0, at] & (self._friction[at] == 0.0)]
+        if not len(smooth):
+            return [None]
+        tangents, columns = self._motion[smooth, 1:], self._columns[smooth, 1:]
+        # The normal turns by `w x n`: along `t1` by the rotation about `t2`, along `t2` by minus that about `t1`.
+        about = np.stack([-self._axes[smooth, 2], self._axes[smooth, 1]], axis=1)
+        turned = springs.forces[0, smooth, :1, None] * about
+        found: list[csr_array | None] = []
         for first in (3, 9):  # columns of the rotation of `a`, and of `b`
-            half = np.zeros((len(at), 12, 12))
-            # The normal turns by `w x n`: along `t1` by the rotation about `t2`, along `t2` by minus that about `t1`.
-            for along, across, sign in ((1, 2, 1.0), (2, 1, -1.0)):
-                force = np.where(smooth, sign * springs.forces[0, at, 0], 0.0)
-                axis = self._axes[at, across]
-                half[:, first : first + 3] -= force[:, None, None] * axis[:, :, None] * self._motion[at, along, None]
-            found.append(half + half.transpose(0, 2, 1))
+            half = self._rows(turned, columns[..., first : first + 3]).T @ self._rows(tangents, columns)
+            found.append(half + half.T)
         return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Around:
-    """Pairs of parts of which one can move, and the matrices of the parts that can."""
+def _diagonal(blocks: Array) -> csc_array:
+    """Return blocks of shape (parts, 6, 6) along a diagonal."""
+    from scipy.sparse import bsr_array, csc_array
 
-    points: NDArray[np.int64]
-    """Their contact points, pair by pair, shape (points around,)."""
-    free: Mask
-    """Parts that can move, shape (parts,)."""
-    first: NDArray[np.int64]
-    """First point of each pair among `points`, shape (pairs,)."""
-    order: NDArray[np.int64]
-    """Blocks of the matrix among four for every pair of parts and one for every part, row by row."""
-    column: NDArray[np.int64]
-    """Column of each of these blocks."""
-    start: NDArray[np.int64]
-    """First of these blocks in each row, shape (rows + 1,)."""
-
-    @classmethod
-    def of(cls, free: Mask, pairs: NDArray[np.int32], count: NDArray[np.int64]) -> _Around:
-        """Return the pairs around free parts.
-
-        Args:
-            free: shape (parts,).
-            pairs: all pairs of parts in contact, shape (all pairs, 2).
-            count: their contact points, shape (all pairs,).
-        """
-        near = free[pairs].any(axis=1)
-        points, some, each = np.flatnonzero(np.repeat(near, count)), pairs[near], np.arange(len(free))
-        rows, columns = np.r_[some[:, [0, 0, 1, 1]].ravel(), each], np.r_[some[:, [0, 1, 0, 1]].ravel(), each]
-        kept = np.flatnonzero(free[rows] & free[columns])
-        order = kept[np.lexsort((columns[kept], rows[kept]))]
-        number = np.cumsum(free) - 1
-        start = np.r_[0, np.cumsum(np.bincount(number[rows[order]], minlength=int(free.sum())))]
-        first = np.r_[0, np.cumsum(count[near])[:-1]]
-        return cls(points, free, first, order, number[columns[order]], start)
-
-    def by_pair(self, each: Array) -> Array:
-        """Return the sums over the points of each pair, shapes (points around, ...) and (pairs, ...)."""
-        return np.add.reduceat(each, self.first, axis=0) if len(each) else each
-
-    def matrix(self, pairs: Array, parts: Array) -> csc_array:
-        """Return the matrix of the free parts from blocks of pairs, (pairs, 12, 12), and of parts, (parts, 6, 6)."""
-        from scipy.sparse import bsr_array, csc_array
-
-        quarters = pairs.reshape(-1, 2, 6, 2, 6).transpose(0, 1, 3, 2, 4).reshape(-1, 6, 6)
-        blocks = np.concatenate([quarters, parts])[self.order]
-        size = 6 * (len(self.start) - 1)
-        # `sum_duplicates` changes its arrays in place.
-        matrix = bsr_array((blocks, self.column.copy(), self.start.copy()), shape=(size, size))
-        matrix.sum_duplicates()
-        return csc_array(matrix)
+    each = np.arange(len(blocks) + 1)
+    return csc_array(bsr_array((blocks, each[:-1], each)))
 
 
 def _is_positive(matrix: csc_array) -> bool:
