@@ -11,7 +11,7 @@ from msgspec import convert
 from falsework.errors import InputError, PlanError
 from falsework.search.plans.packed_proofs import pack_proofs
 from falsework.search.plans.plan import Plan
-from falsework.search.plans.plan_model import FORMAT, UNPROVEN, PlanFile
+from falsework.search.plans.plan_model import FORMAT, RULE_FIELDS, UNPROVEN, PlanFile
 from falsework.search.plans.plan_reader import PROOF_WORDS, PlanReader
 from falsework.stability.holds import HoldLoad
 from falsework.stability.verdict import Verdict
@@ -72,15 +72,7 @@ def plan_to_dict(plan: Plan, *, proofs: bool = False) -> dict[str, Any]:
         },
         "robots": plan.robots,
         "rules": {
-            "fixed": plan.fixed,
-            "missing": plan.missing,
-            "removable_only_if_clear": plan.removable_only_if_clear,
-            "support": plan.allow_regrasp,
-            "props": plan.prop_limit if plan.props else 0,
-            "parts_at_once": plan.parts_at_once,
-            "moves": plan.moves,
-            "turns": plan.turns,
-            "waiting": plan.waiting,
+            entry: getattr(plan, name) for entry, name in RULE_FIELDS.items() if name != "prop_limit" or plan.props
         },
         "stability": {**vars(plan.claim), "holds": plan.claim.holds.to_dict() if contact else None},
         "start": {"state": plan.states[0].tolist(), **records[0]},

@@ -124,6 +124,13 @@ class RulesEntry(FileModel, frozen=True):
     """Whether parts that no robot holds may be carried aside on ways out, and wait there."""
 
 
+RULE_FIELDS = dict(zip(RulesEntry.__struct_fields__, RulesEntry.__struct_fields__, strict=True)) | {
+    "support": "allow_regrasp",
+    "props": "prop_limit",
+}
+"""Fields of a plan by the entries of its rules."""
+
+
 class HoldsEntry(FileModel, frozen=True):
     """What robots that hold parts can do."""
 
