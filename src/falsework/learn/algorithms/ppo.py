@@ -16,6 +16,7 @@ from falsework.learn.algorithms.imitation import imitation_loss
 from falsework.learn.algorithms.learner import Learner
 from falsework.learn.algorithms.learner_context import LearnerContext
 from falsework.learn.algorithms.ppo_loss import Loss, ppo_loss
+from falsework.learn.algorithms.removals import Removals
 from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions
 from falsework.learn.algorithms.start_states import StartBatch
 from falsework.learn.networks.autocast import Network
@@ -120,11 +121,14 @@ class PPO(Learner):
         count = len(learnable)
         if count == 0:  # zero weight: other processes average their gradients with this one
             learnable = _padding(batch, self.environment.part_count)
+        removals = Removals.draw(self.environment, learnable, self.generator) if settings.removals else None
         rollouts = len(batch.states)
         entropy = torch.full((rollouts,), settings.entropy, device=device) if batch.entropy is None else batch.entropy
         entropy = entropy * self.entropy_factor
         weight = torch.ones(rollouts, device=device) if batch.weight is None else batch.weight
         rate = self.learning_rate(progress)
+        # Imitation has taught the value head nothing but success: what it says of the first rollouts misleads.
+        acts = float(batch.targets is None or self._begin == 0.0 or self.updates > 0)
         sums, surrogate = torch.zeros(6, device=device), torch.zeros(rollouts, device=device)
         taken = self.steps
         self.policy.train()
@@ -134,7 +138,8 @@ class PPO(Learner):
             for (rows, counts), shown in zip(pieces, imitated, strict=True):
                 piece = learnable.take(rows)
                 weights = weight[piece.rollout] * counts
-                loss, total = self._loss(piece, weights, entropy[piece.rollout], shown)
+                known = None if removals is None else removals.take(rows)
+                loss, total = self._loss(piece, weights, entropy[piece.rollout], shown, known, acts)
                 self.optimizer.step(total, learning_rate=rate, average=settings.average)
                 surrogate.index_add_(0, piece.rollout, loss.surrogate.abs() * counts)
                 sums += torch.cat([total.detach()[None], loss.statistics])
@@ -208,17 +213,22 @@ class PPO(Learner):
         weight: torch.Tensor,
         entropy_weight: torch.Tensor,
         shown: torch.Tensor | None,
+        removals: Removals | None,
+        acts: float,
     ) -> tuple[Loss, torch.Tensor]:
-        """Compute the PPO loss, and the total with the imitation loss, in one call of the network."""
+        """Compute the PPO loss, and the total with the other losses, in one call of the network."""
         states = batch.states if shown is None else torch.cat([batch.states, shown])
         logits, value = self.network(states, batch.targets)
         count = len(batch)
-        loss = ppo_loss(logits[:count], value[:count], batch, weight=weight, entropy_weight=entropy_weight)
-        if shown is None:
-            return loss, loss.total
-        mask = self.environment.rules.moves(shown)
-        valid = self.solved.valid_actions(shown, mask)
-        return loss, loss.total + self._settings.imitation * imitation_loss(logits[count:], mask, valid)
+        loss = ppo_loss(logits[:count], value[:count], batch, weight=weight, entropy_weight=entropy_weight, acts=acts)
+        total = loss.total
+        if removals is not None:
+            total = total + self._settings.removals * removals.loss(logits[:count], weight)
+        if shown is not None:
+            mask = self.environment.rules.moves(shown)
+            valid = self.solved.valid_actions(shown, mask)
+            total = total + self._settings.imitation * imitation_loss(logits[count:], mask, valid)
+        return loss, total
 
     def _report(self, transitions: Transitions, means: torch.Tensor) -> dict[str, float]:
         rollouts = transitions.success
