@@ -27,6 +27,8 @@ _IMITATED = 0.25
 """States imitated per step, as a share of the batch."""
 _FINAL_LEARNING_RATE = 0.1
 """Learning rate at the end of a phase, as a share of the initial one."""
+_WARM_UP = 100
+"""With goals: steps over which the learning rate rises, so that values change without harm to actions."""
 _BETAS, _EPSILON = (0.95, 0.999), 1e-5
 """Of AdamW, which decays no weights."""
 _ENTROPY_STEP, _ENTROPY_MOST = 1.5, 20.0
@@ -117,18 +119,21 @@ class PPO(Learner):
             self.solved.add(transitions.states[transitions.success[transitions.rollout]])
         explained = explained_variance(transitions.advantage, transitions.returns, self.shards)
         learnable = transitions.take((~self.solved.is_held_out(transitions.states)).nonzero()[:, 0])
-        learnable = replace(learnable, advantage=normalized(learnable.advantage, self.shards))
+        advantage = learnable.advantage
+        if batch.targets is not None and self.updates == 0 and self._begin > 0.0:
+            # Imitation has taught the value head that all ends well: it has no advantages of the first rollouts.
+            advantage = learnable.success[learnable.rollout].float()
+        learnable = replace(learnable, advantage=normalized(advantage, self.shards))
         count = len(learnable)
         if count == 0:  # zero weight: other processes average their gradients with this one
             learnable = _padding(batch, self.environment.part_count)
-        removals = Removals.draw(self.environment, learnable, self.generator) if settings.removals else None
+        asks = settings.removals and batch.targets is not None and count
+        removals = Removals.draw(self.environment, learnable, self.generator) if asks else None
         rollouts = len(batch.states)
         entropy = torch.full((rollouts,), settings.entropy, device=device) if batch.entropy is None else batch.entropy
         entropy = entropy * self.entropy_factor
         weight = torch.ones(rollouts, device=device) if batch.weight is None else batch.weight
         rate = self.learning_rate(progress)
-        # Imitation has taught the value head nothing but success: what it says of the first rollouts misleads.
-        acts = float(batch.targets is None or self._begin == 0.0 or self.updates > 0)
         sums, surrogate = torch.zeros(6, device=device), torch.zeros(rollouts, device=device)
         taken = self.steps
         self.policy.train()
@@ -139,8 +144,9 @@ class PPO(Learner):
                 piece = learnable.take(rows)
                 weights = weight[piece.rollout] * counts
                 known = None if removals is None else removals.take(rows)
-                loss, total = self._loss(piece, weights, entropy[piece.rollout], shown, known, acts)
-                self.optimizer.step(total, learning_rate=rate, average=settings.average)
+                loss, total = self._loss(piece, weights, entropy[piece.rollout], shown, known)
+                risen = 1.0 if batch.targets is None else min((self.steps + 1) / _WARM_UP, 1.0)
+                self.optimizer.step(total, learning_rate=rate * risen, average=settings.average)
                 surrogate.index_add_(0, piece.rollout, loss.surrogate.abs() * counts)
                 sums += torch.cat([total.detach()[None], loss.statistics])
         self.optimizer.check()
@@ -214,16 +220,15 @@ class PPO(Learner):
         entropy_weight: torch.Tensor,
         shown: torch.Tensor | None,
         removals: Removals | None,
-        acts: float,
     ) -> tuple[Loss, torch.Tensor]:
         """Compute the PPO loss, and the total with the other losses, in one call of the network."""
         states = batch.states if shown is None else torch.cat([batch.states, shown])
         logits, value = self.network(states, batch.targets)
         count = len(batch)
-        loss = ppo_loss(logits[:count], value[:count], batch, weight=weight, entropy_weight=entropy_weight, acts=acts)
+        loss = ppo_loss(logits[:count], value[:count], batch, weight=weight, entropy_weight=entropy_weight)
         total = loss.total
         if removals is not None:
-            total = total + self._settings.removals * removals.loss(logits[:count], weight)
+            total = total + self._settings.removals * removals.loss(logits[:count], batch.mask, weight)
         if shown is not None:
             mask = self.environment.rules.moves(shown)
             valid = self.solved.valid_actions(shown, mask)

@@ -35,7 +35,6 @@ def ppo_loss(
     *,
     weight: torch.Tensor,
     entropy_weight: torch.Tensor,
-    acts: float = 1.0,
 ) -> Loss:
     """Compute the clipped surrogate loss, the error of the value, and the entropy.
 
@@ -45,7 +44,6 @@ def ppo_loss(
         batch: transitions.
         weight: of each in the loss; 0 for padding. Shape (batch,).
         entropy_weight: of each, shape (batch,).
-        acts: weight of the surrogate and the entropy; 0 to learn values alone.
     """
     log_probability = masked_log_probabilities(logits, batch.mask)
     taken = log_probability.gather(1, batch.actions[:, None])[:, 0]
@@ -62,7 +60,7 @@ def ppo_loss(
     finite = log_probability.masked_fill(~batch.mask, 0.0)
     entropy = -(finite.exp() * batch.mask * finite).sum(dim=1)
     count = weight.count_nonzero().clamp(min=1)
-    each = acts * (surrogate - entropy_weight * entropy) + _VALUE_WEIGHT * error
+    each = surrogate + _VALUE_WEIGHT * error - entropy_weight * entropy
     with torch.no_grad():
         clipped = ((ratio - 1).abs() > _CLIP_RATIO).float()
         # http://joschu.net/blog/kl-approx.html: never negative, and of small variance.
