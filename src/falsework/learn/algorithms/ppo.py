@@ -27,7 +27,7 @@ _IMITATED = 0.25
 """States imitated per step, as a share of the batch."""
 _FINAL_LEARNING_RATE = 0.1
 """Learning rate at the end of a phase, as a share of the initial one."""
-_WARM_UP = 100
+_WARM_UP = 50
 """With goals: steps over which the learning rate rises, so that values change without harm to actions."""
 _BETAS, _EPSILON = (0.95, 0.999), 1e-5
 """Of AdamW, which decays no weights."""
