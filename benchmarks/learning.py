@@ -244,7 +244,7 @@ def line(
         phases=[phase.algorithm for phase in settings.phases],
         ppo={
             name: getattr(filled.phases[-1], name, None)
-            for name in ("starts", "rollouts", "epochs", "anywhere", "explored", "imitation")
+            for name in ("starts", "rollouts", "epochs", "anywhere", "explored", "imitation", "removals")
         },
         policy=result.policy.settings.kind,
         goal_conditioned=settings.policy.goal_conditioned,

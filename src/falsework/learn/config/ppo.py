@@ -50,9 +50,9 @@ class PpoPhase:
     imitation: float = 0.1
     """Weight of imitating states known to be solvable, which preserves what imitation learned. With goals nothing is
     imitated beside the rollouts: the network would memorise the paths between states of searches."""
-    removals: float = 0.0
-    """Weight of learning which parts could be removed (`falsework.learn.algorithms.removals`), for a verdict more at
-    each state where a robot is free."""
+    removals: float = 0.5
+    """With goals: weight of learning which parts could be removed (`falsework.learn.algorithms.removals`), for one
+    verdict more at each state."""
 
     def __post_init__(self) -> None:
         if self.starts not in get_args(Starts):
