@@ -339,7 +339,7 @@ def test_after_imitation_the_first_rollouts_reinforce_success(arch: Assembly) ->
     surrogate = {}
     for begin in (0.0, 0.5):
         ppo = with_targets(environment, starts, targets, begin=begin)
-        torch.nn.init.constant_(ppo.policy.value_head.bias, 10.0)
+        torch.nn.init.constant_(dict(ppo.policy.named_parameters())["value_head.bias"], 10.0)
         surrogate[begin] = ppo.update(StartBatch(starts, targets))["surrogate_loss"]
     assert surrogate[0.5] < 0.0 <= surrogate[0.0]
 
