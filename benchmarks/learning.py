@@ -178,6 +178,8 @@ def evaluated(
         drawn = roll_out(environment, UniformPolicy(), *tensors, greedy=False, generator=generator, keep="ends")
         found[name]["random"] = round(float(drawn.success.float().mean()), 6)
         if tensors[1] is not None:
+            ended = roll_out(environment, network, *tensors, keep="ends", checked=True)
+            found[name]["checked"] = round(float(ended.success.float().mean()), 6)
             found[name]["steps"] = record.spread(environment.rules.steps_left(*tensors).tolist())
     everything = "all states" if sets["test"][1] is None else "all unseen pairs"
     return {**found, "evaluated": f"at most {options.states} of each set" if options.states else everything}
@@ -242,7 +244,7 @@ def line(
         phases=[phase.algorithm for phase in settings.phases],
         ppo={
             name: getattr(filled.phases[-1], name, None)
-            for name in ("starts", "rollouts", "epochs", "anywhere", "explored", "imitation")
+            for name in ("starts", "rollouts", "epochs", "anywhere", "explored", "imitation", "removals")
         },
         policy=result.policy.settings.kind,
         goal_conditioned=settings.policy.goal_conditioned,

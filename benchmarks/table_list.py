@@ -99,6 +99,12 @@ def planned(runs: Runs) -> str:
 
 STRUCTURE = (("structure", "{structure}"),)
 STRUCTURE_AND_ROBOTS = (("structure", "{structure}"), ("robots", "{robots}"))
+PAIRS = (
+    ("success, %", "{test.success:%}"),
+    ("of a second draw", "{second.success:%}"),
+    ("checked", "{test.checked:%}"),
+    ("second, checked", "{second.checked:%}"),
+)
 
 RULES_KEY = (("switched off", "{without}"), ("criterion", "{criterion}"))
 RULES = (
@@ -364,13 +370,20 @@ TABLES = {
     "pairs": Table(
         "learning",
         (*STRUCTURE, ("further searches", "{searches}")),
-        (("success, %", "{test.success:%}"), ("of a second draw", "{second.success:%}")),
+        PAIRS,
         benchmark="learning table4",
         where=lambda record: (
             record["goal_conditioned"]
             and "random" in record["test"]
-            and (record["structure"] not in ("vault-62", "dome-72") or record.get("label") == "extended")
+            and (record["structure"] not in ("vault-62", "dome-72") or record.get("label") == "removals")
         ),
+    ),
+    "goal-recipes": Table(
+        "learning",
+        (*STRUCTURE, ("recipe", "{label}")),
+        PAIRS,
+        benchmark="learning table4",
+        where=lambda record: record.get("label", "").startswith(("extended", "removals")),
     ),
     "paper-table-5": Table(
         "learning",

@@ -101,12 +101,13 @@ def with_targets(
     *,
     tasks: GoalSampler | None = None,
     solved: SolvableStates | None = None,
+    begin: float = 0.0,
 ) -> PPO:
     solved = SolvableStates(environment.rules) if solved is None else solved
     policy = make_policy(environment.assembly, replace(RESIDUAL, goal_conditioned=True))
     tasks = Table(starts, targets) if tasks is None else tasks
     sampler = MixedStarts(starts, solved, settings.rollouts, tasks=tasks)
-    return PPO(LearnerContext(environment, policy, sampler, settings, solved=solved))
+    return PPO(LearnerContext(environment, policy, sampler, settings, solved=solved, begin=begin))
 
 
 def test_pairs_of_uncertain_success_come_first() -> None:
@@ -327,6 +328,20 @@ def test_a_target_one_action_away_is_learned(arch: Assembly) -> None:
     starts = complete.expand(len(actions), -1).contiguous()
     ppo = with_targets(environment, starts, environment.rules.follow(starts, actions))
     assert ppo.block(60, (0.0, 1.0))["rollout_success"] > 0.9
+
+
+def test_after_imitation_the_first_rollouts_reinforce_success(arch: Assembly) -> None:
+    """The value head says then that all ends well, and all advantages would be negative."""
+    environment = Environment(arch, 2, oracle=StabilityOracle(arch), device="cpu")
+    starts = environment.rules.complete(32)
+    actions = environment.rules.moves(starts[:1]).nonzero()[:, 1]
+    targets = environment.rules.follow(starts[: len(actions)], actions).repeat(32, 1)[:32]
+    surrogate = {}
+    for begin in (0.0, 0.5):
+        ppo = with_targets(environment, starts, targets, begin=begin)
+        torch.nn.init.constant_(dict(ppo.policy.named_parameters())["value_head.bias"], 10.0)
+        surrogate[begin] = ppo.update(StartBatch(starts, targets))["surrogate_loss"]
+    assert surrogate[0.5] < 0.0 <= surrogate[0.0]
 
 
 def test_tasks_are_drawn_anew(bottle: Assembly, bottle_graph: StateGraph) -> None:

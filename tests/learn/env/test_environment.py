@@ -162,6 +162,27 @@ def test_the_first_unstable_state_costs_one(arch: Assembly) -> None:
     assert not fallen.success.any()
 
 
+def test_checked_rollouts_take_back_what_falls(arch: Assembly) -> None:
+    """They go on with the next best action, and fail only where every action falls."""
+    environment = Environment(arch, 2, device="cpu")
+    starts = environment.rules.complete(20)
+    options: dict[str, Any] = {"greedy": False, "generator": environment.generator(0)}
+    plain = roll_out(environment, Indifferent(), starts, **options)
+    checked = roll_out(environment, Indifferent(), starts, checked=True, **options)
+    assert plain.unstable.any()
+    assert checked.length.sum() > plain.length.sum()
+    moved = (checked.states[1:] != checked.states[:-1]).any(dim=2)
+    taken = checked.actions >= 0
+    assert (taken & ~moved).any()
+    last = torch.arange(len(taken))[:, None] == checked.length - 1
+    kept = checked.states[1:][taken & ~(last & checked.unstable)]
+    assert StabilityOracle(arch).verdicts(kept.numpy()).stable.all()
+    for row in checked.unstable.nonzero()[:, 0].tolist():
+        before = checked.states[checked.length[row] - 1, row][None]
+        actions = environment.rules.moves(before).nonzero()[:, 1]
+        assert environment.step(before.expand(len(actions), -1).contiguous(), actions).unstable.all()
+
+
 def test_a_state_without_legal_action_has_failed() -> None:
     """Robots that hold two parts neither of which can leave wait for ever."""
     environment = Environment(load_structure("polycube"), 1, device="cpu", removable_only_if_clear=True)

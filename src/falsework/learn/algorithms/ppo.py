@@ -16,6 +16,7 @@ from falsework.learn.algorithms.imitation import imitation_loss
 from falsework.learn.algorithms.learner import Learner
 from falsework.learn.algorithms.learner_context import LearnerContext
 from falsework.learn.algorithms.ppo_loss import Loss, ppo_loss
+from falsework.learn.algorithms.removals import Removals
 from falsework.learn.algorithms.rollout_storage import Transitions, collect_transitions
 from falsework.learn.algorithms.start_states import StartBatch
 from falsework.learn.networks.autocast import Network
@@ -26,6 +27,8 @@ _IMITATED = 0.25
 """States imitated per step, as a share of the batch."""
 _FINAL_LEARNING_RATE = 0.1
 """Learning rate at the end of a phase, as a share of the initial one."""
+_WARM_UP = 50
+"""With goals: steps over which the learning rate rises, so that values change without harm to actions."""
 _BETAS, _EPSILON = (0.95, 0.999), 1e-5
 """Of AdamW, which decays no weights."""
 _ENTROPY_STEP, _ENTROPY_MOST = 1.5, 20.0
@@ -116,10 +119,16 @@ class PPO(Learner):
             self.solved.add(transitions.states[transitions.success[transitions.rollout]])
         explained = explained_variance(transitions.advantage, transitions.returns, self.shards)
         learnable = transitions.take((~self.solved.is_held_out(transitions.states)).nonzero()[:, 0])
-        learnable = replace(learnable, advantage=normalized(learnable.advantage, self.shards))
+        advantage = learnable.advantage
+        if batch.targets is not None and self.updates == 0 and self._begin > 0.0:
+            # Imitation has taught the value head that all ends well: it has no advantages of the first rollouts.
+            advantage = learnable.success[learnable.rollout].float()
+        learnable = replace(learnable, advantage=normalized(advantage, self.shards))
         count = len(learnable)
         if count == 0:  # zero weight: other processes average their gradients with this one
             learnable = _padding(batch, self.environment.part_count)
+        asks = settings.removals and batch.targets is not None and count
+        removals = Removals.draw(self.environment, learnable, self.generator) if asks else None
         rollouts = len(batch.states)
         entropy = torch.full((rollouts,), settings.entropy, device=device) if batch.entropy is None else batch.entropy
         entropy = entropy * self.entropy_factor
@@ -134,8 +143,10 @@ class PPO(Learner):
             for (rows, counts), shown in zip(pieces, imitated, strict=True):
                 piece = learnable.take(rows)
                 weights = weight[piece.rollout] * counts
-                loss, total = self._loss(piece, weights, entropy[piece.rollout], shown)
-                self.optimizer.step(total, learning_rate=rate, average=settings.average)
+                known = None if removals is None else removals.take(rows)
+                loss, total = self._loss(piece, weights, entropy[piece.rollout], shown, known)
+                risen = 1.0 if batch.targets is None else min((self.steps + 1) / _WARM_UP, 1.0)
+                self.optimizer.step(total, learning_rate=rate * risen, average=settings.average)
                 surrogate.index_add_(0, piece.rollout, loss.surrogate.abs() * counts)
                 sums += torch.cat([total.detach()[None], loss.statistics])
         self.optimizer.check()
@@ -208,17 +219,21 @@ class PPO(Learner):
         weight: torch.Tensor,
         entropy_weight: torch.Tensor,
         shown: torch.Tensor | None,
+        removals: Removals | None,
     ) -> tuple[Loss, torch.Tensor]:
-        """Compute the PPO loss, and the total with the imitation loss, in one call of the network."""
+        """Compute the PPO loss, and the total with the other losses, in one call of the network."""
         states = batch.states if shown is None else torch.cat([batch.states, shown])
         logits, value = self.network(states, batch.targets)
         count = len(batch)
         loss = ppo_loss(logits[:count], value[:count], batch, weight=weight, entropy_weight=entropy_weight)
-        if shown is None:
-            return loss, loss.total
-        mask = self.environment.rules.moves(shown)
-        valid = self.solved.valid_actions(shown, mask)
-        return loss, loss.total + self._settings.imitation * imitation_loss(logits[count:], mask, valid)
+        total = loss.total
+        if removals is not None:
+            total = total + self._settings.removals * removals.loss(logits[:count], batch.mask, weight)
+        if shown is not None:
+            mask = self.environment.rules.moves(shown)
+            valid = self.solved.valid_actions(shown, mask)
+            total = total + self._settings.imitation * imitation_loss(logits[count:], mask, valid)
+        return loss, total
 
     def _report(self, transitions: Transitions, means: torch.Tensor) -> dict[str, float]:
         rollouts = transitions.success

@@ -50,6 +50,9 @@ class PpoPhase:
     imitation: float = 0.1
     """Weight of imitating states known to be solvable, which preserves what imitation learned. With goals nothing is
     imitated beside the rollouts: the network would memorise the paths between states of searches."""
+    removals: float = 0.5
+    """With goals: weight of learning which parts could be removed (`falsework.learn.algorithms.removals`), for one
+    verdict more at each state."""
 
     def __post_init__(self) -> None:
         if self.starts not in get_args(Starts):
@@ -68,7 +71,7 @@ class PpoPhase:
             )
         if not 0 <= self.average < 1:
             raise InputError(f"average is {self.average:g}; give 0 or more, and less than 1")
-        for name in ("entropy", "entropy_floor", "imitation"):
+        for name in ("entropy", "entropy_floor", "imitation", "removals"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} is {getattr(self, name):g}; give 0 or more")
 

@@ -80,6 +80,7 @@ def play(
     greedy: bool = True,
     temperature: float = 1.0,
     generator: torch.Generator | None = None,
+    checked: bool = False,
 ) -> Iterator[Move]:
     """Follow a policy, one action of all rollouts that go on at a time; arguments as in `roll_out`.
 
@@ -102,8 +103,23 @@ def play(
             logits, value = _ask(environment, policy, states, targets)
             actions = choose_actions(logits, mask, greedy=greedy, temperature=temperature, generator=generator)
         step = environment.step(states, actions, targets)
+        if checked:
+            step = _taken_back(states, mask.scatter(1, actions[:, None], False), step)
         yield Move(rows, states, targets, mask, logits, value, actions, step)
         states, mask, going = step.states, step.mask, ~step.done
+
+
+def _taken_back(states: torch.Tensor, others: torch.Tensor, step: Step) -> Step:
+    """Return a step without actions after which stability is not proven, where other actions are left to try."""
+    back = step.unstable & others.any(dim=1)
+    return Step(
+        torch.where(back[:, None], states, step.states),
+        step.reward.masked_fill(back, 0.0),
+        step.done & ~back,
+        step.success,
+        step.unstable & ~back,
+        torch.where(back[:, None], others, step.mask),
+    )
 
 
 def _ask(
@@ -143,6 +159,7 @@ def roll_out(
     temperature: float = 1.0,
     generator: torch.Generator | None = None,
     keep: Literal["all", "ends"] = "all",
+    checked: bool = False,
 ) -> Rollouts:
     """Follow a policy from stable start states until every rollout has ended.
 
@@ -157,6 +174,8 @@ def roll_out(
         temperature: divisor of the logits before sampling.
         generator: source of randomness for drawing; same state of it, same rollouts.
         keep: `all` states and actions, or only the `ends`, which takes little memory.
+        checked: take back an action after which stability is not proven, and the next action is another one; states
+            then repeat, and such a rollout fails only where no action is left.
 
     Raises:
         InputError: a temperature that is not above zero.
@@ -167,7 +186,16 @@ def roll_out(
     success = environment.rules.reached(starts, targets)
     unstable = torch.zeros_like(success)
     states, actions = [starts], []
-    moves = play(environment, policy, starts, targets, greedy=greedy, temperature=temperature, generator=generator)
+    moves = play(
+        environment,
+        policy,
+        starts,
+        targets,
+        greedy=greedy,
+        temperature=temperature,
+        generator=generator,
+        checked=checked,
+    )
     for move in moves:
         rows = move.rows
         last = last.index_copy(0, rows, move.step.states)
