@@ -321,7 +321,7 @@ def make(path: Path, groups: Iterable[str]) -> None:
     given = record()
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         halves = [[group for group in groups if (group in STABILITY) is chosen] for chosen in (True, False)]
-        done = dict(item for half in pool.map(build, halves, repeat(given)) for item in half.items())
+        done = dict(item for half in pool.map(build, filter(None, halves), repeat(given)) for item in half.items())
     built = {group: done[group] for group in groups}
 
     def write(file: IO[bytes]) -> None:
