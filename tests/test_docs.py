@@ -41,16 +41,23 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 def in_few_steps(words: list[str]) -> list[str]:
-    """Return a command that trains for minutes, or evaluates many states, with few steps, parts or states instead."""
+    """Return a command that takes long with few steps, parts or states instead, a film small and with few frames."""
     if words[1] == "evaluate":
-        place = words.index("--states") if "--states" in words else len(words)
-        return [*words[:place], "--states", "10", *words[place + 2 :]]
+        return with_value(words, "--states", "10")
     if words[1] == "graph":
         return of_few_parts(words)
+    if words[1] == "picture" and words[-1].endswith((".mp4", ".gif")):
+        return with_value(with_value(words, "--width", "160"), "--rate", "3")
     if words[1] != "train" or "--minutes" not in words:
         return words
     place = words.index("--minutes")
     return of_few_parts([*words[:place], "--steps", "10", *words[place + 2 :]])
+
+
+def with_value(words: list[str], option: str, value: str) -> list[str]:
+    """Return a command with another value of an option, or with that option."""
+    place = words.index(option) if option in words else len(words)
+    return [*words[:place], option, value, *words[place + 2 :]]
 
 
 def of_few_parts(words: list[str]) -> list[str]:

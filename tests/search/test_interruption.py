@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,13 +24,21 @@ from tests.search.test_waiting import dodge
 
 GAP = 0.5
 """Seconds of the processor between two questions at most, once kernels are compiled: numba cannot be interrupted."""
-LONG = 4.0
+LONG = 2.0
 """Seconds of the processor after which a computation is ended here."""
 SETTINGS = StabilitySettings(criterion="equilibrium")
 
 
 def burr() -> Assembly:
     return structure(*(solid(cells, fixed=piece == 0) for piece, cells in enumerate(pelikan())))
+
+
+@cache
+def burr_with_ways() -> Assembly:
+    """The burr with its table of straight ways."""
+    assembly = burr()
+    assembly.straight_ways.prepare()
+    return assembly
 
 
 def straight_ways() -> Callable[[], Any]:
@@ -60,9 +69,8 @@ def waiting() -> Callable[[], Any]:
 
 
 def sets() -> Callable[[], Any]:
-    assembly = burr()
+    assembly = burr_with_ways()
     clearance = assembly.clearance_of_sets
-    assembly.straight_ways.prepare()
 
     def ask() -> None:
         for parts in clearance.sets(~assembly.boundary, 3):
@@ -101,9 +109,8 @@ def longest_gap(run: Callable[[], Any]) -> float:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_long_computations_ask_often_whether_they_are_to_end(kind: str) -> None:
-    """For the second time, that no kernel is compiled meanwhile."""
-    longest_gap(KINDS[kind]())
-    assert longest_gap(KINDS[kind]()) < GAP
+    """At the latest for the second time, if a kernel is compiled meanwhile."""
+    assert any(longest_gap(KINDS[kind]()) < GAP for _ in range(2))
 
 
 def test_a_deadline_ends_the_table_of_straight_ways_which_then_goes_on() -> None:
@@ -112,7 +119,7 @@ def test_a_deadline_ends_the_table_of_straight_ways_which_then_goes_on() -> None
     found = find_plans(assembly, robots=6, moves=99, stability=SETTINGS, start=np.full(7, 2), deadline=0.2)
     assert found.deadline_passed
     assert not found.found
-    whole = burr().clearance
+    whole = burr_with_ways().clearance
 
     def ask() -> None:
         nonlocal asked
@@ -131,7 +138,7 @@ def test_a_deadline_ends_the_table_of_straight_ways_which_then_goes_on() -> None
 @pytest.mark.parametrize("moves", [1, 300])
 def test_the_keyboard_ends_a_search_that_has_one_strategy(moves: int) -> None:
     """In the table of straight ways, and in a search for a way that is longer than a turn."""
-    asked, assembly = 0, burr()
+    asked, assembly = 0, burr_with_ways() if moves > 1 else burr()
 
     def interrupt() -> None:
         nonlocal asked
@@ -140,8 +147,6 @@ def test_the_keyboard_ends_a_search_that_has_one_strategy(moves: int) -> None:
             raise KeyboardInterrupt
 
     given: Any = {"settings": PlannerSettings(directions=(Direction.DISASSEMBLY,)), "stability": SETTINGS}
-    if moves > 1:
-        assembly.straight_ways.prepare()
     with interrupted_by(interrupt, large=moves > 1):
         found = find_plans(assembly, robots=6, moves=99, start=np.full(7, 2), **given)
     assert asked == moves

@@ -28,6 +28,7 @@ from falsework.stability.gpu.solver import GpuSolver
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import EQUILIBRIUM
 from falsework.stability.strength import strength_of
+from falsework.utils.kernels import Kernel
 
 linprog: Any = vars(scipy.optimize)["linprog"]  # without types, which take a type checker long to infer
 COMPILER = shutil.which("g++") or shutil.which("clang++")
@@ -261,6 +262,12 @@ def solver_on_host(assembly: Assembly, settings: StabilitySettings = EQUILIBRIUM
     """The solver for a GPU, on the processor."""
     problem = build_problem(assembly, cone=settings.friction_cone, gravity=settings.gravity)
     return GpuSolver(assembly, problem, settings, make_driver=lambda defines, _: HostDriver(defines, **limits))
+
+
+@pytest.fixture
+def interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run kernels as Python unless their dispatcher is called: with little data faster than to compile them alone."""
+    monkeypatch.setattr(Kernel, "__call__", lambda kernel, *arguments: kernel.py_func(*arguments))
 
 
 @pytest.fixture(scope="session")

@@ -133,7 +133,7 @@ def test_the_interior_point_method_needs_no_friction(scenes: Any, request: pytes
 
 
 @pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("friction", [1e-12, 2e-9, 1e-7, 1e-5])
+@pytest.mark.parametrize("friction", [1e-12, 2e-9, 1e-5])
 @pytest.mark.parametrize("name", ["polycube", "bottle"])
 def test_next_to_no_friction_is_decided(decided_with: Decided, name: str, friction: float, cone: Cone) -> None:
     """What stands without friction stands with a little, and what falls with more falls with a little."""
@@ -143,7 +143,7 @@ def test_next_to_no_friction_is_decided(decided_with: Decided, name: str, fricti
 
 
 @pytest.mark.parametrize("cone", CONES)
-@pytest.mark.parametrize("friction", [1e4, 1e6, 1e8])
+@pytest.mark.parametrize("friction", [1e4, 1e8])
 @pytest.mark.parametrize("name", ["bottle", "wall", "stack"])
 def test_more_friction_than_anything_has_is_decided(
     decided_with: Decided, name: str, friction: float, cone: Cone

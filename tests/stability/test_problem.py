@@ -90,6 +90,7 @@ def test_scaling_makes_the_largest_singular_value_one(assembly: Assembly) -> Non
     np.testing.assert_allclose(columns, columns[0])
 
 
+@pytest.mark.usefixtures("interpreted")
 def test_pairs_factor_the_map(scenes: Any, assembly: Assembly) -> None:
     """Forces through the 6-vector of each pair of parts give the wrenches of the dense map."""
     problem = build_problem(assembly)
@@ -109,6 +110,7 @@ def test_pairs_factor_the_map(scenes: Any, assembly: Assembly) -> None:
         np.testing.assert_allclose(out[structure.elimination.position[free]].ravel(), expected, atol=1e-12)
 
 
+@pytest.mark.usefixtures("interpreted")
 def test_elimination_agrees_with_dense_algebra(scenes: Any, assembly: Assembly) -> None:
     problem = build_problem(assembly)
     structure = build_structure(problem)
@@ -119,24 +121,25 @@ def test_elimination_agrees_with_dense_algebra(scenes: Any, assembly: Assembly) 
         pairs, count = restrict(structure, state, work)
         if count == 0:
             continue
-        assert factor_admm(structure, work, pairs, rho)
+        assert factor_admm.dispatcher(structure, work, pairs, rho)
         wrenches = scaled_map(problem, state)
         dense = rho * np.eye(len(wrenches)) + wrenches @ wrenches.T
         right = random.standard_normal(len(wrenches))
         slots = structure.elimination.position[np.flatnonzero(state == 1)]
         x = np.zeros_like(work.rhs)
         x[slots] = right.reshape(-1, 6)
-        solve_panels(work.panels, x, False)
+        solve_panels.dispatcher(work.panels, x, False)
         np.testing.assert_allclose(dense @ x[slots].ravel(), right, atol=1e-8)
 
 
+@pytest.mark.usefixtures("interpreted")
 def test_elimination_says_when_a_matrix_is_not_positive() -> None:
     structure = build_structure(build_problem(library.build("arch:blocks=7")))
     work = make_scratch(structure)
     pairs, _ = restrict(structure, np.array([1] * 7 + [2, 2], np.uint8), work)
-    assert not factor_admm(structure, work, pairs, -2.0)
+    assert not factor_admm.dispatcher(structure, work, pairs, -2.0)
     work.panels.upper[:] = np.nan
-    assert not factor_panels(structure.elimination.supernode, work.panels, True)
+    assert not factor_panels.dispatcher(structure.elimination.supernode, work.panels, True)
 
 
 def test_one_order_serves_every_state(assembly: Assembly) -> None:

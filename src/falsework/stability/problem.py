@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,7 +126,7 @@ class Problem:
 def build_problem(
     assembly: Assembly, *, cone: Cone = "octagon", gravity: float = 9.81, reserve: float = 1.0
 ) -> Problem:
-    """Set up the equilibrium problem of an assembly (paper, equations 2 to 6; docs/how-it-works).
+    """Set up the equilibrium problem of an assembly (paper, equations 2 to 6; docs/how-it-works), or return it again.
 
     Args:
         assembly: parts, contacts, masses and friction.
@@ -136,6 +137,19 @@ def build_problem(
     Raises:
         AssemblyError: a part whose inertia is not positive definite.
     """
+    given = cone, gravity, reserve
+    known, problem = _latest.get(assembly, (None, None))
+    if problem is None or known != given:
+        problem = _build(assembly, cone, gravity, reserve)
+        _latest[assembly] = given, problem
+    return problem
+
+
+_latest: WeakKeyDictionary[Assembly, tuple[tuple[Cone, float, float], Problem]] = WeakKeyDictionary()
+"""Problem of each assembly that was asked for last; oracles and replays of one assembly share it."""
+
+
+def _build(assembly: Assembly, cone: Cone, gravity: float, reserve: float) -> Problem:
     contacts, mass = assembly.contacts, assembly.mass
     owner, geometry = contacts.contact_of_point, geometry_of(contacts, mass)
     axes = contacts.point_frames.transpose(0, 2, 1)  # columns n, t1, t2

@@ -49,6 +49,7 @@ def test_repaired_forces_prove_the_state(
         assert (changed.sum(axis=1) < changed.shape[1]).any()  # forces farther away are those of before
 
 
+@pytest.mark.usefixtures("interpreted")
 def test_corridors_lead_from_the_change_to_a_support(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
     states, before = released
     structure, near = CpuSolver(build_problem(vault)).structure, np.empty(states.shape[1], np.uint8)
@@ -69,6 +70,7 @@ def test_corridors_lead_from_the_change_to_a_support(vault: Assembly, released: 
         assert any(vault.boundary[other] for part in reached for other in links[part])
 
 
+@pytest.mark.usefixtures("interpreted")
 def test_the_last_region_is_what_the_other_solvers_decide_on(
     vault: Assembly, released: tuple[NDArray, NDArray]
 ) -> None:
@@ -86,11 +88,14 @@ def test_the_last_region_is_what_the_other_solvers_decide_on(
             np.testing.assert_array_equal(near, expected)
 
 
-def test_regions_are_extended_where_they_press(vault: Assembly, released: tuple[NDArray, NDArray]) -> None:
+def test_regions_are_extended_where_they_press(
+    vault: Assembly, released: tuple[NDArray, NDArray], request: pytest.FixtureRequest
+) -> None:
     states, before = released
     solver = CpuSolver(build_problem(vault))
     structure, forces = solver.structure, solver.check(before).forces
     assert forces is not None
+    request.getfixturevalue("interpreted")
     region, near, wider = np.empty((3, states.shape[1]), np.uint8)
     velocity = np.zeros((len(structure.elimination.order), 6))
     velocity[:, 2] = -1.0
@@ -109,6 +114,8 @@ def test_regions_are_extended_where_they_press(vault: Assembly, released: tuple[
         assert extend_region(structure, state, region, velocity, 0.0 * force, 1) == kept  # nothing is pressed
 
 
+@pytest.mark.usefixtures("interpreted")
+@pytest.mark.usefixtures("interpreted")
 def test_corridors_lead_to_a_held_part_where_none_leads_to_a_support(vault: Assembly) -> None:
     structure, near = CpuSolver(build_problem(vault)).structure, np.empty(vault.part_count, np.uint8)
     parent = complete_state(vault.boundary)
