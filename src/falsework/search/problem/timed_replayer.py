@@ -17,6 +17,7 @@ from falsework.stability.contact.history import History, Presses, Replay, Replay
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.newton import RESTS
 from falsework.stability.contact.replay import Replayer
+from falsework.stability.contact.varied_replay import Change
 from falsework.stability.holds import Press
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
@@ -140,9 +141,16 @@ class DeadlineReplayer:
         return self._replayer.problem
 
     @property
-    def varies(self) -> bool:
-        """As of `Replayer`."""
-        return self._replayer.varies
+    def changes(self) -> tuple[Change, ...]:
+        """As of `AnyReplayer`."""
+        return self._replayer.changes
+
+    def also_under(self, changes: Sequence[Change]) -> None:
+        """As of `AnyReplayer`; sequences that were replayed before are replayed anew."""
+        if tuple(changes) != self.changes:
+            self._prefix = None
+            self._known.clear()
+        self._replayer.also_under(changes)
 
     @property
     def iterations(self) -> int:
