@@ -5,7 +5,7 @@
 
 `modes`: a plan with two robots that press under force control, and one under hybrid control; processor seconds with
 proofs, presses, how far parts move, and with `--judge` how far discrete elements build it. `settings`: seconds
-of the search, of one replay of its plan, of one by an ensemble of changed settings, and of all changes one by one.
+of the search, of one replay of its plan, and of all changes one by one.
 """
 
 from __future__ import annotations

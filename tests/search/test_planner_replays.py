@@ -19,8 +19,8 @@ from falsework.search.planner import Planner
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import Stop
 from falsework.search.problem.timed_replayer import DeadlineReplayer
-from falsework.stability.contact.history import History, Replay, ReplaySettings
-from falsework.stability.contact.varied_replay import AllVariations, Change
+from falsework.stability.contact.history import Change, History, Replay, ReplaySettings
+from falsework.stability.contact.varied_replay import AllVariations
 from falsework.stability.judges import discrete_elements
 from falsework.stability.judges.judgement import Judgement
 from falsework.stability.verdict import Verdict, Verdicts

@@ -123,8 +123,8 @@ class MakePlan(Command):
     maximise_margin: Annotated[Literal["friction", "tilt", "push"] | None, arg(help_behavior_hint=UNSET)] = None
     """Search for the plan whose weakest step has the largest margin of this kind, and report an upper bound."""
     robust: bool = False
-    """Accept only a plan whose replay also succeeds with other stiffness ratios, release increments and damping, and
-    from 20 random initial friction states."""
+    """Accept only a plan whose replay also succeeds from 20 random initial friction states, and without a reserve too
+    with other stiffness ratios, release increments and damping, as plans with a reserve do anyway."""
     judge: bool = False
     """Accept only a plan that an independent method builds too, with its presses, under the true friction: discrete
     elements on springs as stiff as the contacts of the criterion. It takes seconds to minutes for each plan that the

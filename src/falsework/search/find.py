@@ -336,10 +336,7 @@ def _choose(
 
 
 def _weak_states(route: States, planner: Planner, oracle: StabilityOracle) -> States | None:
-    """Return the states of a route, shape (steps + 1, parts), that cannot be proved or at which its replay fails.
-
-    None where the deadline passes before.
-    """
+    """Return the states of a route, shape (steps + 1, parts), that fail or have no proof; None if time is up before."""
     if oracle.replayer is None:
         return route[~prove(route, oracle, forces=False)[0].stable]
     before = len(planner.tests.forbidden)

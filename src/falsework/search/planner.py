@@ -292,18 +292,17 @@ class Planner:
         route = result.routes[0]
         if self._stage == "alternatives":
             self.states = np.concatenate([self.states, beam.states()])
-        replayer, falls = self.tests.replayer, self._falls + 1
-        before = () if replayer is None else replayer.changes
+        known, falls = self.tests.changes, self._falls + 1
         if not self.tests.passes(route, beam.replay_summary(), stop):
-            self._falls = falls
-            if replayer is not None and replayer.changes != before:
-                self._drop_beams()  # the steps of their paths have to stand under more than they were tried under
-                self._falls = falls
+            if self.tests.changes != known:
+                self._drop_beams()  # the steps of their paths were tried under less than they must stand under
             elif falls < MOST_FALLS:
                 beam.forbid(self.tests.forbidden)
             else:
                 limit = f"{falls} plans were found, and in each a state tips or a replay fails"
                 self._failed(replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit))
+                falls = 0
+            self._falls = falls
         elif self._stage != "alternatives":
             begin = not self.routes
             self.routes = [route]

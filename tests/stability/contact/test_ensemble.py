@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from falsework import Assembly, Plan, PlannerSettings, StabilitySettings, find_plans, load_structure
-from falsework.stability.contact.history import Presses
+from falsework.stability.contact.history import Change, Presses
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.varied_replay import (
-    Change,
     EnsembleReplayer,
     changed,
     inexact,

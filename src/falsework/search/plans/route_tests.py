@@ -12,6 +12,7 @@ from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route, Stop, barred_row
 from falsework.search.settings import PlannerSettings
+from falsework.stability.contact.history import Change
 from falsework.stability.contact.varied_replay import AnyReplayer
 
 
@@ -50,6 +51,11 @@ class RouteTests:
         self._oracle = oracle
         self.slow = settings.judge or self._acceptance.varies
         """Whether tests other than a replay decide."""
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Changes of settings under which replays are tried so far."""
+        return () if self.replayer is None else self.replayer.changes
 
     def passes(self, route: Route, known: PlanReplay | None = None, stop: Stop | None = None) -> bool:
         """Return whether a route passes all tests; exclude the first state that fails.

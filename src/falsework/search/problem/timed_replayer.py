@@ -13,11 +13,10 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.search.problem.deadline import PIECE, Deadline, DeadlineExceeded
 from falsework.search.problem.result import barred_row
-from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings
+from falsework.stability.contact.history import Change, History, Presses, Replay, ReplaySettings
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.newton import RESTS
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.contact.varied_replay import Change
 from falsework.stability.holds import Press
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings

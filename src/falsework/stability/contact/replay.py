@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import islice
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +22,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, States, as_states
 from falsework.stability.certificate import chunks
 from falsework.stability.contact.build_verifier import StepCertificate
-from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings, joined
+from falsework.stability.contact.history import Change, History, Presses, Replay, ReplaySettings, joined
 from falsework.stability.contact.hold_loads import Loads, loads_of_build
 from falsework.stability.contact.layout import ContactOptions
 from falsework.stability.contact.newton import OPEN, RESTS
@@ -38,9 +37,6 @@ from falsework.stability.second_order.growing_motion import SecondOrder
 from falsework.stability.second_order.springs import springs_at
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.stiffness import structure_size
-
-if TYPE_CHECKING:
-    from falsework.stability.contact.varied_replay import Change
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
-from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings
+from falsework.stability.contact.history import Change, History, Presses, Replay, ReplaySettings
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.newton import OPEN
 from falsework.stability.contact.replay import Replayer
@@ -84,21 +84,6 @@ class Variation:
     name: str
     good: bool
     falls_at: int | None
-
-
-@dataclass(frozen=True)
-class Change:
-    """Change of the settings of a replay, to which the result for a plan must be insensitive."""
-
-    name: str
-    ratio: float | None = None
-    """Ratio of tangential to normal stiffness; that of the settings if not given."""
-    hold_factor: float = 1.0
-    """Factor of the stiffness of holds, where they are not locked."""
-    replay: tuple[tuple[str, float], ...] = ()
-    """Fields of `ReplaySettings` with other values."""
-    press: int | None = None
-    """Error of all presses, an index of `inexact_presses`."""
 
 
 def _draw(number: int) -> Change:
