@@ -5,7 +5,7 @@
 
 `modes`: a plan with two robots that press under force control, and one under hybrid control; processor seconds with
 proofs, presses, how far parts move, and with `--judge` how far discrete elements build it. `settings`: seconds
-of the search, of one replay of its plan, of one by an ensemble of changed settings, and of all changes one by one.
+of the search, of one replay of its plan, and of all changes one by one.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from falsework import Assembly, PlannerSettings, find_plans, load_structure
 from falsework.search.find import PLANS
 from falsework.stability import HoldSettings
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.contact.varied_replay import DRAWS, EnsembleReplayer, replay_varied
+from falsework.stability.contact.varied_replay import DRAWS, replay_varied
 from falsework.stability.holds import HoldMode
 from falsework.stability.judges.discrete_elements import BuildJudge
 
@@ -104,8 +104,6 @@ def settings(options: Options) -> Iterator[dict[str, Any]]:
             begun = time.process_time()
             replayer.replay(states, presses=presses)
             begun = timed("replay", begun)
-            EnsembleReplayer(assembly, replayer.settings).replay(states, presses=presses)
-            begun = timed("ensemble", begun)
             replay_varied(replayer, states, presses, draws=DRAWS)
             timed("one_by_one", begun)
         measured = {f"{what}_seconds": spread(values) for what, values in seconds.items()}

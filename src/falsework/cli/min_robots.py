@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import lacks_reserve, reserve_lines
+from falsework.cli.planning import lacks_changes, lacks_reserve, reserve_lines
 from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
@@ -54,7 +54,9 @@ def report(answer: MinRobots, reserve: float, path: Path | None, output: Output)
         return Exit.INTERRUPTED
     if answer.deadline_passed and not answer.proven:
         output.note("the search ended before a plan or a proof was found; --deadline gives it more time")
-    lacking = "" if answer.plan is None else lacks_reserve(answer.plan, reserve)
+    plan, lacking = answer.plan, ""
+    if plan is not None:
+        lacking = lacks_reserve(plan, reserve) or lacks_changes(plan, asked=plan.claim.reserve > 1)
     if lacking:
         output.outcome("weaker")
         output.note(lacking)

@@ -24,6 +24,7 @@ from falsework.cli.planning import (
     HoldOptions,
     RegraspOptions,
     first_steps,
+    lacks_changes,
     lacks_judge,
     lacks_reserve,
     load_record,
@@ -122,8 +123,8 @@ class MakePlan(Command):
     maximise_margin: Annotated[Literal["friction", "tilt", "push"] | None, arg(help_behavior_hint=UNSET)] = None
     """Search for the plan whose weakest step has the largest margin of this kind, and report an upper bound."""
     robust: bool = False
-    """Accept only a plan whose replay also succeeds with other stiffness ratios, release increments and damping, and
-    from 20 random initial friction states."""
+    """Accept only a plan whose replay also succeeds from 20 random initial friction states, and without a reserve too
+    with other stiffness ratios, release increments and damping, as plans with a reserve do anyway."""
     judge: bool = False
     """Accept only a plan that an independent method builds too, with its presses, under the true friction: discrete
     elements on springs as stiff as the contacts of the criterion. It takes seconds to minutes for each plan that the
@@ -210,7 +211,12 @@ class MakePlan(Command):
             if result.interrupted:
                 output.note(f"{cut}; {saved}")
             first = planning.plans[0]
-            lacking = [lacks_reserve(first, stability.reserve), lacks_judge(first, asked=self.judge)]
+            changes = self.robust or first.claim.reserve > 1
+            lacking = [
+                lacks_reserve(first, stability.reserve),
+                lacks_changes(first, asked=changes),
+                lacks_judge(first, asked=self.judge),
+            ]
             for lack in filter(None, lacking):
                 output.note(f"falsework: {lack}")
             if any(lacking):
@@ -301,18 +307,11 @@ class MakePlan(Command):
 
         (path, saved), *_ = self._save([plan])
         assert saved.replay is not None
-        step = saved.replay.falls_at
-        if step is None:
-            output.file(path)
-            output.record({"best": {**(_replay_record(saved) or {}), "robust": False}})
-            output.note(
-                f"falsework: the best plan is in {path}: its replay succeeds under the default settings only; "
-                f"falsework check {path} --replay names those under which it fails"
-            )
-            return
+        assert saved.replay.falls_at is not None
         output.file(path)
         output.record({"best": _replay_record(saved)})
-        output.note(f"falsework: the best plan is in {path}: its replay fails {describe_place(saved, step)}")
+        where = describe_place(saved, saved.replay.falls_at)
+        output.note(f"falsework: the best plan is in {path}: its replay fails {where}")
 
     def _report(self, plans: list[tuple[Path, Plan]], planning: Planning, output: Output) -> None:
         from msgspec import to_builtins
@@ -349,7 +348,7 @@ class MakePlan(Command):
             f"{path}: {counted(len(first), 'step')} with {counted(first.robots, 'robot')}, every state proven "
             f"{first.claim.proves} (criterion {first.claim.criterion}, {seconds:.1f} s, {counted(asked, 'verdict')})"
         )
-        for line in reserve_lines(first, robust=self.robust):
+        for line in reserve_lines(first):
             output.say(line)
         output.say(f"first steps: {first_steps(first, Direction.ASSEMBLY)}")
         for step in first:
@@ -378,5 +377,5 @@ def _replay_record(plan: Plan) -> dict[str, Any] | None:
         return None
     judgement = plan.replay.judgement
     record: dict[str, Any] = {"stands": plan.replay.stands, "falls_at": plan.replay.falls_at}
-    record["moved_mm"] = plan.replay.moved * 1e3
+    record |= {"moved_mm": plan.replay.moved * 1e3, "varied": plan.replay.varied}
     return record | ({} if judgement is None else {"judgement": judgement.to_dict()})

@@ -188,24 +188,29 @@ class HoldOptions:
         return StabilitySettings(criterion=criterion, cone=cone, solver=solver, reserve=reserve, holds=holds)
 
 
-def reserve_lines(plan: Plan, *, robust: bool = False) -> list[str]:
-    """Return what a plan promises of its replay, and what it asks of robots, in words.
-
-    Args:
-        robust: whether its replay succeeds under varied settings too.
-    """
-    also = ", under varied settings too" if robust else ""
+def reserve_lines(plan: Plan) -> list[str]:
+    """Return what a plan promises of its replay, and what it asks of robots, in words."""
     stands = plan.replay is not None and plan.replay.stands
     judgement = None if plan.replay is None else plan.replay.judgement
     judged = judge_text(judgement) if judgement is not None and judgement.stands else ""
     lines = [press_text(plan), load_text(plan, plan.loads), judged]
-    return [*([replay_text(plan, also)] if stands else []), *filter(None, lines)]
+    return [*([replay_text(plan)] if stands else []), *filter(None, lines)]
 
 
 def lacks_reserve(plan: Plan, asked: float) -> str:
     """Return the remark on a plan that keeps less reserve than was asked; empty if it keeps it."""
     kept = plan.claim.reserve
     return f"no plan was found with the reserve of {asked:g}; this one keeps {kept:g}" if kept < asked else ""
+
+
+def lacks_changes(plan: Plan, *, asked: bool) -> str:
+    """Return the remark on a plan that was not shown to stand under changed settings if that was asked; else empty."""
+    if not asked or plan.replay is None or plan.replay.varied:
+        return ""
+    return (
+        "the plan was not shown to stand under each small change of settings; falsework check --replay names those "
+        "under which it falls"
+    )
 
 
 def judge_text(judgement: Judgement) -> str:
@@ -290,7 +295,7 @@ def replay_text(plan: Plan, also: str = "") -> str:
     kept, replay = plan.claim.reserve, plan.replay
     assert replay is not None
     reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
-    also = also or ", and under small changes of settings" * replay.varied
+    also = also or ", and under each small change of settings" * replay.varied
     return f"the replay succeeds{reserve}{also}; parts move by {format_bound(replay.moved, 'length')}"
 
 

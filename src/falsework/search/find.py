@@ -23,11 +23,9 @@ from falsework.search.margins.demands import MarginOracle
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
 from falsework.search.planning import Planning
-from falsework.search.plans.acceptance import Acceptance
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.proofs import prove, prove_build
-from falsework.search.plans.route_tests import barred_state
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.hold_bound import HoldBound
@@ -94,6 +92,7 @@ def find_plans(
         stability: criterion, reserve and robots, where no oracle is given. Where no plan keeps the reserve, half of the
             deadline is left to search for one that comes to rest under the true friction; `Plan.claim` has its reserve.
             So too where the judge of `settings` accepts none; if that finds none either, the first plan is returned.
+            Where none stands under every change of settings, one that stands without is returned; `PlanReplay.varied`.
         settings: effort of the search, and number of plans.
         guide: scores actions; by default parts with much support are inserted first, and in shells the free edges,
             where `SupportGuide.edges_first` has them of use.
@@ -140,7 +139,8 @@ def find_plans(
         again = stability.reserve > 1.0 and first.replayer is not None
         share = clock.rest if not again or clock.rest is None else FIRST_SHARE * clock.rest
         found = find_plans(assembly, task, oracle=first, deadline=share, checkpoint=checkpoint, **more)
-        if found.accepted or not again or clock.passed or (found.result.interrupted and not found.deadline_passed):
+        good = found.accepted or (found.found and not settings.judge)
+        if good or not again or clock.passed or (found.result.interrupted and not found.deadline_passed):
             return found
         other = find_plans(assembly, task, oracle=StabilityOracle(assembly, weaker), deadline=clock.rest, **more)
         return found if found.found and not other.accepted else other
@@ -309,7 +309,7 @@ def _choose(
 ) -> Alternatives:
     """Choose the requested number of plans, as different as possible, from all that a planner has found.
 
-    Other plans than those of the planner are proved first, and replaced where a state tips or has no proof.
+    Other plans than those of the planner are tested first, and replaced where one of their states fails.
     """
     if settings.alternatives == 1:
         return Alternatives.from_routes(list(result.routes))
@@ -319,22 +319,28 @@ def _choose(
     while True:
         graph = graph_with_sets(task, oracle, states, name=assembly.name)
         found = choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed, stop=stop)
-        others = [route.states for route in found.routes if route.states.tobytes() not in known]
-        weak = {state.tobytes() for route in others for state in _weak_states(route, oracle)}
-        if not weak:
+        tests = [
+            states[:0] if route.states.tobytes() in known else _weak_states(route.states, planner, oracle)
+            for route in found.routes
+        ]
+        weak = {state.tobytes() for failed in tests if failed is not None for state in failed}
+        if not weak and all(failed is not None for failed in tests):
             return found
-        if stop():
-            firm = [not any(state.tobytes() in weak for state in route.states) for route in found.routes]
-            return found.keep(np.flatnonzero(firm).tolist())
+        if stop() or not weak:
+            return found.keep([k for k, failed in enumerate(tests) if failed is not None and not len(failed)])
         states = states[[state.tobytes() not in weak for state in states]]
 
 
-def _weak_states(route: States, oracle: StabilityOracle) -> States:
-    """Return the states of a route, shape (steps + 1, parts), that cannot be proved or at which its replay fails."""
+def _weak_states(route: States, planner: Planner, oracle: StabilityOracle) -> States | None:
+    """Return the states of a route, shape (steps + 1, parts), that fail or have no proof; None if time is up before."""
     if oracle.replayer is None:
         return route[~prove(route, oracle, forces=False)[0].stable]
-    row = Acceptance(oracle.replayer).falls_at(states := route[::-1])
-    return states[:0] if row is None else barred_state(states, row)[None]
+    before = len(planner.tests.forbidden)
+    try:
+        planner.tests.passes(Route.from_states(route))
+    except DeadlineExceeded:
+        return None
+    return planner.tests.forbidden[before:]
 
 
 def _run(

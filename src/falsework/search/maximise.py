@@ -90,7 +90,7 @@ def maximise_margin(
         budget = _Budget(_TWICE * max(effort, _EFFORT), progress, stop)
         found = planner.run(progress=budget.note, stop=budget.is_spent)
         seconds += found.seconds
-        if found.found:
+        if planner.routes:
             # Tilts are demanded in fewer directions and further out than they are measured, so plans keep more.
             known = kind != "tilt" and np.isfinite(bound)
             reached = level if known else max(reached, _least(oracle, kind, found.routes[0].states))

@@ -308,9 +308,13 @@ class _Query:
 
     def _take(self, robots: int, result: SearchResult) -> None:
         """Record the result of a search."""
-        if result.found:
-            task = replace(self._task, robots=robots)
-            plan = prove_route(result.routes[0], self._assembly, task, self._oracle, forces=self._forces)
+        planner = self._planners[robots]
+        if result.found and result.interrupted and not planner.routes and self._left > 0:
+            self._reasons[robots] = "none found: the plan that was found falls under a change of settings"
+        elif result.found:
+            task, route = replace(self._task, robots=robots), result.routes[0]
+            known = planner.tests.replays.get(route.states.tobytes())
+            plan = prove_route(route, self._assembly, task, self._oracle, forces=self._forces, replay=known)
             if plan.replay is None or plan.replay.stands:
                 self._plan = plan
                 return

@@ -149,7 +149,7 @@ class Planner:
         try:
             if (unstable := unstable_end(self.task, self._oracle)) is not None:
                 return unstable
-            for route in self.routes if self.settings.judge else ():  # given, or of a search that was resumed
+            for route in self.routes if self.tests.slow else ():  # given, or of a search that was resumed
                 if route.states.tobytes() not in self.tests.replays:
                     self.tests.passes(route, stop=stop)
             if self.task.clearance is not None:
@@ -289,13 +289,17 @@ class Planner:
         route = result.routes[0]
         if self._stage == "alternatives":
             self.states = np.concatenate([self.states, beam.states()])
+        known, falls = self.tests.changes, self._falls + 1
         if not self.tests.passes(route, beam.replay_summary(), stop):
-            self._falls += 1
-            if self._falls < MOST_FALLS:
+            if self.tests.changes != known:
+                self._drop_beams()  # the steps of their paths were tried under less than they must stand under
+            elif falls < MOST_FALLS:
                 beam.forbid(self.tests.forbidden)
             else:
-                limit = f"{self._falls} plans were found, and in each a state tips or the replay fails"
+                limit = f"{falls} plans were found, and in each a state tips or a replay fails"
                 self._failed(replace(result, outcome=Outcome.NOT_FOUND, routes=(), limit=limit))
+                falls = 0
+            self._falls = falls
         elif self._stage != "alternatives":
             begin = not self.routes
             self.routes = [route]

@@ -55,6 +55,7 @@ class Planning(Result[Plan], Displayed):
 
     @property
     def accepted(self) -> bool:
-        """Whether there is one, and the judge accepts it if it was asked."""
+        """Whether there is one that stands under changed settings, if it has a reserve, and in the judge if asked."""
+        keeps = [plan.claim.reserve == 1.0 or plan.replay is None or plan.replay.varied for plan in self.plans]
         judged = [plan.replay.judgement for plan in self.plans if plan.replay is not None]
-        return self.found and all(judgement is None or judgement.stands for judgement in judged)
+        return self.found and all(keeps) and all(judgement is None or judgement.stands for judgement in judged)

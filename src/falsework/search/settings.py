@@ -24,8 +24,8 @@ class PlannerSettings:
     seed: int = 0
     """Same seed, same machine, same result."""
     robust: bool = False
-    """Deliver only plans whose replay succeeds under other settings too: stiffness ratios, release increments, damping
-    and random initial friction states."""
+    """Try plans under many random initial friction states too, and those without a reserve under other stiffness
+    ratios, release increments and damping, as plans with a reserve are anyway (`PlanReplay.varied`)."""
     judge: bool = False
     """Deliver a plan that discrete elements build too, with its presses, under the true friction; where none is found,
     the one that they build farthest (`PlanReplay.judgement`)."""

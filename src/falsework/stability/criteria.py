@@ -42,9 +42,8 @@ class ContactCriterion(ContactSolver):
     """Criterion `contact` of one structure."""
 
     def replayer(self) -> Replayer | None:
-        """Return the replayer of states; with a reserve one that replays under changed settings too."""
-        kind = EnsembleReplayer if self.settings.reserve > 1.0 else Replayer
-        return kind(self.assembly, self.settings, solver=self)
+        """Return the replayer of states, which may replay under changed settings too."""
+        return EnsembleReplayer(self.assembly, self.settings, solver=self)
 
     def prober(self) -> Prober:
         """Return the solver of single states under other friction and loads."""

@@ -112,6 +112,8 @@ class BeamSearch(Search):
         settings, level = self.settings, self.levels[-1]
         frontier = expand(self.task, settings.direction, level.states, self._hash)
         refuted = frontier.without(*self.conflicts.barred(level.states)) if settings.lookahead > 0 else False
+        if self.judge.forbidden:  # of those that need no verdict
+            refuted |= frontier.without_states(self.judge.forbidden)
         scores = Scores(frontier, level.score, self._guided(frontier.level, frontier.legal))
         rng = np.random.default_rng((settings.seed, settings.number, len(self.levels)))
         how = self.cluster if settings.diversity == "k-means" else None, settings.pool, rng

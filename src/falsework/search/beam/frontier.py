@@ -111,6 +111,13 @@ class Frontier:
         self.moves[rows, actions] = False
         return bool(left_out)
 
+    def without_states(self, keys: set[bytes]) -> bool:
+        """Leave some states that need no verdict out, given as bytes; return whether there were any."""
+        free = self.candidates()
+        free = free[self.free(free)]
+        out = free[[state.tobytes() in keys for state in self.states(free)]]
+        return bool(len(out)) and self.without(self.parent(out), self.action(out))
+
     def parent(self, rows: Rows) -> NDArray[np.int64]:
         """Return the rows of `level` that candidates come from, shape (rows,)."""
         return rows // self.moves.shape[1]

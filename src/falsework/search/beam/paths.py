@@ -44,6 +44,7 @@ class PathHistories(Generic[K]):
             room: memory for histories, bytes.
         """
         self._replayer, self._before, self._state, self._room = replayer, before, state, room
+        self._changes = replayer.changes
         self._known: dict[K, History | None] = {}
         """None where the path to a state does not come to rest."""
         self._steps: dict[K, tuple[float, int, StepCertificate]] = {}
@@ -111,6 +112,9 @@ class PathHistories(Generic[K]):
 
     def _of(self, name: K) -> History | None:
         """Return the history of a state, along its path from the last state whose history is known."""
+        if self._changes != self._replayer.changes:
+            self._changes = self._replayer.changes
+            self.forget(lambda _: True)
         path = [name]
         while path[-1] not in self._known and (before := self._before(path[-1])) is not None:
             path.append(before)

@@ -1,4 +1,4 @@
-"""Last test of the routes of a search."""
+"""Last tests of the routes of a search."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from falsework.errors import InputError
 from falsework.search.problem.deadline import PIECE, DeadlineExceeded
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.contact.history import ReplaySettings
-from falsework.stability.contact.varied_replay import AllVariations
+from falsework.stability.contact.varied_replay import DRAWS, FEW_DRAWS, AllVariations
 from falsework.stability.holds import HoldLoad, Press
 
 if TYPE_CHECKING:
@@ -46,9 +46,10 @@ def _of_all(presses: tuple[tuple[Press, ...], ...], states: States) -> tuple[tup
 
 
 class Acceptance:
-    """Last test of a route: it comes to rest under the true friction too, and no state of it tips.
+    """Last tests of a route: it comes to rest under the true friction too, and no state of it tips.
 
-    Where it is asked for, it comes to rest under every change of settings, and discrete elements build it as well.
+    With a reserve it also comes to rest under every change of settings by itself. Where it is asked for, that includes
+    many draws of initial friction, and discrete elements build it as well.
     """
 
     def __init__(self, replayer: AnyReplayer | None, *, robust: bool = False, judge: bool = False) -> None:
@@ -65,7 +66,10 @@ class Acceptance:
 
             self._judge = BuildJudge(replayer.assembly, replayer.settings.holds)
         self._replayer, self._plain = replayer, replayer
-        self._variations = AllVariations(replayer) if robust and replayer is not None else None
+        self.varies = replayer is not None and (robust or replayer.settings.reserve > 1.0)
+        """Whether settings are changed."""
+        draws = DRAWS if robust else FEW_DRAWS
+        self._variations = AllVariations(replayer, draws) if replayer is not None and self.varies else None
         if replayer is not None and replayer.settings.reserve != 1.0:
             self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
 
@@ -96,11 +100,25 @@ class Acceptance:
             raise
         if row is None and done < len(states):
             row = done
-        if row is None and self._variations is not None:
-            row = self._variations.falls_at(states, presses)
         if row is not None:
             return replace(found, stands=False, falls_at=row)
-        return replace(found, loads=tuple(loads), varied=self._replayer.varies)
+        return replace(found, loads=tuple(loads))
+
+    def varied_falls_at(self, states: States, found: PlanReplay) -> int | None:
+        """Return the first state of a route that does not come to rest under some change of settings by itself.
+
+        From then on the replayer tries steps under that change too.
+
+        Args:
+            states: in assembly order, shape (steps + 1, parts).
+            found: its replay with the reserve, which stands.
+
+        Returns:
+            None if all stand; always where the settings are not changed.
+        """
+        if self._variations is None:
+            return None
+        return self._variations.falls_at(states, _of_all(found.presses, states))
 
     def judged(self, states: States, found: PlanReplay, stop: Stop | None = None) -> PlanReplay:
         """Return the replay of a route that stands with how far discrete elements built it, if that is asked for.
@@ -122,9 +140,13 @@ class Acceptance:
             states: in assembly order, shape (steps + 1, parts).
 
         Returns:
-            None if all stand, with the reserve of the replayer and under the true friction; always without a replayer.
+            None if all stand, with the reserve of the replayer, under the true friction and under changed settings;
+            always without a replayer.
         """
         if self._replayer is None:
             return None
-        found = PlanReplay.from_replay(self._replayer.replay(states))
-        return (self.tested(states, found) if found.stands else found).falls_at
+        while True:
+            found = PlanReplay.from_replay(self._replayer.replay(states))
+            found = self.tested(states, found) if found.stands else found
+            if not found.stands or self.varied_falls_at(states, found) is None:
+                return found.falls_at

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from falsework.assembly.state import States
@@ -10,6 +12,7 @@ from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route, Stop, barred_row
 from falsework.search.settings import PlannerSettings
+from falsework.stability.contact.history import Change
 from falsework.stability.contact.varied_replay import AnyReplayer
 
 
@@ -37,7 +40,8 @@ class RouteTests:
         self.replays: dict[bytes, PlanReplay] = {}
         """Replays that come to rest in every state, by the states of the routes."""
         self.doubted: Route | None = None
-        """Of the routes that stand in their replays, and that the judge does not accept, the one built farthest."""
+        """Of the routes that stand in their replays, and fail under changed settings or in the judge, the one built
+        farthest."""
         self.forbidden = np.empty((0, parts), dtype=np.uint8)
         """Excluded states, shape (count, parts)."""
         self.replayer: AnyReplayer | None = oracle.replayer
@@ -45,11 +49,20 @@ class RouteTests:
         self._settings = settings
         self._acceptance = Acceptance(self.replayer, robust=settings.robust, judge=settings.judge)
         self._oracle = oracle
+        self.slow = settings.judge or self._acceptance.varies
+        """Whether tests other than a replay decide."""
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Changes of settings under which replays are tried so far."""
+        return () if self.replayer is None else self.replayer.changes
 
     def passes(self, route: Route, known: PlanReplay | None = None, stop: Stop | None = None) -> bool:
-        """Return whether the replay of a route comes to rest in every state; exclude the first state that fails.
+        """Return whether a route passes all tests; exclude the first state that fails.
 
-        An oracle that requires margins first checks every state in full. The judge, which is slow, comes last.
+        An oracle that requires margins first checks every state in full. The slow tests come last: changed settings,
+        and the judge. A change under which the route falls is one of `AnyReplayer.changes` from then on. No state is
+        excluded if the search has replayed the steps itself, since it can do so under that change.
 
         Args:
             known: its replay, where the search has made it along the way.
@@ -60,30 +73,41 @@ class RouteTests:
         """
         weak = np.flatnonzero(~self._oracle.keeps(route.states[1:-1])) + 1
         if len(weak):
-            self.forbidden = np.concatenate([self.forbidden, route.states[weak]])
+            self._exclude(route.states[weak])
             return False
         if self.replayer is None:
             return True
-        states = route.states[::-1]
-        found = known or PlanReplay.from_replay(self.replayer.replay(states))
-        if found.stands:
-            found = self._acceptance.tested(states, found)
-        if found.stands:
-            self.replays[route.states.tobytes()] = found
-            if self._settings.judge:
-                found = self._judge(route, found, stop)
-            if found.fails_at is None:
-                return True
+        states, key = route.states[::-1], route.states.tobytes()
+        while True:
+            found = known or PlanReplay.from_replay(self.replayer.replay(states))
+            if found.stands:
+                found = self._acceptance.tested(states, found)
+            if not found.stands:
+                break
+            self.replays[key] = found
+            if self.doubted is None:  # until the slow tests are done, or a deadline or the keyboard ends them
+                self.doubted = route
+            if self._acceptance.varied_falls_at(states, found) is None:
+                self.replays[key] = found = replace(found, varied=self._acceptance.varies)
+                if self._settings.judge:
+                    found = self._judge(route, found, stop)
+                if found.fails_at is None:
+                    return True
+                break
+            if known is not None:
+                return False
         row = found.fails_at or 0
         if not found.stands and (self.fallen is None or row > self.fallen[1]):
             self.fallen = route, row
-        self.forbidden = np.concatenate([self.forbidden, barred_state(states, row)[None]])
+        self._exclude(barred_state(states, row))
         return False
+
+    def _exclude(self, states: States) -> None:
+        self.forbidden = np.concatenate([self.forbidden, np.atleast_2d(states)])
 
     def _judge(self, route: Route, found: PlanReplay, stop: Stop | None) -> PlanReplay:
         """Return the replay of a route with what the judge says; keep the route if it gets farther than others."""
-        if self.doubted is None:  # until the judge is done, or the keyboard interrupts it
-            self.doubted = route
+        assert self.doubted is not None
         found = self._acceptance.judged(route.states[::-1], found, stop)
         self.replays[route.states.tobytes()] = found
         judgement, best = found.judgement, self.replays[self.doubted.states.tobytes()].judgement

@@ -37,7 +37,7 @@ class PlanReplay:
     steps: tuple[StepCertificate, ...] = field(default=(), compare=False, repr=False)
     """Certificates of these steps, where the search has kept them."""
     varied: bool = False
-    """Whether it also comes to rest under changed settings, see `EnsembleReplayer`."""
+    """Whether it also comes to rest under each of some changes of settings, see `AllVariations`."""
     judgement: Judgement | None = None
     """How far discrete elements built the plan, where that was asked for."""
     loads: Loads = field(default=(), compare=False, repr=False)

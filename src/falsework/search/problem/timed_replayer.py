@@ -13,7 +13,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.search.problem.deadline import PIECE, Deadline, DeadlineExceeded
 from falsework.search.problem.result import barred_row
-from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings
+from falsework.stability.contact.history import Change, History, Presses, Replay, ReplaySettings
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.newton import RESTS
 from falsework.stability.contact.replay import Replayer
@@ -140,9 +140,16 @@ class DeadlineReplayer:
         return self._replayer.problem
 
     @property
-    def varies(self) -> bool:
-        """As of `Replayer`."""
-        return self._replayer.varies
+    def changes(self) -> tuple[Change, ...]:
+        """As of `AnyReplayer`."""
+        return self._replayer.changes
+
+    def also_under(self, changes: Sequence[Change]) -> None:
+        """As of `AnyReplayer`; sequences that were replayed before are replayed anew."""
+        if tuple(changes) != self.changes:
+            self._prefix = None
+            self._known.clear()
+        self._replayer.also_under(changes)
 
     @property
     def iterations(self) -> int:

@@ -42,6 +42,21 @@ class ReplaySettings:
             raise InputError(f"friction_noise is {self.friction_noise}; give a number from 0 up")
 
 
+@dataclass(frozen=True)
+class Change:
+    """Change of the settings of a replay, to which the result for a plan must be insensitive."""
+
+    name: str
+    ratio: float | None = None
+    """Ratio of tangential to normal stiffness; that of the settings if not given."""
+    hold_factor: float = 1.0
+    """Factor of the stiffness of holds, where they are not locked."""
+    replay: tuple[tuple[str, float], ...] = ()
+    """Fields of `ReplaySettings` with other values."""
+    press: int | None = None
+    """Error of all presses, an index of `inexact_presses`."""
+
+
 @dataclass(frozen=True, eq=False)
 class History:
     """Contact history of a structure under construction."""

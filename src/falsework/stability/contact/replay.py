@@ -22,7 +22,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, States, as_states
 from falsework.stability.certificate import chunks
 from falsework.stability.contact.build_verifier import StepCertificate
-from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings, joined
+from falsework.stability.contact.history import Change, History, Presses, Replay, ReplaySettings, joined
 from falsework.stability.contact.hold_loads import Loads, loads_of_build
 from falsework.stability.contact.layout import ContactOptions
 from falsework.stability.contact.newton import OPEN, RESTS
@@ -44,8 +44,8 @@ Array = NDArray[np.float64]
 class Replayer:
     """Contact replay of state sequences of one structure."""
 
-    varies = False
-    """Whether every step must come to rest under changed settings too."""
+    changes: tuple[Change, ...] = ()
+    """Changes of settings under which every step must come to rest too, of an `EnsembleReplayer`."""
 
     def __init__(
         self,
@@ -83,6 +83,9 @@ class Replayer:
     def iterations(self) -> int:
         """Newton iterations so far, a measure of work that is the same on every machine."""
         return self._iterations
+
+    def also_under(self, changes: Sequence[Change]) -> None:
+        """Ignore changes of settings; an `EnsembleReplayer` replays under them too."""
 
     def vary(self, settings: StabilitySettings | None = None, replay: ReplaySettings | None = None) -> Replayer:
         """Return a replayer of the same structure under other settings."""
@@ -215,9 +218,8 @@ class Replayer:
         for presses in self._presses.proposals(before, after, history.springs, history.torn, shares):
             found = self._replay_all(pair, history, [(), presses])
             if found.good:
-                guess = self._guess(found.histories)
                 inexact = ([(), varied] for varied in inexact_presses(presses))
-                if all(self._replay(pair, history, varied, guess).good for varied in inexact):
+                if all(self._replay(pair, history, varied).good for varied in inexact):
                     return found.histories[-1]
         return None
 
@@ -230,20 +232,10 @@ class Replayer:
         """Replay checked states with given presses; an ensemble does so under all of its settings."""
         return self._replay(batch, history, presses)
 
-    def _guess(self, histories: Sequence[History]) -> Array:
-        """Return the displacement in each increment of the steps to some states as a guess for other settings.
-
-        Shape (states, increments, parts, 6).
-        """
-        track = np.stack([history.track for history in histories if history.track is not None])
-        count = self.replay_settings.increments
-        return track if count == track.shape[1] else np.repeat(track.sum(axis=1, keepdims=True) / count, count, axis=1)
-
-    def _replay(self, batch: States, history: History | None, presses: Presses, guess: Array | None = None) -> Replay:
-        """Replay checked states with given presses; `guess` as in `replay_range`."""
+    def _replay(self, batch: States, history: History | None, presses: Presses) -> Replay:
+        """Replay checked states with given presses."""
         count, problem = len(batch), self.problem
         track = np.zeros((count, self.replay_settings.increments, problem.parts, 6))
-        guess = np.zeros((1, 0, problem.parts, 6)) if guess is None else guess
         displacement, springs = np.zeros((count, problem.parts, 6)), np.zeros((count, problem.points, 3))
         torn = np.zeros((count, problem.points), bool)
         age = self._ages(batch, None if history is None else history.age)
@@ -261,7 +253,7 @@ class Replayer:
             *(start, pressed, (problem.whitening[pressed] @ wrench[:, :, None])[:, :, 0]),
             *(self.options, self.replay_settings.increments, self._noise),
             *(displacement, springs, torn, self._set_shares(age)),
-            *(track, guess, result, residual, part, moved, iterations),
+            *(track, result, residual, part, moved, iterations),
         )
         self._iterations += int(iterations.sum())
         given = [tuple(some) for some in presses]

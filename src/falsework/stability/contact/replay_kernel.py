@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.stability.contact.hold_kernel import add_across, hold_wrench, overloaded, set_holds
-from falsework.stability.contact.kernel import lacks_contact, move_far_parts, place_contacts, read_displacement
+from falsework.stability.contact.kernel import lacks_contact, move_far_parts, place_contacts
 from falsework.stability.contact.law import contact_force
 from falsework.stability.contact.layout import VERDICT_SCHEDULE, make_contact_scratch
 from falsework.stability.contact.newton import (
@@ -153,9 +153,7 @@ def lose_carriers(structure, before, state, history, lost):
 
 
 @njit(cache=True)
-def settle_step(
-    law, before, state, press_part, press_wrench, lost, options, increments, contact, history, track, guess
-):
+def settle_step(law, before, state, press_part, press_wrench, lost, options, increments, contact, history, track):
     """Move a structure with history to rest in a state.
 
     The parts near the change are solved first with the others fixed, since few of these move much.
@@ -169,8 +167,6 @@ def settle_step(
         increments: in how many the missing wrenches are transferred; all of gravity where the history is empty.
         history: `HistoryArrays`.
         track: out: displacement in each increment, m and rad, shape (increments, parts, 6); zero before.
-        guess: of the displacement in each increment, from which it begins, m and rad, shape (increments, parts, 6), or
-            (0, parts, 6): each begins from that of the one before.
 
     Returns:
         `RESTS`, `MOVES_AWAY`, `OVERLOADS` or `OPEN`; residual; iterations; the part that moved most, or whose robot
@@ -208,14 +204,12 @@ def settle_step(
         for j in range(len(ahead)):
             for r in range(6):
                 missing[j, r] -= push[j, r]
-        if len(guess):
-            read_displacement(law, work, guess[k - 1], ahead)
         for j in range(len(ahead)):
             for r in range(6):
                 contact.displacement[j, r] = ahead[j, r]
         if kept > 0 and 2 * kept <= free:
             pairs, _ = load_history(law, near, contact, history, missing, share)
-            if k > 1 or len(guess):
+            if k > 1:
                 move_far_parts(structure, moving, near, contact, pairs, ahead)
             first = options.first_step if k == 1 else options.warm_first_step
             result, residual, taken = equilibrate(
@@ -261,7 +255,7 @@ def settle_step(
 @njit(nogil=True, cache=True)
 def replay_range(
     law, states, fresh, press_start, press_part, press_wrench, options, increments, noise, displacement, springs, torn,
-    set_share, track, guess, result, residual, part, movement, iterations,
+    set_share, track, result, residual, part, movement, iterations,
 ):  # fmt: skip
     """Replay consecutive states until one does not come to rest; return how many did.
 
@@ -274,7 +268,7 @@ def replay_range(
         noise: as in `place_new`.
         displacement, springs, torn, set_share: `HistoryArrays` before and after each state, with `steps + 1` entries
             each; the first entry is given, the others are written, but for `set_share`.
-        track, guess: as in `settle_step`, one entry a state; one of the guess for all where there is none.
+        track: as in `settle_step`, one entry a state.
         result, residual, part, movement, iterations: out, one entry per state; iterations zero before.
     """
     contact, lost = make_contact_scratch(law), np.zeros((states.shape[1], 6))
@@ -299,10 +293,9 @@ def replay_range(
         result[i], residual[i] = RESTS, 0.0
         if settles:
             first, last = press_start[i], press_start[i + 1]
-            ways = guess[i] if guess.shape[1] else guess[0]
             result[i], residual[i], iterations[i], part[i], movement[i] = settle_step(
                 law, states[max(i - 1, 0)], states[i], press_part[first:last], press_wrench[first:last], lost, options,
-                increments, contact, history, track[i], ways,
+                increments, contact, history, track[i],
             )  # fmt: skip
             if result[i] != RESTS:
                 return i

@@ -1,9 +1,9 @@
-"""Replays under changed settings, to which the result for a robust plan is insensitive.
+"""Replays under changed settings, to which the result for a plan must be insensitive.
 
-Stiffness, damping, release, the friction in new contacts and the forces of robots are never known exactly. A plan that
-a search finds under one setting and that is tried under others afterwards often fails late, where the search has to go
-back far. An ensemble tries each step under several settings when the search takes it. So each plan stands under all of
-them, and presses are chosen so that it does.
+Stiffness, damping, release, the friction in new contacts and the forces of robots are never known exactly. A search
+plans under the settings proper, and tries the plan that it finds under each change by itself. A change under which it
+falls is a counterexample: the search begins anew, and from then on tries every step under that change too, when it
+takes it. So it learns the few changes that matter to a structure; most plans stand under all without.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
-from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings
+from falsework.stability.contact.history import Change, History, Presses, Replay, ReplaySettings
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.newton import OPEN
 from falsework.stability.contact.replay import Replayer
@@ -28,8 +28,8 @@ from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.cores import core_count
 
-DRAWS = 20
-"""Number of variations with random initial friction."""
+DRAWS, FEW_DRAWS = 20, 2
+"""Number of variations with random initial friction, in a thorough test and for every plan with a reserve."""
 
 
 class AnyReplayer(Protocol):
@@ -44,8 +44,11 @@ class AnyReplayer(Protocol):
         """Settings of the verdicts."""
 
     @property
-    def varies(self) -> bool:
-        """Whether every step must come to rest under changed settings too."""
+    def changes(self) -> tuple[Change, ...]:
+        """Changes under which every step must come to rest too."""
+
+    def also_under(self, changes: Sequence[Change]) -> None:
+        """Have every step come to rest under these changes too; histories from before do not hold any more."""
 
     @property
     def iterations(self) -> int:
@@ -83,21 +86,6 @@ class Variation:
     falls_at: int | None
 
 
-@dataclass(frozen=True)
-class Change:
-    """Change of the settings of a replay, to which the result for a plan must be insensitive."""
-
-    name: str
-    ratio: float | None = None
-    """Ratio of tangential to normal stiffness; that of the settings if not given."""
-    hold_factor: float = 1.0
-    """Factor of the stiffness of holds, where they are not locked."""
-    replay: tuple[tuple[str, float], ...] = ()
-    """Fields of `ReplaySettings` with other values."""
-    press: int | None = None
-    """Error of all presses, an index of `inexact_presses`."""
-
-
 def _draw(number: int) -> Change:
     noise = (("friction_noise", 1.0), ("seed", number - 1))
     return Change(f"friction at the start, draw {number}", replay=noise)
@@ -118,29 +106,20 @@ _PRESSES = tuple(
         + [f"presses {angle} degrees off about {axis}" for axis in "xyz" for angle in (-5, 5)]
     )
 )
-GROUPS: tuple[tuple[Change, ...], ...] = (
-    (_SMALL_RATIO, _THICK, _SOFT, _draw(1), _PRESSES[0]),
-    (_LARGE_RATIO, _THIN, _STIFF, _draw(2), _PRESSES[1], _AT_ONCE),
-)
-"""Changes under which an `EnsembleReplayer` replays, all of a group together."""
 
 
-def changed(
-    changes: Sequence[Change], settings: StabilitySettings, presses: Presses
-) -> tuple[StabilitySettings, ReplaySettings, Presses]:
-    """Return settings and presses with some changes."""
-    replay = ReplaySettings(**{name: value for change in changes for name, value in change.replay})  # type: ignore[arg-type]
-    for change in changes:
-        holds = replace(settings.holds, stiffness=change.hold_factor * settings.holds.stiffness)
-        settings = replace(settings, holds=holds, stiffness_ratio=change.ratio or settings.stiffness_ratio)
-    return settings, replay, _inexact(changes, presses)
+def changed(change: Change, settings: StabilitySettings) -> tuple[StabilitySettings, ReplaySettings]:
+    """Return settings with a change."""
+    holds = replace(settings.holds, stiffness=change.hold_factor * settings.holds.stiffness)
+    settings = replace(settings, holds=holds, stiffness_ratio=change.ratio or settings.stiffness_ratio)
+    return settings, ReplaySettings(**dict(change.replay))  # type: ignore[arg-type]
 
 
-def _inexact(changes: Sequence[Change], presses: Presses) -> Presses:
-    """Return presses with the errors of some changes."""
-    for error in (change.press for change in changes if change.press is not None):
-        presses = [inexact_presses(some)[error] if some else () for some in presses]
-    return presses
+def inexact(change: Change, presses: Presses) -> Presses:
+    """Return presses with the error of a change."""
+    if change.press is None:
+        return presses
+    return [inexact_presses(some)[change.press] if some else () for some in presses]
 
 
 def _replays(
@@ -149,8 +128,8 @@ def _replays(
     """Yield each change with the replay of a plan under it; as many replays as there are cores go on ahead."""
 
     def run(change: Change) -> Replay:
-        settings, varied, pressed = changed([change], replayer.settings, presses)
-        return replayer.vary(settings, varied).replay(states, presses=pressed)
+        settings, varied = changed(change, replayer.settings)
+        return replayer.vary(settings, varied).replay(states, presses=inexact(change, presses))
 
     workers = core_count()
     with ThreadPoolExecutor(workers) as pool:
@@ -173,35 +152,35 @@ def variations(settings: StabilitySettings, draws: int, presses: Presses = ()) -
 
 
 class EnsembleReplayer(Replayer):
-    """Replayer of one structure under its settings and, at the same time, under groups of changes of them.
+    """Replayer of one structure under its settings and, at the same time, under each of some changes of them.
 
     A history that has none under the changed settings is continued under the own settings alone.
     """
 
-    varies = True
+    def also_under(self, changes: Sequence[Change]) -> None:
+        """As of `AnyReplayer`."""
+        self.changes = tuple(changes)
 
     @cached_property
-    def _members(self) -> list[tuple[Replayer, Sequence[Change]]]:
-        """Replayer under each group of changes, and the group."""
-        known = variations(self.settings, draws=len(GROUPS))
-        groups = [[change for change in group if change in known or change.press is not None] for group in GROUPS]
-        return [(self.vary(*changed(group, self.settings, ())[:2]), group) for group in groups]
+    def _members(self) -> dict[Change, Replayer]:
+        """Replayer under each change so far."""
+        return {}
 
     @property
     def iterations(self) -> int:
         """As of `Replayer`, under all settings."""
-        return self._iterations + sum(member.iterations for member, _ in self._members)
+        return self._iterations + sum(member.iterations for member in self._members.values())
 
     def _replay_all(self, batch: States, history: History | None, presses: Presses) -> Replay:
         found = self._replay(batch, history, presses)
         if history is not None and not history.changed:
             return found
         others, reached = list[Sequence[History]](), len(found.histories)
-        for number, (member, group) in enumerate(self._members if reached else ()):
+        for number, change in enumerate(self.changes if reached else ()):
+            if change not in self._members:
+                self._members[change] = self.vary(*changed(change, self.settings))
             past = None if history is None else history.changed[number]
-            # Where robots give way, how far depends on the stiffness that the group changes.
-            guess = member._guess(found.histories[:reached]) if np.isinf(self.settings.holds.stiffness) else None
-            other = member._replay(batch[:reached], past, _inexact(group, presses[:reached]), guess)
+            other = self._members[change]._replay(batch[:reached], past, inexact(change, presses[:reached]))
             others.append([replace(history, track=None) for history in other.histories])
             if len(other.histories) < reached:
                 reached = len(other.histories)
@@ -238,27 +217,31 @@ def replay_varied(
 
 
 class AllVariations:
-    """Test of plans under every change of settings, one by one, and under many draws of initial friction.
+    """Test of plans under every change of settings by itself; what it learns stays with the replayer."""
 
-    Changes under which plans failed come first, and the first failure ends the test: while a search excludes one state
-    after another, most plans cost one replay.
-    """
+    def __init__(self, replayer: AnyReplayer, draws: int = FEW_DRAWS) -> None:
+        """Prepare the test of plans with the settings of a replayer, which tries steps under these alone at first.
 
-    def __init__(self, replayer: AnyReplayer) -> None:
-        """Prepare the test of plans with the settings of a replayer."""
-        self._replayer, self._first = replayer, list[Change]()
+        Args:
+            replayer: of the structure.
+            draws: number of random initial friction states.
+        """
+        self._replayer, self._draws = replayer, draws
+        replayer.also_under(())
 
     def falls_at(self, states: States, presses: Presses) -> int | None:
         """Return the first state in which a plan does not come to rest under some change; None if there is none.
 
+        The first such change ends the test, and is one of those under which the replayer tries steps from now on.
+
         Args:
-            states: in assembly order, shape (steps + 1, parts).
+            states: in assembly order, shape (steps + 1, parts); they come to rest in the replay of the replayer.
             presses: of the steps that lead to each state, one entry a state.
         """
-        changes = variations(self._replayer.settings, DRAWS, presses)
-        changes.sort(key=lambda change: self._first.index(change) if change in self._first else len(self._first))
+        known, settings = self._replayer.changes, self._replayer.settings
+        changes = [change for change in variations(settings, self._draws, presses) if change not in known]
         for change, replay in _replays(self._replayer, changes, states, presses):
             if replay.falls_at is not None:
-                self._first = [change, *(other for other in self._first if other != change)]
+                self._replayer.also_under((*known, change))
                 return replay.falls_at
         return None
