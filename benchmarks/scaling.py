@@ -148,7 +148,7 @@ def measure_plan(parts: int, criterion: Criterion, robots: int, seed: int, limit
         "criterion": criterion,
         "reserve": settings.reserve,
         "robots": robots,
-        "found": bool(planning.plans),
+        "found": planning.accepted,
         "reached": planning.result.reached,
         "steps": planning.result.steps,
         "verdicts": planning.result.counters.asked,

@@ -77,7 +77,7 @@ def search(options: Options, seed: int) -> dict[str, Any]:
     )
     figures = {
         "parts": assembly.part_count,
-        "found": planning.found and len(planning.plans) == 1,
+        "found": planning.found and len(planning.plans) == 1 and planning.accepted,
         "reached": planning.result.reached,
         "steps": planning.result.steps,
         "verdicts": planning.result.counters.asked,

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
+PIECE = 8
+"""States judged, or steps replayed, between two checks at first."""
 _CHECKS: ContextVar[tuple[tuple[Callable[[], None], bool], ...]] = ContextVar("checks", default=())
 
 

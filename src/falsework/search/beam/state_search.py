@@ -13,7 +13,6 @@ from falsework.assembly.state import HELD, Mask, States, state_of_key
 from falsework.errors import InputError
 from falsework.search.beam.nogoods import Jumps
 from falsework.search.beam.paths import PathHistories
-from falsework.search.problem.deadline import PIECE
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.plan_replay import PlanReplay
@@ -32,6 +31,7 @@ from falsework.search.problem.result import (
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 from falsework.search.together.moves import TaskMoves
+from falsework.utils.interruption import PIECE
 
 
 @dataclass(eq=False)

@@ -2,42 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
-from falsework.search.problem.deadline import PIECE, DeadlineExceeded
+from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.contact.history import ReplaySettings
-from falsework.stability.contact.varied_replay import DRAWS, FEW_DRAWS, AllVariations
+from falsework.stability.contact.varied_replay import DRAWS, FEW_DRAWS, AllVariations, in_pieces
 from falsework.stability.holds import HoldLoad, Press
 
 if TYPE_CHECKING:
     from falsework.search.problem.result import Stop
-    from falsework.stability.contact.history import History
     from falsework.stability.contact.varied_replay import AnyReplayer
-
-
-def _pieces(
-    replayer: AnyReplayer, states: States, presses: tuple[tuple[Press, ...], ...]
-) -> Iterator[tuple[int, Sequence[History]]]:
-    """Yield the histories of a few states along a route at a time, up to the first that does not come to rest.
-
-    A replayer with a deadline looks at the clock between them, and those of a whole route take much memory.
-
-    Yields:
-        Number of the first state, which but for the first time is the last one before; histories.
-    """
-    piece, done = replayer.replay(states[:1], presses=presses[:1]), 0
-    while piece.histories:
-        yield max(done - 1, 0), piece.histories
-        done = max(done - 1, 0) + len(piece.histories)
-        if not piece.good or done == len(states):
-            return
-        rows = slice(done - 1, done + PIECE)
-        piece = replayer.replay(states[rows], piece.histories[-1], presses[rows])
 
 
 def _of_all(presses: tuple[tuple[Press, ...], ...], states: States) -> tuple[tuple[Press, ...], ...]:
@@ -87,7 +65,7 @@ class Acceptance:
         loads: list[tuple[HoldLoad, ...]] = []
         row, done = None, 0
         try:
-            for first, histories in _pieces(plain, states, presses):
+            for first, histories in in_pieces(plain, states, presses):
                 some, known = states[first : first + len(histories)], done - first
                 row = plain.first_tipping(some, histories, known)
                 if row is not None:

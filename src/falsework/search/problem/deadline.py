@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.utils.interruption import PIECE
 
-PIECE = 8
-"""States judged, or steps replayed, between two checks of the time at first. Batches of verdicts then adapt ..."""
 _MOST, _SLICE = 8192, 0.02
-"""... up to so many, as many as take about so many seconds. Both change no result."""
+"""Batches of verdicts adapt from `PIECE` up to so many, which take about so many seconds. Both change no result."""
 
 
 def check_deadline(deadline: float | None) -> None:

@@ -18,10 +18,11 @@ import numpy as np
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States
-from falsework.search.problem.deadline import PIECE, Deadline
+from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.task import Task
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.interruption import PIECE
 from falsework.utils.quantity import listed
 
 

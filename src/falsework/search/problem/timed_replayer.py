@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
-from falsework.search.problem.deadline import PIECE, Deadline, DeadlineExceeded
+from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.result import barred_row
 from falsework.stability.contact.history import Change, History, Presses, Replay, ReplaySettings
 from falsework.stability.contact.hold_loads import Loads
@@ -20,6 +20,7 @@ from falsework.stability.contact.replay import Replayer
 from falsework.stability.holds import Press
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.interruption import PIECE
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from threading import Event
 from typing import Protocol, Self
 
 import numpy as np
@@ -27,6 +28,7 @@ from falsework.stability.holds import inexact_presses
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.cores import core_count
+from falsework.utils.interruption import PIECE
 
 DRAWS, FEW_DRAWS = 20, 2
 """Number of variations with random initial friction, in a thorough test and for every plan with a reserve."""
@@ -122,20 +124,47 @@ def inexact(change: Change, presses: Presses) -> Presses:
     return [inexact_presses(some)[change.press] if some else () for some in presses]
 
 
-def _replays(
-    replayer: AnyReplayer, changes: Sequence[Change], states: States, presses: Presses
-) -> Iterator[tuple[Change, Replay]]:
-    """Yield each change with the replay of a plan under it; as many replays as there are cores go on ahead."""
+def in_pieces(replayer: AnyReplayer, states: States, presses: Presses) -> Iterator[tuple[int, Sequence[History]]]:
+    """Yield the histories of a few states along a route at a time, up to the first that does not come to rest.
 
-    def run(change: Change) -> Replay:
+    Between them a replay can be ended, and those of a whole route take much memory.
+
+    Yields:
+        Number of the first state, which but for the first time is the last one before; histories.
+    """
+    piece, done = replayer.replay(states[:1], presses=presses[:1]), 0
+    while piece.histories:
+        yield max(done - 1, 0), piece.histories
+        done = max(done - 1, 0) + len(piece.histories)
+        if not piece.good or done == len(states):
+            return
+        rows = slice(done - 1, done + PIECE)
+        piece = replayer.replay(states[rows], piece.histories[-1], presses[rows])
+
+
+def _falls(
+    replayer: AnyReplayer, changes: Sequence[Change], states: States, presses: Presses
+) -> Iterator[tuple[Change, int | None]]:
+    """Yield each change and the first state of a plan that falls under it; as many replays as cores run at a time."""
+    over = Event()
+
+    def falls_at(change: Change) -> int | None:
         settings, varied = changed(change, replayer.settings)
-        return replayer.vary(settings, varied).replay(states, presses=inexact(change, presses))
+        done = 0
+        for first, histories in in_pieces(replayer.vary(settings, varied), states, inexact(change, presses)):
+            done = first + len(histories)
+            if over.is_set():
+                break
+        return None if done == len(states) else done
 
     workers = core_count()
     with ThreadPoolExecutor(workers) as pool:
-        for first in range(0, len(changes), workers):
-            some = changes[first : first + workers]
-            yield from zip(some, pool.map(run, some), strict=True)
+        try:
+            for first in range(0, len(changes), workers):
+                some = changes[first : first + workers]
+                yield from zip(some, pool.map(falls_at, some), strict=True)
+        finally:
+            over.set()
 
 
 def variations(settings: StabilitySettings, draws: int, presses: Presses = ()) -> list[Change]:
@@ -212,8 +241,8 @@ def replay_varied(
         draws: number of random initial friction states.
     """
     given: Presses = [()] * len(states) if presses is None else presses
-    found = _replays(replayer, variations(replayer.settings, draws, given), states, given)
-    return [Variation(change.name, replay.good, replay.falls_at) for change, replay in found]
+    found = _falls(replayer, variations(replayer.settings, draws, given), states, given)
+    return [Variation(change.name, falls_at is None, falls_at) for change, falls_at in found]
 
 
 class AllVariations:
@@ -240,8 +269,8 @@ class AllVariations:
         """
         known, settings = self._replayer.changes, self._replayer.settings
         changes = [change for change in variations(settings, self._draws, presses) if change not in known]
-        for change, replay in _replays(self._replayer, changes, states, presses):
-            if replay.falls_at is not None:
+        for change, falls_at in _falls(self._replayer, changes, states, presses):
+            if falls_at is not None:
                 self._replayer.also_under((*known, change))
-                return replay.falls_at
+                return falls_at
         return None
