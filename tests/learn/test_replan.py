@@ -70,6 +70,8 @@ def goal_conditioned(alone: Replanner) -> Replanner:
 class Falling:
     """Replays like another replayer, but every sequence falls in some states."""
 
+    varies = False
+
     def __init__(self, inner: Replayer, falls: Callable[[States], bool], seconds: float = 0.0) -> None:
         self.inner, self.falls, self.seconds = inner, falls, seconds
 

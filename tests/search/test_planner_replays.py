@@ -32,6 +32,7 @@ class RuleReplayer:
     assembly: Any = None
     problem: Any = SimpleNamespace(parts=1, points=1)
     settings = StabilitySettings()
+    varies = True
     changes: tuple[Change, ...] = ()
 
     def __init__(
@@ -352,6 +353,16 @@ def test_a_search_begins_anew_under_the_change_that_it_learned(rules: Any, direc
     assert middle not in set(map(tuple, result.routes[0].states.tolist()))
     assert planner.tests.replays[result.routes[0].states.tobytes()].varied
     assert len(oracle.replayer.changes) == 1
+
+
+def test_a_replayer_of_one_setting_is_not_asked_for_others(rules: Any) -> None:
+    """As in replanning, where there is no time for that."""
+    task, oracle = tower(rules, set())
+    oracle.replayer = RuleReplayer(set(), {tuple(task.start.tolist())})
+    oracle.replayer.settings, oracle.replayer.varies = StabilitySettings(reserve=1.1), False
+    planner = Planner(task, oracle, PlannerSettings(directions=(Direction.DISASSEMBLY,)))
+    assert planner.run().found
+    assert oracle.replayer.changes == ()
 
 
 def test_the_plan_that_stands_under_the_settings_alone_is_delivered_where_there_is_no_other(rules: Any) -> None:

@@ -44,7 +44,7 @@ class Acceptance:
 
             self._judge = BuildJudge(replayer.assembly, replayer.settings.holds)
         self._replayer, self._plain = replayer, replayer
-        self.varies = replayer is not None and (robust or replayer.settings.reserve > 1.0)
+        self.varies = replayer is not None and replayer.varies and (robust or replayer.settings.reserve > 1.0)
         """Whether settings are changed."""
         draws = DRAWS if robust else FEW_DRAWS
         self._variations = AllVariations(replayer, draws) if replayer is not None and self.varies else None

@@ -141,6 +141,11 @@ class DeadlineReplayer:
         return self._replayer.problem
 
     @property
+    def varies(self) -> bool:
+        """As of `AnyReplayer`."""
+        return self._replayer.varies
+
+    @property
     def changes(self) -> tuple[Change, ...]:
         """As of `AnyReplayer`."""
         return self._replayer.changes

@@ -44,6 +44,8 @@ Array = NDArray[np.float64]
 class Replayer:
     """Contact replay of state sequences of one structure."""
 
+    varies = False
+    """Whether it takes changes of settings, as an `EnsembleReplayer` does."""
     changes: tuple[Change, ...] = ()
     """Changes of settings under which every step must come to rest too, of an `EnsembleReplayer`."""
 

@@ -46,6 +46,10 @@ class AnyReplayer(Protocol):
         """Settings of the verdicts."""
 
     @property
+    def varies(self) -> bool:
+        """Whether it takes changes of settings."""
+
+    @property
     def changes(self) -> tuple[Change, ...]:
         """Changes under which every step must come to rest too."""
 
@@ -185,6 +189,8 @@ class EnsembleReplayer(Replayer):
 
     A history that has none under the changed settings is continued under the own settings alone.
     """
+
+    varies = True
 
     def also_under(self, changes: Sequence[Change]) -> None:
         """As of `AnyReplayer`."""
