@@ -95,12 +95,17 @@ def tower(rules: Any, falls: set[tuple[int, ...]]) -> tuple[Task, Any]:
     return Task.from_rules(rules.ground(5), 2), oracle
 
 
+def middle_state(task: Task, oracle: Any, settings: PlannerSettings) -> tuple[int, ...]:
+    """Return the state in the middle of the first route of a search."""
+    states = Planner(task, oracle, settings).run().routes[0].states
+    return tuple(states[len(states) // 2].tolist())
+
+
 @pytest.mark.parametrize("direction", list(Direction))
 def test_a_route_avoids_what_falls(rules: Any, direction: Direction) -> None:
     task, oracle = tower(rules, set())
     settings = PlannerSettings(directions=(direction,))
-    first = Planner(task, oracle, settings).run().routes[0]
-    middle = tuple(first.states[len(first.states) // 2].tolist())
+    middle = middle_state(task, oracle, settings)
     task, oracle = tower(rules, {middle})
     planner = Planner(task, oracle, settings)
     result = planner.run()
@@ -246,8 +251,7 @@ def test_a_route_avoids_what_the_judge_sees_fall(rules: Any, judged_by: Any, dir
     task, oracle = tower(rules, set())
     settings = PlannerSettings(directions=(direction,), judge=True)
     judged_by(set())
-    first = Planner(task, oracle, settings).run().routes[0]
-    middle = tuple(first.states[len(first.states) // 2].tolist())
+    middle = middle_state(task, oracle, settings)
     judged_by({middle})
     planner = Planner(task, oracle, settings)
     (route,) = planner.run().routes
@@ -314,8 +318,7 @@ def test_a_judge_needs_replays_and_one_plan(rules: Any) -> None:
 @pytest.mark.parametrize("direction", list(Direction))
 def test_a_robust_route_avoids_what_falls_under_a_variation(rules: Any, direction: Direction) -> None:
     task, oracle = tower(rules, set())
-    first = Planner(task, oracle, PlannerSettings(directions=(direction,))).run().routes[0]
-    middle = tuple(first.states[len(first.states) // 2].tolist())
+    middle = middle_state(task, oracle, PlannerSettings(directions=(direction,)))
     for robust in (False, True):
         oracle.replayer = RuleReplayer(set(), {middle})
         planner = Planner(task, oracle, PlannerSettings(directions=(direction,), robust=robust))
@@ -343,8 +346,7 @@ def test_a_search_begins_anew_under_the_change_that_it_learned(rules: Any, direc
     """Whether it replays steps itself or whole routes; the rest of a structure is planned as before."""
     task, oracle = tower(rules, set())
     settings = PlannerSettings(directions=(direction,))
-    first = Planner(task, oracle, settings).run().routes[0]
-    middle = tuple(first.states[len(first.states) // 2].tolist())
+    middle = middle_state(task, oracle, settings)
     oracle.replayer = RuleReplayer(set(), {middle})
     oracle.replayer.settings = StabilitySettings(reserve=1.1)
     planner = Planner(task, oracle, settings)

@@ -290,12 +290,12 @@ def search_directions(search_from: str) -> tuple[Direction, ...]:
     return known.get(search_from, (Direction.ASSEMBLY, Direction.DISASSEMBLY))
 
 
-def replay_text(plan: Plan, also: str = "") -> str:
-    """Return how the replay of a plan succeeds, in one sentence, with a clause on other replays."""
+def replay_text(plan: Plan) -> str:
+    """Return how the replay of a plan succeeds, in one sentence."""
     kept, replay = plan.claim.reserve, plan.replay
     assert replay is not None
     reserve = f" with the true friction and with friction / {kept:g}" if kept > 1 else ""
-    also = also or ", and under each small change of settings" * replay.varied
+    also = ", and under each small change of settings" * replay.varied
     return f"the replay succeeds{reserve}{also}; parts move by {format_bound(replay.moved, 'length')}"
 
 

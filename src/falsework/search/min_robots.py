@@ -310,7 +310,9 @@ class _Query:
         """Record the result of a search."""
         planner = self._planners[robots]
         if result.found and result.interrupted and not planner.routes and self._left > 0:
-            self._reasons[robots] = "none found: the plan that was found falls under a change of settings"
+            self._reasons[robots] = (
+                "none found: the plan that was found was not shown to stand under each change of settings"
+            )
         elif result.found:
             task, route = replace(self._task, robots=robots), result.routes[0]
             known = planner.tests.replays.get(route.states.tobytes())

@@ -44,12 +44,16 @@ class Acceptance:
 
             self._judge = BuildJudge(replayer.assembly, replayer.settings.holds)
         self._replayer, self._plain = replayer, replayer
-        self.varies = replayer is not None and replayer.varies and (robust or replayer.settings.reserve > 1.0)
-        """Whether settings are changed."""
-        draws = DRAWS if robust else FEW_DRAWS
-        self._variations = AllVariations(replayer, draws) if replayer is not None and self.varies else None
+        self._variations = None
+        if replayer is not None and replayer.varies and (robust or replayer.settings.reserve > 1.0):
+            self._variations = AllVariations(replayer, DRAWS if robust else FEW_DRAWS)
         if replayer is not None and replayer.settings.reserve != 1.0:
             self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
+
+    @property
+    def varies(self) -> bool:
+        """Whether settings are changed."""
+        return self._variations is not None
 
     def tested(self, states: States, found: PlanReplay) -> PlanReplay:
         """Return the replay of a route with what robots bear; the one that fails if a state slides or tips.

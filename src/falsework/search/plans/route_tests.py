@@ -49,8 +49,11 @@ class RouteTests:
         self._settings = settings
         self._acceptance = Acceptance(self.replayer, robust=settings.robust, judge=settings.judge)
         self._oracle = oracle
-        self.slow = settings.judge or self._acceptance.varies
+
+    @property
+    def slow(self) -> bool:
         """Whether tests other than a replay decide."""
+        return self._settings.judge or self._acceptance.varies
 
     @property
     def changes(self) -> tuple[Change, ...]:
