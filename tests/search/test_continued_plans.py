@@ -68,6 +68,19 @@ def test_history_counts(plan: Plan) -> None:
     assert np.abs(goes_on.moved[1:] - from_rest.moved[1:]).max() > 1e-3 * goes_on.moved.max()
 
 
+def test_a_search_begins_with_the_history_of_what_is_built(plan: Plan) -> None:
+    """One state alone, as a search replays its first, comes with the history that the steps so far have left."""
+    step = len(plan) // 2
+    built = plan.states[: step + 1], plan.presses_before[: step + 1]
+    (begun,) = (
+        DeadlineReplayer(Replayer(ARCH), Deadline(None), built=built).replay(plan.states[step : step + 1]).histories
+    )
+    whole = Replayer(ARCH).replay(*built[:1], presses=built[1]).histories[-1]
+    np.testing.assert_array_equal(begun.springs, whole.springs)
+    from_rest = Replayer(ARCH).replay(plan.states[step : step + 1]).histories[0]
+    assert np.abs(begun.springs - from_rest.springs).max() > 1e-3 * np.abs(whole.springs).max()
+
+
 def test_steps_that_are_done_stay(plan: Plan) -> None:
     for step in (2, 6, 9):
         part = late(plan, step)

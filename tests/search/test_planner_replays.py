@@ -19,6 +19,7 @@ from falsework.search.planner import Planner
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import Stop
 from falsework.search.problem.timed_replayer import DeadlineReplayer
+from falsework.search.strategies import Repair
 from falsework.stability.contact.history import Change, History, Replay, ReplaySettings
 from falsework.stability.contact.varied_replay import AllVariations
 from falsework.stability.judges import discrete_elements
@@ -342,7 +343,7 @@ def test_a_change_under_which_a_route_falls_is_tried_at_every_step_from_then_on(
 
 
 @pytest.mark.parametrize("direction", list(Direction))
-def test_a_search_begins_anew_under_the_change_that_it_learned(rules: Any, direction: Direction) -> None:
+def test_a_search_goes_on_under_the_change_that_it_learned(rules: Any, direction: Direction) -> None:
     """Whether it replays steps itself or whole routes; the rest of a structure is planned as before."""
     task, oracle = tower(rules, set())
     settings = PlannerSettings(directions=(direction,))
@@ -355,6 +356,80 @@ def test_a_search_begins_anew_under_the_change_that_it_learned(rules: Any, direc
     assert middle not in set(map(tuple, result.routes[0].states.tolist()))
     assert planner.tests.replays[result.routes[0].states.tobytes()].varied
     assert len(oracle.replayer.changes) == 1
+
+
+def test_a_route_is_replayed_under_changes_from_where_it_differs_from_the_last(
+    rules: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[bool] = []
+    replay = RuleReplayer.replay
+
+    def noted(self: RuleReplayer, states: Any, history: History | None = None, presses: Any = None) -> Replay:
+        begun.append(history is None)
+        return replay(self, states, history, presses)
+
+    monkeypatch.setattr(RuleReplayer, "replay", noted)
+    task, oracle = tower(rules, set())
+    states = Planner(task, oracle).run().routes[0].states[::-1]
+    presses: list[tuple[()]] = [()] * len(states)
+    late, last = tuple(states[-2].tolist()), states.copy()
+    last[-2] = last[-1]
+    replayer: Any = RuleReplayer(set(), {late})
+    every = AllVariations(replayer)
+    assert every.falls_at(states, presses) == len(states) - 2
+    assert sum(begun) > 1
+    begun.clear()
+    assert every.falls_at(last, presses) is None
+    assert begun
+    assert not any(begun)
+
+
+def test_a_search_goes_back_to_where_its_plan_fell_under_a_change(rules: Any) -> None:
+    """And keeps what leads there."""
+    settings = PlannerSettings(directions=(Direction.ASSEMBLY,))
+    task, oracle = tower(rules, set())
+    states = Planner(task, oracle, settings).run().routes[0].states[::-1]
+    late = next(row for row in range(len(states) - 2, 0, -1) if (states[row] == 1).sum() > (states[row - 1] == 1).sum())
+    oracle.replayer = RuleReplayer(set(), {tuple(states[late].tolist())})
+    oracle.replayer.settings = StabilitySettings(reserve=1.1)
+    found = Planner(task, oracle, settings).run().routes[0].states[::-1]
+    assert len(oracle.replayer.changes) == 1
+    np.testing.assert_array_equal(found[: late - 1], states[: late - 1])
+
+
+def test_a_search_begins_anew_where_it_finds_no_way_on_in_time(rules: Any) -> None:
+    """It may take as long as what leads to the fall took."""
+    search: Any = SimpleNamespace(effort=80.0, level=30, steps=40, back=[])
+    search.go_back = search.back.append
+    repair = Repair()
+    assert not repair.is_over(search)
+    state = np.ones(3, np.uint8)
+    repair.begin(search, state)
+    assert search.back == [state]
+    search.effort = 140.0
+    assert not repair.is_over(search)
+    search.effort = 141.0
+    assert repair.is_over(search)
+    search.level = 10
+    repair.begin(search, state)  # the first plan took 80
+    search.effort = 161.0
+    assert not repair.is_over(search)
+    search.effort = 162.0
+    assert repair.is_over(search)
+
+
+def test_a_route_that_stands_is_announced_once(rules: Any) -> None:
+    """So that a deadline does not leave time for plans without a reserve where there is one with it."""
+    task, oracle = tower(rules, set())
+    oracle.replayer = RuleReplayer(set(), {middle_state(task, oracle, PlannerSettings())})
+    oracle.replayer.settings = StabilitySettings(reserve=1.1)
+    planner = Planner(task, oracle)
+    clock, stands = Deadline(100.0), list[bool]()
+    clock.reserve = 50.0
+    planner.tests.when_one_stands = lambda: (stands.append(True), clock.use_reserve())
+    assert planner.run().found
+    assert stands == [True]
+    assert clock.reserve == 0.0
 
 
 def test_a_replayer_of_one_setting_is_not_asked_for_others(rules: Any) -> None:

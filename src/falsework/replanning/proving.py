@@ -10,8 +10,8 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.assembly.props import whole_state
 from falsework.assembly.state import HELD
-from falsework.search.find import prove_route
 from falsework.search.plans.plan import Plan
+from falsework.search.plans.proofs import prove_route
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task

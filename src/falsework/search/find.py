@@ -15,22 +15,18 @@ from numpy.typing import ArrayLike
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.part_numbers import part_ids
-from falsework.assembly.props import keep_props, without_props
-from falsework.assembly.state import REMOVED, States
+from falsework.assembly.props import without_props
+from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.geometry.clearance.protocol import Clearance
-from falsework.search.margins.demands import MarginOracle
-from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
 from falsework.search.planning import Planning
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
-from falsework.search.plans.plan import Plan
-from falsework.search.plans.proofs import prove, prove_build
+from falsework.search.plans.proofs import prove, prove_route
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.search.problem.hold_bound import HoldBound
 from falsework.search.problem.part_sets import InterlockedSets
-from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import (
     Outcome,
     Progress,
@@ -124,31 +120,43 @@ def find_plans(
     if backend not in get_args(Backend):
         raise InputError(f"there is no backend {backend!r}; give {' or '.join(get_args(Backend))}")
     assembly, clock = as_assembly(assembly), Deadline(deadline)
-    more: dict[str, Any] = {
-        "settings": settings,
-        "guide": guide,
-        "progress": or_notebook(progress, "searching"),
-        "stop": stop,
-        "forces": forces,
-        "backend": backend,
-    }
     task = task or make_task(assembly, 2 if robots is None else robots, **rules)
-    if oracle is None:
-        weaker = replace(stability, reserve=1.0)
-        first = StabilityOracle(assembly, stability)
-        again = stability.reserve > 1.0 and first.replayer is not None
-        share = clock.rest if not again or clock.rest is None else FIRST_SHARE * clock.rest
-        found = find_plans(assembly, task, oracle=first, deadline=share, checkpoint=checkpoint, **more)
-        good = found.accepted or (found.found and not settings.judge)
-        if good or not again or clock.passed or (found.result.interrupted and not found.deadline_passed):
-            return found
-        other = find_plans(assembly, task, oracle=StabilityOracle(assembly, weaker), deadline=clock.rest, **more)
-        return found if found.found and not other.accepted else other
+    more = settings, guide, or_notebook(progress, "searching"), stop, forces, backend
+    if oracle is not None:
+        return _find(assembly, task, oracle, clock, checkpoint, *more)
+    first = StabilityOracle(assembly, stability)
+    again = stability.reserve > 1.0 and first.replayer is not None
+    if again and clock.limited:
+        clock.reserve = FIRST_SHARE * clock.left
+    found = _find(assembly, task, first, clock, checkpoint, *more)
+    clock.reserve = 0.0
+    good = found.accepted or (found.found and not settings.judge)
+    if good or not again or clock.passed or (found.result.interrupted and not found.deadline_passed):
+        return found
+    weaker = StabilityOracle(assembly, replace(stability, reserve=1.0))
+    other = _find(assembly, task, weaker, clock, None, *more)
+    return found if found.found and not other.accepted else other
+
+
+def _find(
+    assembly: Assembly,
+    task: Task,
+    oracle: StabilityOracle,
+    clock: Deadline,
+    checkpoint: Path | str | None,
+    settings: PlannerSettings,
+    guide: Guide | None,
+    progress: Progress | None,
+    stop: Stop | None,
+    forces: bool,
+    backend: Backend,
+) -> Planning:
+    """Find plans with one oracle, see `find_plans`; they may take the reserve of the clock once one stands."""
     if backend == "cuda":
         oracle.use_gpu()
     if task.moves_out > 1 and task.clearance is not None and np.isinf(task.clearance.most) and checkpoint is None:
         quick = replace(task, clearance=task.clearance.within(_SHORT))
-        found = find_plans(assembly, quick, oracle=oracle, deadline=clock.rest, **more)
+        found = _find(assembly, quick, oracle, clock, None, settings, guide, progress, stop, forces, backend)
         if found.found or found.result.interrupted or not (quick.clearance and quick.clearance.were_cut):
             return found
     guide = guide or SupportGuide(assembly)
@@ -158,13 +166,15 @@ def find_plans(
         planner.check_saved()
         if Path(checkpoint).exists():
             planner = Planner.load(checkpoint, task, timed(oracle, clock), settings, **how)
+    if not settings.judge:
+        planner.tests.when_one_stands = clock.use_reserve
     with interrupted_by(clock.check):
         result = _run(
             planner,
             lambda: HoldBound(
                 assembly, task, oracle.settings, Deadline(max(min(settings.bound_after / 2, clock.left), 1e-3))
             ),
-            progress=_saving(planner, checkpoint, more["progress"]),
+            progress=_saving(planner, checkpoint, progress),
             stop=lambda: clock.passed or (stop is not None and stop()),
         )
     if checkpoint is not None:
@@ -255,48 +265,6 @@ def _clearance(assembly: Assembly, moves: int, fixed: Sequence[int], *, turns: b
     meshes, contacts = assembly.meshes, assembly.contacts
     posed = PosedStates(assembly) if waiting else None
     return ExitPaths(meshes, contacts, assembly.straight_ways, assembly.part_motions, still, moves, turns, posed)
-
-
-def prove_route(
-    route: Route,
-    assembly: Assembly,
-    task: Task,
-    oracle: StabilityOracle,
-    *,
-    forces: bool = True,
-    replay: PlanReplay | None = None,
-    all_props: bool = False,
-) -> Plan:
-    """Plan along a route, each state proved stable anew with a proof that the certificate checker accepts.
-
-    Under the criterion `contact` states are proved in the order in which they are built; the result of that replay is
-    in `Plan.replay`.
-
-    Args:
-        forces: keep the forces in the plan, under `contact` the displacements too.
-        replay: of the route by the oracle's replayer, where it is known already.
-        all_props: keep the places for props that the route does not use.
-
-    Raises:
-        PlanError: a state that cannot be proved stable.
-    """
-    task = task.judged_by(oracle)
-    if assembly.props and not all_props:
-        bare = assembly.part_count - len(assembly.props)
-        used = np.flatnonzero((route.states[:, bare:] != REMOVED).any(axis=0))
-        if len(used) < len(assembly.props):
-            states = np.ascontiguousarray(route.states[:, np.concatenate([np.arange(bare), bare + used])])
-            assembly = keep_props(assembly, used.tolist())
-            route, oracle, replay = Route.from_states(states), StabilityOracle(assembly, oracle.settings), None
-    if oracle.replayer is None:
-        verdicts, arrays = prove(route.states, oracle, forces=forces)
-        plan = Plan.from_route(route, assembly, task, verdicts[::-1], oracle.settings.claim)
-        plan = replace(plan, forces=arrays and arrays[::-1])
-    else:
-        plan = prove_build(route, assembly, task, oracle.replayer, replay, forces=forces)
-    if isinstance(oracle, MarginOracle):
-        plan = replace(plan, margins=PlanMargins.from_oracle(oracle, plan.states, oracle.demands))
-    return plan
 
 
 def _choose(

@@ -11,12 +11,13 @@ from msgspec import structs
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
-from falsework.search.find import find_plans, prove_route
+from falsework.search.find import find_plans
 from falsework.search.margins.demands import Demands, MarginOracle
 from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.planner import Planner
 from falsework.search.planning import Planning
 from falsework.search.plans.alternatives import Alternatives
+from falsework.search.plans.proofs import prove_route
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.result import Outcome, Progress, SearchProgress, SearchResult, Stop
 from falsework.search.problem.task import Task

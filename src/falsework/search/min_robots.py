@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, held_count
-from falsework.search.find import FIRST_SHARE, PLANS, make_task, prove_route
+from falsework.search.find import FIRST_SHARE, PLANS, make_task
 from falsework.search.planner import Planner
 from falsework.search.plans.plan import Plan
+from falsework.search.plans.proofs import prove_route
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.hold_bound import Barrier, HoldBound

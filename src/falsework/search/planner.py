@@ -29,7 +29,7 @@ from falsework.search.problem.result import (
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
-from falsework.search.strategies import EDGES, TOGETHER, Pace, Portfolio, Turn, regrasps, start
+from falsework.search.strategies import EDGES, TOGETHER, Pace, Portfolio, Repair, Turn, regrasps, start
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
@@ -69,7 +69,7 @@ class Planner:
         """
         self.regrasps, self.together = regrasps(task, settings), task.together is not None
         """Whether plans may hold parts again, and whether steps may move several parts."""
-        self._pace = Pace(lambda: len(self._left) > 1)
+        self._pace, self._repair = Pace(lambda: len(self._left) > 1), Repair()
         self.task = task.judged_by(oracle)
         self.settings = settings
         self.routes: list[Route] = []
@@ -255,16 +255,18 @@ class Planner:
             nonlocal paused
             turn.note(beam, portfolio.narrowest)
             paused = portfolio.is_over(self._round, turn, beam.work, least)
-            return paused or (stop is not None and stop())
+            return paused or self._repair.is_over(beam) or (stop is not None and stop())
 
         with self._pace.turn(self._round):
             result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
-        if (paused or self._pace.over) and not result.found:
+        if result.found and not result.interrupted:
+            self._test(beam, result, stop)
+        elif self._repair.is_over(beam):
+            self._drop_beams()
+        elif paused or self._pace.over:
             self._turn, turn.owed = self._turn + 1, 0.0
         elif result.interrupted:
             return True
-        elif result.found:
-            self._test(beam, result, stop)
         else:
             self._failed(result)
         if self._turn >= len(self._left):
@@ -275,6 +277,7 @@ class Planner:
         """Forget the beams of a search that is over, but not the work that they did."""
         self._counters = self.counters
         self._beams, self._turns, self._last = {}, {}, {}
+        self._repair = Repair()
         self._left = list(self._portfolio.names)
         self._round = self._turn = self._falls = 0
 
@@ -289,10 +292,10 @@ class Planner:
         route = result.routes[0]
         if self._stage == "alternatives":
             self.states = np.concatenate([self.states, beam.states()])
-        known, falls = self.tests.changes, self._falls + 1
+        falls = self._falls + 1
         if not self.tests.passes(route, beam.replay_summary(), stop):
-            if self.tests.changes != known:
-                self._drop_beams()  # the steps of their paths were tried under less than they must stand under
+            if self.tests.again is not None:
+                self._repair.begin(beam, self.tests.again)
             elif falls < MOST_FALLS:
                 beam.forbid(self.tests.forbidden)
             else:
@@ -320,13 +323,9 @@ class Planner:
             if not decided:
                 result = replace(result, outcome=Outcome.NOT_FOUND)
         over = self._give_up() or decided
-        if self._stage == "alternatives":
-            if over:
-                self._finish()
-            return
-        if self._stage == "plan":
-            if decided or self._failure is None or result.reached >= self._failure.reached:
-                self._failure = result
+        if self._stage == "plan" and (decided or self._failure is None or result.reached >= self._failure.reached):
+            self._failure = result
+        if self._stage != "postpone":
             if over:
                 self._finish()
             return

@@ -31,11 +31,11 @@ from falsework.assembly.props import keep_props
 from falsework.errors import AssemblyError, InputError, PlanError
 from falsework.interop.tracks import tracks_of
 from falsework.search.beam.state_search import StateSearch
-from falsework.search.find import prove_route
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict, save_plan
 from falsework.search.plans.plan_model import plan_schema
 from falsework.search.plans.plan_source import structure_of_plan
+from falsework.search.plans.proofs import prove_route
 from falsework.search.problem.result import Route
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from falsework import Assembly, Plan, PlannerSettings, StabilitySettings, find_plans, load_structure
+from falsework.search.beam.paths import PathHistories
 from falsework.stability.contact.history import Change, Presses
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.varied_replay import (
@@ -89,6 +90,28 @@ def test_a_history_of_one_setting_goes_on_under_it_alone() -> None:
     found = ensemble.replay(plan.states[4:], history)
     assert found.good
     assert not any(some.changed for some in found.histories)
+
+
+def test_a_path_goes_on_under_a_change_that_is_learned_on_the_way() -> None:
+    """With the histories that it would have had from the beginning."""
+    assembly = load_structure("vault:parts=40")
+    plan = planned(assembly, 0, 1.1)
+    ensemble, whole = (EnsembleReplayer(assembly, CONTACT) for _ in range(2))
+    paths = PathHistories(ensemble, lambda row: row - 1 if row else None, lambda row: plan.states[row])
+    learned = variations(CONTACT, 1)[::3]
+    for row in range(1, len(plan.states)):
+        history = paths.step(row - 1, plan.states[row])
+        assert history is not None
+        paths.keep(row, history)
+        if row in (len(plan.states) // 3, len(plan.states) // 2):
+            ensemble.also_under(learned[: len(ensemble.changes) + 1])
+    whole.also_under(ensemble.changes)
+    summary = paths.summary(len(plan.states) - 1)
+    assert summary is not None
+    expected = whole.replay(plan.states, presses=summary.presses).histories[-1]
+    assert len(history.changed) == 2
+    for own, other in zip((history, *history.changed), (expected, *expected.changed), strict=True):
+        np.testing.assert_array_equal(own.springs, other.springs)
 
 
 def test_a_plan_with_a_reserve_stands_under_every_change() -> None:

@@ -19,7 +19,7 @@ from falsework.robots.model.shapes import Array
 from falsework.robots.motion.timing import time_path
 from falsework.robots.plans.robot_plan import Keyframe, Partner, RobotPlan, RobotStep, records_of
 from falsework.robots.plans.trajectory import Trajectory
-from falsework.search.find import prove_route
+from falsework.search.plans.proofs import prove_route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle
 

@@ -9,8 +9,9 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.replanning.replanner import settings_of
 from falsework.robots.plans.robot_plan import RobotPlan, acts
-from falsework.search.find import make_task, prove_route
+from falsework.search.find import make_task
 from falsework.search.plans.plan import Plan
+from falsework.search.plans.proofs import prove_route
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle

@@ -156,10 +156,11 @@ class BeamSearch(Search):
         """See `Search.forbid`."""
         keys = {state.tobytes() for state in states}
         self.judge.forbidden |= keys
-        for number, level in enumerate(self.levels):
-            if any(state.tobytes() in keys for state in level.states):
-                self._go_back(number)
-                return
+        self._go_back(keys)
+
+    def go_back(self, state: States) -> None:
+        """See `Search.go_back`."""
+        self._go_back({state.tobytes()})
 
     def _open(self) -> tuple[int, int]:
         judge = self.judge
@@ -275,10 +276,13 @@ class BeamSearch(Search):
         self.settings, self._dead = settings, False
         self._paths.rewind(level)
 
-    def _go_back(self, level: int) -> None:
-        """Go back to before a level in which states were ruled out."""
-        self._whole = [*self._whole[:level], *([False] * (len(self.levels) - level))]
-        self.rewind(max(level - 1, 0), self.settings)
+    def _go_back(self, keys: set[bytes]) -> None:
+        """Go back to before the first level with one of some states."""
+        for number, level in enumerate(self.levels):
+            if any(state.tobytes() in keys for state in level.states):
+                self._whole = [*self._whole[:number], *([False] * (len(self.levels) - number))]
+                self.rewind(max(number - 1, 0), self.settings)
+                return
 
     @property
     def _whole_before(self) -> bool:

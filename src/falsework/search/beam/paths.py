@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
@@ -14,6 +15,7 @@ from falsework.search.beam.settings import MEMORY, SLIP
 from falsework.search.problem.oracle import CountingOracle
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.contact.build_verifier import StepCertificate
+from falsework.stability.contact.varied_replay import changed, in_pieces, inexact
 
 if TYPE_CHECKING:
     from falsework.stability.contact.history import History
@@ -113,8 +115,7 @@ class PathHistories(Generic[K]):
     def _of(self, name: K) -> History | None:
         """Return the history of a state, along its path from the last state whose history is known."""
         if self._changes != self._replayer.changes:
-            self._changes = self._replayer.changes
-            self.forget(lambda _: True)
+            self._learn(name)
         path = [name]
         while path[-1] not in self._known and (before := self._before(path[-1])) is not None:
             path.append(before)
@@ -130,6 +131,31 @@ class PathHistories(Generic[K]):
             self.keep(after, history)
             last = after
         return history
+
+    def _learn(self, name: K) -> None:
+        """Replay the path to a state under the changes of settings that are new, and forget what is not on it."""
+        replayer, count, path = self._replayer, len(self._changes), [name]
+        while (before := self._before(path[-1])) is not None:
+            path.append(before)
+        path.reverse()
+        end = 0
+        if replayer.changes[:count] == self._changes:
+            end = [*(at in self._steps for at in path), False].index(False)
+        states, presses = [self._state(at) for at in path[:end]], [self._steps[at][2].presses for at in path[:end]]
+        histories = [self._known.get(at) for at in path[:end]]
+        for change in replayer.changes[count:] if end else []:
+            states, presses = states[:end], presses[:end]
+            end, own = 0, replayer.vary(*changed(change, replayer.settings))
+            for first, found in in_pieces(own, np.array(states), inexact(change, presses)):
+                for history in found[end - first :]:
+                    if (known := histories[end]) is not None:
+                        more = replace(history, track=None)
+                        histories[end] = replace(known, changed=(*known.changed, more))
+                    end += 1
+        self._changes = replayer.changes
+        known = zip(path[:end], histories, strict=False)
+        self._known = {at: history for at, history in known if history is not None}
+        self._steps = {at: self._steps[at] for at in path[:end]}
 
     def _kept(self, track: Array | None) -> Array:
         """Return the displacement of a step to keep: most steps only hold a part, and share one of zeros."""

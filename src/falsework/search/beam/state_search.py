@@ -150,6 +150,10 @@ class StateSearch(Search):
         self._stable.update(dict.fromkeys(excluded, False))
         self._begin()
 
+    def go_back(self, state: States) -> None:
+        """Restart. See `Search.go_back`."""
+        self._begin()
+
     @property
     def found(self) -> bool:
         """See `Search.found`."""

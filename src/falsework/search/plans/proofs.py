@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import States
+from falsework.assembly.props import keep_props
+from falsework.assembly.state import REMOVED, States
 from falsework.errors import PlanError
+from falsework.search.margins.demands import MarginOracle
+from falsework.search.margins.plan_margins import PlanMargins
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
@@ -98,3 +101,45 @@ def _true_loads(replayer: Replayer, states: States, presses: Presses, loads: Loa
     histories = true.replay(states, presses=presses).histories
     found = true.loads(states[: len(histories)], histories)
     return (*found, *loads[len(found) :])
+
+
+def prove_route(
+    route: Route,
+    assembly: Assembly,
+    task: Task,
+    oracle: StabilityOracle,
+    *,
+    forces: bool = True,
+    replay: PlanReplay | None = None,
+    all_props: bool = False,
+) -> Plan:
+    """Plan along a route, each state proved stable anew with a proof that the certificate checker accepts.
+
+    Under the criterion `contact` states are proved in the order in which they are built; the result of that replay is
+    in `Plan.replay`.
+
+    Args:
+        forces: keep the forces in the plan, under `contact` the displacements too.
+        replay: of the route by the oracle's replayer, where it is known already.
+        all_props: keep the places for props that the route does not use.
+
+    Raises:
+        PlanError: a state that cannot be proved stable.
+    """
+    task = task.judged_by(oracle)
+    if assembly.props and not all_props:
+        bare = assembly.part_count - len(assembly.props)
+        used = np.flatnonzero((route.states[:, bare:] != REMOVED).any(axis=0))
+        if len(used) < len(assembly.props):
+            states = np.ascontiguousarray(route.states[:, np.concatenate([np.arange(bare), bare + used])])
+            assembly = keep_props(assembly, used.tolist())
+            route, oracle, replay = Route.from_states(states), StabilityOracle(assembly, oracle.settings), None
+    if oracle.replayer is None:
+        verdicts, arrays = prove(route.states, oracle, forces=forces)
+        plan = Plan.from_route(route, assembly, task, verdicts[::-1], oracle.settings.claim)
+        plan = replace(plan, forces=arrays and arrays[::-1])
+    else:
+        plan = prove_build(route, assembly, task, oracle.replayer, replay, forces=forces)
+    if isinstance(oracle, MarginOracle):
+        plan = replace(plan, margins=PlanMargins.from_oracle(oracle, plan.states, oracle.demands))
+    return plan

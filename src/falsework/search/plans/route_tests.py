@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -42,8 +43,12 @@ class RouteTests:
         self.doubted: Route | None = None
         """Of the routes that stand in their replays, and fail under changed settings or in the judge, the one built
         farthest."""
+        self.when_one_stands: Callable[[], None] = lambda: None
+        """Called when the first route stands in its replay."""
         self.forbidden = np.empty((0, parts), dtype=np.uint8)
         """Excluded states, shape (count, parts)."""
+        self.again: States | None = None
+        """State in which the last route fell under changed settings, if the search can build that far anew."""
         self.replayer: AnyReplayer | None = oracle.replayer
         """Replayer of complete routes; None where there is no history to take into account."""
         self._settings = settings
@@ -74,6 +79,7 @@ class RouteTests:
         Raises:
             KeyboardInterrupt: `stop` returned true before the judge was done.
         """
+        self.again = None
         weak = np.flatnonzero(~self._oracle.keeps(route.states[1:-1])) + 1
         if len(weak):
             self._exclude(route.states[weak])
@@ -90,7 +96,9 @@ class RouteTests:
             self.replays[key] = found
             if self.doubted is None:  # until the slow tests are done, or a deadline or the keyboard ends them
                 self.doubted = route
-            if self._acceptance.varied_falls_at(states, found) is None:
+                self.when_one_stands()
+            row = self._acceptance.varied_falls_at(states, found)
+            if row is None:
                 self.replays[key] = found = replace(found, varied=self._acceptance.varies)
                 if self._settings.judge:
                     found = self._judge(route, found, stop)
@@ -98,6 +106,7 @@ class RouteTests:
                     return True
                 break
             if known is not None:
+                self.again = barred_state(states, row)
                 return False
         row = found.fails_at or 0
         if not found.stands and (self.fallen is None or row > self.fallen[1]):

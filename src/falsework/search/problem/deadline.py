@@ -46,7 +46,7 @@ class Deadline:
         self._begun = time.perf_counter()
         self._deadline = deadline
         self.reserve = 0.0
-        """Seconds before the deadline at which to stop searching, since a plan that is found must still be proved."""
+        """Seconds before the deadline at which to stop searching, for what is to be done after that."""
         self.spent: dict[str, float] = {}
         """Seconds by kind of work."""
         self.between: Callable[[], None] = lambda: None
@@ -76,6 +76,10 @@ class Deadline:
     def passed(self) -> bool:
         """Whether to stop searching."""
         return self.left <= self.reserve
+
+    def use_reserve(self) -> None:
+        """Leave nothing of the time in reserve."""
+        self.reserve = 0.0
 
     def check(self) -> None:
         """Raise if it is time to stop.

@@ -83,6 +83,10 @@ class Search(ABC):
         """Rule states out from now on, shape (count, parts), and go back to where none of them is on the way."""
 
     @abstractmethod
+    def go_back(self, state: States) -> None:
+        """Go back to where a state, shape (parts,), is not on the way yet: what leads there is to be tried anew."""
+
+    @abstractmethod
     def route(self) -> Route:
         """Return the way found, in disassembly order; only once `found`."""
 

@@ -196,6 +196,13 @@ class DeadlineReplayer:
             DeadlineExceeded: the deadline passed; `unfinished` then is this sequence.
         """
         sequence = np.asarray(states, dtype=np.uint8)
+        if history is None and len(sequence) == 1 and (built := self._replay_built()) is not None:
+            if not built.over:
+                self._falls.unfinished = sequence
+                raise DeadlineExceeded
+            result, histories = np.full(1, 0 if built.fell else RESTS), [] if built.fell else [built.history]
+            ends = built.moved[-1:], built.part[-1:], built.residual[-1:]
+            return Replay(result, *ends, 0.0, tuple(filter(None, histories)))
         if history is not None or len(sequence) < 2:
             with self._clock.piece("replays"):
                 return self._replayer.replay(sequence, history, presses)

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import itemgetter
 from threading import Event
 from typing import Protocol, Self
 
@@ -24,7 +25,7 @@ from falsework.stability.contact.history import Change, History, Presses, Replay
 from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.newton import OPEN
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.holds import inexact_presses
+from falsework.stability.holds import Press, inexact_presses
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.cores import core_count
@@ -32,6 +33,8 @@ from falsework.utils.interruption import PIECE
 
 DRAWS, FEW_DRAWS = 20, 2
 """Number of variations with random initial friction, in a thorough test and for every plan with a reserve."""
+PARTS = 16
+"""Parts of a plan, each of which is replayed under all changes before the next."""
 
 
 class AnyReplayer(Protocol):
@@ -128,45 +131,80 @@ def inexact(change: Change, presses: Presses) -> Presses:
     return [inexact_presses(some)[change.press] if some else () for some in presses]
 
 
-def in_pieces(replayer: AnyReplayer, states: States, presses: Presses) -> Iterator[tuple[int, Sequence[History]]]:
+def in_pieces(
+    replayer: AnyReplayer, states: States, presses: Presses, known: tuple[int, History] | None = None
+) -> Iterator[tuple[int, Sequence[History]]]:
     """Yield the histories of a few states along a route at a time, up to the first that does not come to rest.
 
     Between them a replay can be ended, and those of a whole route take much memory.
 
+    Args:
+        replayer: of the structure.
+        states: in assembly order, shape (states, parts).
+        presses: of the steps that lead to each state.
+        known: number of a state whose history is known, and that history: the replay begins there.
+
     Yields:
-        Number of the first state, which but for the first time is the last one before; histories.
+        Number of the first state, which is the last one before where there is one; histories.
     """
-    piece, done = replayer.replay(states[:1], presses=presses[:1]), 0
-    while piece.histories:
-        yield max(done - 1, 0), piece.histories
-        done = max(done - 1, 0) + len(piece.histories)
-        if not piece.good or done == len(states):
+    row, history = known or (0, None)
+    while True:
+        rows = slice(row, row + 1 + (PIECE if history else 0))
+        piece = replayer.replay(states[rows], history, presses[rows])
+        if piece.histories:
+            yield row, piece.histories
+        row += len(piece.histories) - 1
+        if not piece.good or row == len(states) - 1:
             return
-        rows = slice(done - 1, done + PIECE)
-        piece = replayer.replay(states[rows], piece.histories[-1], presses[rows])
+        history = piece.histories[-1]
+
+
+class _ChangedReplay:
+    """Replay of routes under a change of settings; each begins with what it has in common with the last."""
+
+    def __init__(self, replayer: AnyReplayer, change: Change) -> None:
+        self.change = change
+        self._replayer = replayer.vary(*changed(change, replayer.settings))
+        self._route: list[tuple[bytes, tuple[Press, ...]]] = []
+        self._known: list[tuple[int, History]] = []
+        """Numbers of some states of the route that come to rest, in order, with their histories."""
+
+    def begin(self, route: list[tuple[bytes, tuple[Press, ...]]]) -> None:
+        """Go on with a route, of which each state comes with the presses of the step to it."""
+        shared = [*(old == new for old, new in zip(self._route, route, strict=False)), False].index(False)
+        self._route, self._known = route, [known for known in self._known if known[0] < shared]
+
+    def falls_at(self, states: States, presses: Presses, over: Event) -> int | None:
+        """Return the first state of the route up to some state that does not come to rest; None if all do.
+
+        Args:
+            states, presses: of the route up to there.
+            over: whether the answer does not matter any more.
+        """
+        last, history = self._known[-1] if self._known else (-1, None)
+        if last >= len(states) - 1:
+            return None
+        known = None if history is None else (last, history)
+        for first, histories in in_pieces(self._replayer, states, inexact(self.change, presses), known):
+            last, history = first + len(histories) - 1, histories[-1]
+            if over.is_set():
+                break
+        if history is not None:
+            self._known.append((last, replace(history, track=None)))
+        return None if last == len(states) - 1 else last + 1
 
 
 def _falls(
-    replayer: AnyReplayer, changes: Sequence[Change], states: States, presses: Presses
-) -> Iterator[tuple[Change, int | None]]:
-    """Yield each change and the first state of a plan that falls under it; as many replays as cores run at a time."""
+    replays: Sequence[_ChangedReplay], states: States, presses: Presses
+) -> Iterator[tuple[_ChangedReplay, int | None]]:
+    """Yield each replay and the first state of a route that falls in it; as many run at a time as there are cores."""
     over = Event()
-
-    def falls_at(change: Change) -> int | None:
-        settings, varied = changed(change, replayer.settings)
-        done = 0
-        for first, histories in in_pieces(replayer.vary(settings, varied), states, inexact(change, presses)):
-            done = first + len(histories)
-            if over.is_set():
-                break
-        return None if done == len(states) else done
-
     workers = core_count()
     with ThreadPoolExecutor(workers) as pool:
         try:
-            for first in range(0, len(changes), workers):
-                some = changes[first : first + workers]
-                yield from zip(some, pool.map(falls_at, some), strict=True)
+            for first in range(0, len(replays), workers):
+                some = replays[first : first + workers]
+                yield from zip(some, pool.map(lambda one: one.falls_at(states, presses, over), some), strict=True)
         finally:
             over.set()
 
@@ -247,8 +285,8 @@ def replay_varied(
         draws: number of random initial friction states.
     """
     given: Presses = [()] * len(states) if presses is None else presses
-    found = _falls(replayer, variations(replayer.settings, draws, given), states, given)
-    return [Variation(change.name, falls_at is None, falls_at) for change, falls_at in found]
+    replays = [_ChangedReplay(replayer, change) for change in variations(replayer.settings, draws, given)]
+    return [Variation(one.change.name, row is None, row) for one, row in _falls(replays, states, given)]
 
 
 class AllVariations:
@@ -262,12 +300,14 @@ class AllVariations:
             draws: number of random initial friction states.
         """
         self._replayer, self._draws = replayer, draws
+        self._replays: dict[Change, _ChangedReplay] = {}
         replayer.also_under(())
 
     def falls_at(self, states: States, presses: Presses) -> int | None:
         """Return the first state in which a plan does not come to rest under some change; None if there is none.
 
-        The first such change ends the test, and is one of those under which the replayer tries steps from now on.
+        The change under which it falls first is among those under which the replayer tries steps from now on. All are
+        tried on one part of the plan before the next, so little of what comes after a fall is replayed.
 
         Args:
             states: in assembly order, shape (steps + 1, parts); they come to rest in the replay of the replayer.
@@ -275,8 +315,16 @@ class AllVariations:
         """
         known, settings = self._replayer.changes, self._replayer.settings
         changes = [change for change in variations(settings, self._draws, presses) if change not in known]
-        for change, falls_at in _falls(self._replayer, changes, states, presses):
-            if falls_at is not None:
+        route = [(state.tobytes(), tuple(some)) for state, some in zip(states, presses, strict=True)]
+        for change in changes:
+            if change not in self._replays:
+                self._replays[change] = _ChangedReplay(self._replayer, change)
+            self._replays[change].begin(route)
+        replays = [self._replays[change] for change in changes]
+        for end in np.linspace(0, len(states), PARTS + 1).astype(int)[1:]:
+            fallen = [(row, one.change) for one, row in _falls(replays, states[:end], presses[:end]) if row is not None]
+            if fallen:
+                row, change = min(fallen, key=itemgetter(0))
                 self._replayer.also_under((*known, change))
-                return falls_at
+                return row
         return None
