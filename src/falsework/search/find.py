@@ -88,7 +88,8 @@ def find_plans(
         stability: criterion, reserve and robots, where no oracle is given. Where no plan keeps the reserve, half of the
             deadline is left to search for one that comes to rest under the true friction; `Plan.claim` has its reserve.
             So too where the judge of `settings` accepts none; if that finds none either, the first plan is returned.
-            Where none stands under every change of settings, one that stands without is returned; `PlanReplay.varied`.
+            Where none stands under every change of settings by the deadline, one that stands without is returned; see
+            `PlanReplay.varied`.
         settings: effort of the search, and number of plans.
         guide: scores actions; by default parts with much support are inserted first, and in shells the free edges,
             where `SupportGuide.edges_first` has them of use.

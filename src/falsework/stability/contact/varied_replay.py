@@ -2,8 +2,8 @@
 
 Stiffness, damping, release, the friction in new contacts and the forces of robots are never known exactly. A search
 plans under the settings proper, and tries the plan that it finds under each change by itself. A change under which it
-falls is a counterexample: the search begins anew, and from then on tries every step under that change too, when it
-takes it. So it learns the few changes that matter to a structure; most plans stand under all without.
+falls is a counterexample: the search goes back to where it falls, and from then on tries every step under that change
+too, when it takes it. So it learns the few changes that matter to a structure; most plans stand under all without.
 """
 
 from __future__ import annotations
