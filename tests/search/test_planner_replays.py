@@ -426,7 +426,12 @@ def test_a_route_that_stands_is_announced_once(rules: Any) -> None:
     planner = Planner(task, oracle)
     clock, stands = Deadline(100.0), list[bool]()
     clock.reserve = 50.0
-    planner.tests.when_one_stands = lambda: (stands.append(True), clock.use_reserve())
+
+    def when_one_stands() -> None:
+        stands.append(True)
+        clock.use_reserve()
+
+    planner.tests.when_one_stands = when_one_stands
     assert planner.run().found
     assert stands == [True]
     assert clock.reserve == 0.0

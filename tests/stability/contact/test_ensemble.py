@@ -99,6 +99,7 @@ def test_a_path_goes_on_under_a_change_that_is_learned_on_the_way() -> None:
     ensemble, whole = (EnsembleReplayer(assembly, CONTACT) for _ in range(2))
     paths = PathHistories(ensemble, lambda row: row - 1 if row else None, lambda row: plan.states[row])
     learned = variations(CONTACT, 1)[::3]
+    history = None
     for row in range(1, len(plan.states)):
         history = paths.step(row - 1, plan.states[row])
         assert history is not None
@@ -109,6 +110,7 @@ def test_a_path_goes_on_under_a_change_that_is_learned_on_the_way() -> None:
     summary = paths.summary(len(plan.states) - 1)
     assert summary is not None
     expected = whole.replay(plan.states, presses=summary.presses).histories[-1]
+    assert history is not None
     assert len(history.changed) == 2
     for own, other in zip((history, *history.changed), (expected, *expected.changed), strict=True):
         np.testing.assert_array_equal(own.springs, other.springs)

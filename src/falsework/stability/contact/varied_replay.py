@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import itemgetter
 from threading import Event
-from typing import Protocol, Self
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -73,7 +73,7 @@ class AnyReplayer(Protocol):
     def assembly(self) -> Assembly:
         """The structure."""
 
-    def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> Self:
+    def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> AnyReplayer:
         """Return a replayer of the same structure under other settings."""
 
     def first_tipping(self, states: States, histories: Sequence[History], known: int = 0) -> int | None:
