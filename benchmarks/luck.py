@@ -17,7 +17,8 @@ under `contact`. It ends with a plan (`found`), with nothing left to try (`exhau
 times as many verdicts and steps as the structure has parts (`budget`), or after `--limit` seconds of processor time
 (`limit`), which depends on the machine. Loading, compilation and the proofs of the plan do not count. The proof that
 robots are too few, which a search tries after some seconds, is left out, since it depends on time too. Searches have
-the default reserve: under `contact` a plan that does without it does not count as solved, but in `without_reserve`.
+the default reserve: under `contact` a plan that does without it, or falls under a change of settings, does not count as
+solved, but in `without_reserve`.
 Each run is a process of its own that keeps to one core.
 
 Half of the structures are held out: they are of the same kinds and sizes as the others, and nothing is tuned on them.
@@ -333,12 +334,13 @@ def search(case: Run) -> Run:
         raise KeyboardInterrupt
     ended = "exhausted" if result is None or result.outcome != "proved_impossible" else "impossible"
     reserve = getattr(plans[0].claim, "reserve", 1.0) if plans else None
+    keeps = getattr(planning, "accepted", True)  # not in old commits
     return {
         "parts": assembly.part_count,
         "seed": perturbation.seed,
         "ended": "found" if plans else meter.ended or ended,
         "reserve": reserve,
-        "solved": reserve is not None and reserve >= getattr(stability, "reserve", 1.0),
+        "solved": reserve is not None and reserve >= getattr(stability, "reserve", 1.0) and keeps,
         "verdicts": meter.verdicts,
         "replayed": meter.replayed,
         "cost": meter.cost,

@@ -153,7 +153,7 @@ TABLES = {
             ("runs", "{runs}"),
             ("solved, %", "{solved:%}"),
             ("spread of the cost", "{spread}"),
-            ("without the reserve, %", "{without_reserve:%}"),
+            ("with less than the promise, %", "{without_reserve:%}"),
         ),
         benchmark="luck halves",
         where=lambda record: "both" not in (record["half"], record["criterion"]),
