@@ -21,7 +21,7 @@ from falsework.search.problem.result import Stop
 from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.search.strategies import Repair
 from falsework.stability.contact.history import Change, History, Replay, ReplaySettings
-from falsework.stability.contact.varied_replay import AllVariations
+from falsework.stability.contact.varied_replay import MORE_RESERVE, AllVariations, changed, variations
 from falsework.stability.judges import discrete_elements
 from falsework.stability.judges.judgement import Judgement
 from falsework.stability.verdict import Verdict, Verdicts
@@ -355,7 +355,7 @@ def test_a_search_goes_on_under_the_change_that_it_learned(rules: Any, direction
     assert result.found
     assert middle not in set(map(tuple, result.routes[0].states.tolist()))
     assert planner.tests.replays[result.routes[0].states.tobytes()].varied
-    assert len(oracle.replayer.changes) == 1
+    assert oracle.replayer.changes[0].name == "thicker medium"
 
 
 def test_a_route_is_replayed_under_changes_from_where_it_differs_from_the_last(
@@ -393,7 +393,7 @@ def test_a_search_goes_back_to_where_its_plan_fell_under_a_change(rules: Any) ->
     oracle.replayer = RuleReplayer(set(), {tuple(states[late].tolist())})
     oracle.replayer.settings = StabilitySettings(reserve=1.1)
     found = Planner(task, oracle, settings).run().routes[0].states[::-1]
-    assert len(oracle.replayer.changes) == 1
+    assert oracle.replayer.changes[0].name == "thicker medium"
     np.testing.assert_array_equal(found[: late - 1], states[: late - 1])
 
 
@@ -416,6 +416,23 @@ def test_a_search_begins_anew_where_it_finds_no_way_on_in_time(rules: Any) -> No
     assert not repair.is_over(search)
     search.effort = 162.0
     assert repair.is_over(search)
+
+
+def test_a_search_that_begins_anew_tries_more_reserve_too(rules: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once, and beside the change that it learned; a plan need not stand under it."""
+    task, oracle = tower(rules, set())
+    settings = PlannerSettings(directions=(Direction.ASSEMBLY,))
+    oracle.replayer = RuleReplayer(set(), {middle_state(task, oracle, settings)})
+    oracle.replayer.settings = StabilitySettings(reserve=1.1)
+    monkeypatch.setattr(Repair, "is_over", lambda self, search: np.isfinite(self.due))  # as soon as it goes back
+    planner = Planner(task, oracle, settings)
+    assert planner.run().found
+    learned = [change.name for change in oracle.replayer.changes]
+    assert learned == ["thicker medium", MORE_RESERVE.name]
+    planner.tests.strengthen()
+    assert len(oracle.replayer.changes) == 2
+    assert MORE_RESERVE not in variations(oracle.replayer.settings, 20)
+    assert changed(MORE_RESERVE, oracle.replayer.settings)[0].reserve == pytest.approx(1.155)
 
 
 def test_a_route_that_stands_is_announced_once(rules: Any) -> None:

@@ -263,6 +263,7 @@ class Planner:
             self._test(beam, result, stop)
         elif self._repair.is_over(beam):
             self._drop_beams()
+            self.tests.strengthen()
         elif paused or self._pace.over:
             self._turn, turn.owed = self._turn + 1, 0.0
         elif result.interrupted:

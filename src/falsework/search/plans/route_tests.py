@@ -14,7 +14,7 @@ from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route, Stop, barred_row
 from falsework.search.settings import PlannerSettings
 from falsework.stability.contact.history import Change
-from falsework.stability.contact.varied_replay import AnyReplayer
+from falsework.stability.contact.varied_replay import MORE_RESERVE, AnyReplayer
 
 
 def barred_state(states: States, row: int) -> States:
@@ -64,6 +64,11 @@ class RouteTests:
     def changes(self) -> tuple[Change, ...]:
         """Changes of settings under which replays are tried so far."""
         return () if self.replayer is None else self.replayer.changes
+
+    def strengthen(self) -> None:
+        """Have steps tried with more of a reserve from now on, since those that keep it stand under most changes."""
+        if self.replayer is not None and MORE_RESERVE not in self.changes:
+            self.replayer.also_under((*self.changes, MORE_RESERVE))
 
     def passes(self, route: Route, known: PlanReplay | None = None, stop: Stop | None = None) -> bool:
         """Return whether a route passes all tests; exclude the first state that fails.

@@ -55,6 +55,8 @@ class Change:
     """Fields of `ReplaySettings` with other values."""
     press: int | None = None
     """Error of all presses, an index of `inexact_presses`."""
+    reserve: float = 1.0
+    """Factor of the reserve."""
 
 
 @dataclass(frozen=True, eq=False)

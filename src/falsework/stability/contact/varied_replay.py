@@ -115,12 +115,16 @@ _PRESSES = tuple(
         + [f"presses {angle} degrees off about {axis}" for axis in "xyz" for angle in (-5, 5)]
     )
 )
+MORE_RESERVE = Change("a larger reserve", reserve=1.05)
+"""None of the variations: a search that begins anew tries steps under it too, since what keeps more of a reserve stands
+under most of them."""
 
 
 def changed(change: Change, settings: StabilitySettings) -> tuple[StabilitySettings, ReplaySettings]:
     """Return settings with a change."""
     holds = replace(settings.holds, stiffness=change.hold_factor * settings.holds.stiffness)
-    settings = replace(settings, holds=holds, stiffness_ratio=change.ratio or settings.stiffness_ratio)
+    ratio, reserve = change.ratio or settings.stiffness_ratio, settings.reserve * change.reserve
+    settings = replace(settings, holds=holds, stiffness_ratio=ratio, reserve=reserve)
     return settings, ReplaySettings(**dict(change.replay))  # type: ignore[arg-type]
 
 
