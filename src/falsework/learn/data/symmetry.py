@@ -27,38 +27,11 @@ def symmetries(assembly: Assembly) -> NDArray[np.intp]:
         A row for each symmetry, of shape (symmetries, parts). Part `i` goes to where part `row[i]` is; the first row is
         the identity.
     """
-    return np.array([image for _, image in _symmetric_motions(assembly)], dtype=np.intp)
-
-
-def part_frames(assembly: Assembly) -> NDArray[np.float64]:
-    """Return for each part a frame such that all parts that symmetries exchange are alike in theirs.
-
-    The frame of the first of these parts is that of the world, and symmetries turn it with the part, reflections only
-    where no rotation does.
-
-    Returns:
-        Orthogonal matrices whose columns are the axes, shape (parts, 3, 3).
-    """
-    frames = np.tile(np.eye(3), (assembly.part_count, 1, 1))
-    motions = sorted(_symmetric_motions(assembly), key=lambda motion: np.linalg.det(motion[0]) < 0)
-    framed: set[int] = set()
-    for part in range(assembly.part_count):
-        if part not in framed:
-            for turn, image in motions:
-                if image[part] not in framed:
-                    frames[image[part]] = turn
-                    framed.add(int(image[part]))
-    return frames
-
-
-def _symmetric_motions(assembly: Assembly) -> list[tuple[NDArray[np.float64], NDArray[np.intp]]]:
-    """Return motions and the permutations of the parts by them, the identity first."""
     parts, fixed = assembly.part_count, assembly.boundary
     identity = np.arange(parts)
     movable = np.flatnonzero(~fixed)
-    found = {tuple(identity): (np.eye(3), identity)}
     if len(movable) < 2 or assembly.joints is not None:  # images of joints are not compared
-        return list(found.values())
+        return identity[None]
     mass, centre = assembly.mass.mass, assembly.mass.center
     bounds = np.array([mesh.bounds for mesh in assembly.meshes])[movable]
     size = float(np.median(np.linalg.norm(bounds[:, 1] - bounds[:, 0], axis=1)))
@@ -67,13 +40,14 @@ def _symmetric_motions(assembly: Assembly) -> list[tuple[NDArray[np.float64], ND
     push = assembly.contacts.pushes(parts)
     # Line and point contacts have hardly any area, and yet a part may rest on them: they are compared separately.
     narrow = assembly.contacts.narrow_pushes(parts)
+    found = {tuple(identity): identity}
     for turn in rigid_motions(place[movable], mass[movable], size):
         image = _image(place, place @ turn.T, mass, fixed, size)
         if image is None:
             continue
         if same_contacts(push, turn, image) and same_contacts(narrow, turn, image):
-            found.setdefault(tuple(image), (turn, image))
-    return list(found.values())
+            found.setdefault(tuple(image), image)
+    return np.array(list(found.values()), dtype=np.intp)
 
 
 def rigid_motions(place: NDArray[np.float64], mass: NDArray[np.float64], size: float) -> list[NDArray[np.float64]]:

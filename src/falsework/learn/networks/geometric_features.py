@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import shortest_path
 
 from falsework.assembly.model import Assembly
-from falsework.learn.data.symmetry import part_frames
 
 PART_FEATURES = 14
 """Features of a part."""
@@ -50,20 +49,16 @@ class PartFeatures:
         movable = ~fixed if not fixed.all() else fixed
         length = float(np.median(np.linalg.norm(extent[movable], axis=1)))
 
-        frames = part_frames(assembly)
-        extent = np.array(
-            [np.ptp(mesh.vertices @ frame, axis=0) for mesh, frame in zip(assembly.meshes, frames, strict=True)]
-        )
         contacts = assembly.contacts
         a, b = contacts.parts.T
         area = np.zeros((parts, parts))
-        push = contacts.pushes(parts) @ frames
+        push = contacts.pushes(parts)
         spot = np.zeros((parts, parts, 3))
         signed = np.zeros((parts, parts, 6))
         middle_of_contact = _contact_centres(assembly)
         for one, other, sign in ((a, b, -1.0), (b, a, 1.0)):
             normals = sign * contacts.normals
-            weighted = contacts.areas[:, None] * (normals[:, None] @ frames[one])[:, 0]
+            weighted = contacts.areas[:, None] * normals
             np.add.at(area, (one, other), contacts.areas)
             np.add.at(spot, (one, other), contacts.areas[:, None] * middle_of_contact)
             both = np.stack([np.maximum(weighted, 0), np.maximum(-weighted, 0)], axis=2).reshape(-1, 6)
@@ -72,7 +67,6 @@ class PartFeatures:
         whole = np.maximum(area.sum(axis=1), 1e-300)
         share = area / whole[:, None]
         spot = np.where(touches[:, :, None], spot / np.maximum(area, 1e-300)[:, :, None] - centre[:, None], 0.0)
-        spot = spot @ frames
         direction = np.divide(push, area[:, :, None], out=np.zeros_like(push), where=touches[:, :, None])
         ports = np.concatenate([share[None], np.moveaxis(signed / whole[:, None, None], 2, 0)])
 
@@ -91,7 +85,7 @@ class PartFeatures:
             ],
             axis=1,
         )
-        apart = (centre[None] - centre[:, None]) @ frames
+        apart = centre[None] - centre[:, None]
         distance = np.linalg.norm(apart, axis=2)
         hops = shortest_path(touches, unweighted=True)
         near = np.where(np.isfinite(hops), 1.0 / (1.0 + hops), 0.0)
@@ -111,7 +105,7 @@ class PartFeatures:
                 np.broadcast_to(fixed[:, None, None], (parts, parts, 1)),
                 np.tanh(spot / length),
                 near[:, :, None],
-                np.sign(np.round(apart[:, :, 2:] / length, 1)),
+                np.sign(np.round(apart[:, :, 2:] / length, 3)),
                 np.where(hops == 2, 1.0, 0.0)[:, :, None],
             ],
             axis=2,
