@@ -41,11 +41,13 @@ class Counting:
         self.oracle = StabilityOracle(assembly, settings)
         self.holds_keep_stable = self.oracle.holds_keep_stable
         self.asked: list[bytes] = []
+        self.from_rest: list[bool] = []
 
     def verdicts(
         self, states: np.ndarray, *, near: np.ndarray | None = None, require_certificate: bool = False
     ) -> Verdicts:
         self.asked += [state.tobytes() for state in states]
+        self.from_rest.append(near is None)
         return self.oracle.verdicts(states, near=near)
 
 
@@ -424,6 +426,14 @@ def test_every_state_of_a_graph_is_proven_stable(shared_assembly) -> None:
     assert environment.stable(states).all()
     parents = states[torch.from_numpy(graph.source).long()]
     assert environment.stable(states[torch.from_numpy(graph.target).long()], parents).all()
+
+
+@pytest.mark.parametrize("settings", [EQUILIBRIUM, StabilitySettings()], ids=lambda one: one.criterion)
+def test_verdicts_under_contact_are_from_rest(arch: Assembly, settings: StabilitySettings) -> None:
+    oracle = Counting(arch, settings)
+    environment = Environment(arch, 2, oracle=oracle, device="cpu")
+    roll_out(environment, Indifferent(), environment.rules.complete(4))
+    assert set(oracle.from_rest) == {settings.criterion == "contact"}
 
 
 def test_bad_input_is_one_clear_line(arch: Assembly) -> None:

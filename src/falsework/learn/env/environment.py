@@ -169,8 +169,9 @@ class Environment:
 
         Args:
             states: `uint8` on the device, shape (batch, parts).
-            parents: for each a stable state that is one action away, shape (batch, parts); lets the solver on the
-                processor start from its solution.
+            parents: for each a stable state that is one action away, shape (batch, parts); under `equilibrium` the
+                solver on the processor starts from its solution. Under `contact` it starts from rest, as a GPU does:
+                some states that stand from rest are not found at rest from the displacement of another one.
             needed: rows that need a verdict; the others are returned as stable. All if None. Shape (batch,).
 
         Returns:
@@ -180,7 +181,7 @@ class Environment:
         def ask(asked: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
             self.counters.states_asked += len(asked)
             oracle = self.on_device if self.exact else without_fallback(self.on_device)
-            if parents is not None:
+            if parents is not None and self.oracle.holds_keep_stable:
                 return oracle(asked.contiguous(), parents[rows].contiguous())
             if isinstance(oracle, HostOracle):
                 return put(self.oracle.verdicts(asked.cpu().numpy()).verdict, self.device)

@@ -144,7 +144,8 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         self._mask = self._legal(self._state)
         self._last = describe_action(action, self.assembly.names)
         needed = self._task.needs_verdict(actions, Direction.DISASSEMBLY)[0]
-        stands = not needed or bool(self._oracle.verdicts(self._state[None], near=before[None]).stable[0])
+        near = before[None] if self._oracle.holds_keep_stable else None  # as `Environment.stable`
+        stands = not needed or bool(self._oracle.verdicts(self._state[None], near=near).stable[0])
         self.fell = not stands
         success = stands and self._reached(self._state)
         failed = not stands or (not success and not self._mask.any())
