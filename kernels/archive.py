@@ -354,6 +354,8 @@ def make(path: Path, groups: Iterable[str]) -> None:
 
 
 if __name__ == "__main__":
-    about = "Make src/falsework/kernels.zip from the source of the kernels: some seventy seconds of processor time."
+    about = (
+        "Make src/falsework/kernels.zip from the source of the kernels: about a minute and a half of processor time."
+    )
     argparse.ArgumentParser(description=about).parse_args()
     make(ARCHIVE.path, GROUPS)
