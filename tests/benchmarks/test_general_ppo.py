@@ -68,7 +68,7 @@ def test_rollouts_of_another_process_improve_one_policy_on_several_structures(
 
 def test_a_structure_that_is_not_known_is_left_out(labelled: list[LabelledStructure], tmp_path: Path) -> None:
     with made(tmp_path, [replace(labelled[0], name="none")]) as learner:
-        assert learner.run(1.0, (0.0, 0.0))["collections"] == 0
+        assert learner.run(3.0, (0.0, 0.0))["collections"] == 0
 
 
 def test_a_process_that_fails_is_reported(labelled: list[LabelledStructure], tmp_path: Path) -> None:

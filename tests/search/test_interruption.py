@@ -24,7 +24,7 @@ from tests.search.test_waiting import dodge
 
 GAP = 0.5
 """Seconds of the processor between two questions at most, once kernels are compiled: numba cannot be interrupted."""
-LONG = 1.0
+LONG = 2.0
 """Seconds of the processor after which a computation is ended here."""
 SETTINGS = StabilitySettings(criterion="equilibrium")
 
