@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
 import torch
 
 from falsework.search.device.rules import TensorRules
@@ -35,10 +34,9 @@ class VerdictTable:
         # Sums of random words, taken from the top bits; which of several states a slot holds is all that depends on it.
         self._words = mix(torch.arange(rules.part_count, device=rules.device), 1)
         # One extra slot, written by rows without a result.
-        # Of zeros of numpy the system gives memory only where it is used.
-        self._states = torch.from_numpy(np.zeros((slots + 1, rules.part_count), np.uint8)).to(rules.device)
-        self.verdict = torch.from_numpy(np.zeros(slots + 1, np.int8)).to(rules.device)
-        self._ticket = torch.from_numpy(np.zeros(slots + 1, np.int64)).to(rules.device)
+        self._states = torch.zeros((slots + 1, rules.part_count), dtype=torch.uint8, device=rules.device)
+        self.verdict = torch.zeros(slots + 1, dtype=torch.int8, device=rules.device)
+        self._ticket = torch.zeros(slots + 1, dtype=torch.int64, device=rules.device)
         self._next_ticket = 1
 
     def stable(
