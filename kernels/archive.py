@@ -294,7 +294,7 @@ def build(groups: Iterable[str], given: dict[str, tuple[Any, ...]]) -> dict[str,
     context.get_executable = lambda _, library, *__: [library.get_pointer_to_function("")].pop
     inliner: Any = inline_closurecall.InlineWorker
     inliner.inline_function = without_copies(inliner.inline_function)
-    gc.set_threshold(100_000, 50, 1_000)  # of a million objects that a translation makes, few are in cycles
+    gc.set_threshold(100_000, 50, 1_000)  # translations make many objects, and keep most
     return {group: build_group(group, given) for group in groups}
 
 
