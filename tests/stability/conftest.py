@@ -156,7 +156,8 @@ def least_residual(
         column = np.zeros(6 * len(free))
         for part, sign in ((a, -1), (b, 1)):
             if part in row_of:
-                moment = np.cross(point - mass.center[part], sign * force)
+                (x, y, z), (u, v, w) = (point - mass.center[part]).tolist(), (sign * force).tolist()
+                moment = np.array([y * w - z * v, z * u - x * w, x * v - y * u])
                 column[row_of[part] : row_of[part] + 3] = sign * force / (mass.mass[part] * gravity)
                 turn = inverse_inertia[part] @ moment
                 column[row_of[part] + 3 : row_of[part] + 6] = turn * gyration[part] / gravity

@@ -252,15 +252,15 @@ def _largest_singular_value(
     stiffness = np.zeros((len(pair_parts), 6, 6))
     np.add.at(stiffness, pair_of_point, basis @ basis.transpose(0, 2, 1))
     a, b = pair_parts.T
+    rows = (6 * pair_parts.T.reshape(-1, 1) + np.arange(6)).ravel()
     vector = np.random.default_rng(0).standard_normal((parts, 6))
     value = 1.0
     for _ in range(60):
         vector /= np.linalg.norm(vector)
         strain = np.einsum("qji,qj->qi", transfer_a, vector[a]) + np.einsum("qji,qj->qi", transfer_b, vector[b])
         stress = np.einsum("qij,qj->qi", stiffness, strain)
-        image = np.zeros_like(vector)
-        np.add.at(image, a, np.einsum("qij,qj->qi", transfer_a, stress))
-        np.add.at(image, b, np.einsum("qij,qj->qi", transfer_b, stress))
+        ends = [np.einsum("qij,qj->qi", transfer, stress) for transfer in (transfer_a, transfer_b)]
+        image = np.bincount(rows, np.concatenate(ends).ravel(), 6 * parts).reshape(parts, 6)
         value, vector = float(np.sqrt(max(np.vdot(vector, image), 0.0))), image
         if value == 0.0:
             return 1.0

@@ -1,7 +1,7 @@
 """Kernels: functions that run as machine code, without the interpreter's lock.
 
 A kernel is written for numba. Those that plans need come with the package as portable code (`kernel_code.py`), which
-takes LLVM a few seconds to compile; numba, which takes two minutes from the source, is then not even imported.
+takes LLVM a few seconds to compile; numba, which takes more than a minute from the source, is then not even imported.
 It compiles all other kernels, and these too where no portable code fits: where it was not made, after a change of the
 source, for arguments of other types, or on a machine without 64-bit little-endian words.
 """

@@ -127,16 +127,16 @@ def test_the_default_preset_knows_weights_to_begin_with() -> None:
 @pytest.mark.parametrize("phases", list(PHASES.values()), ids=list(PHASES))
 def test_two_pieces_are_one_run(arch: Any, phases: tuple[Phase, ...], tmp_path: Path) -> None:
     """To the last bit of the weights, and line by line of the curve; in every phase of every preset."""
-    settings = replace(SMALL, phases=phases)
+    settings = replace(SMALL, phases=phases, steps=20, evaluations=2)
     whole = train(arch, settings, folder=tmp_path / "whole", device="cpu")
     piece = interrupted(arch, settings, tmp_path / "pieces", 1)
     assert piece.interrupted
     assert piece.steps == 5
-    piece = interrupted(arch, TrainSettings(), tmp_path / "pieces", 4, number=signal.SIGTERM, resume=True)
-    assert piece.steps == 25
+    piece = interrupted(arch, TrainSettings(), tmp_path / "pieces", 2, number=signal.SIGTERM, resume=True)
+    assert piece.steps == 15
     rest = train(arch, TrainSettings(), folder=tmp_path / "pieces", device="cpu", resume=True)
     assert not rest.interrupted
-    assert rest.steps == whole.steps == 40
+    assert rest.steps == whole.steps == 20
     assert rest.to_dict()["test"] == whole.to_dict()["test"]
     assert rest.held_out_visit_rate == whole.held_out_visit_rate
     expected = weights(tmp_path / "whole")
