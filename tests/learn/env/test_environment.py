@@ -430,7 +430,7 @@ def test_every_state_of_a_graph_is_proven_stable(shared_assembly) -> None:
 
 @pytest.mark.parametrize("settings", [EQUILIBRIUM, StabilitySettings()], ids=lambda one: one.criterion)
 def test_verdicts_under_contact_are_from_rest(arch: Assembly, settings: StabilitySettings) -> None:
-    oracle = Counting(arch, settings)
+    oracle: Any = Counting(arch, settings)
     environment = Environment(arch, 2, oracle=oracle, device="cpu")
     roll_out(environment, Indifferent(), environment.rules.complete(4))
     assert set(oracle.from_rest) == {settings.criterion == "contact"}
