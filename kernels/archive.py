@@ -14,26 +14,24 @@ from __future__ import annotations
 
 import argparse
 import ast
-import gc
 import hashlib
 import inspect
 import json
 import re
 import sys
 import zipfile
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
-from types import SimpleNamespace
 from typing import IO, Any
 
 import numba
 import numpy as np
 from llvmlite import binding as llvm
 from llvmlite import ir
-from numba.core import codegen, cpu, inline_closurecall, types
+from numba.core import codegen, cpu, types
 from numba.extending import intrinsic
 
 from falsework.assembly.load import load_structure
@@ -292,24 +290,7 @@ def build(groups: Iterable[str], given: dict[str, tuple[Any, ...]]) -> dict[str,
     codegen.JITCodeLibrary._finalize_specific = lambda self: None
     context: Any = cpu.CPUContext
     context.get_executable = lambda _, library, *__: [library.get_pointer_to_function("")].pop
-    inliner: Any = inline_closurecall.InlineWorker
-    inliner.inline_function = without_copies(inliner.inline_function)
-    gc.set_threshold(100_000, 50, 1_000)  # translations make many objects, and keep most
     return {group: build_group(group, given) for group in groups}
-
-
-def without_copies(inline: Callable[..., Any]) -> Callable[..., Any]:
-    """Return numba's inlining less its two copies of the code, which has been read anew for each call."""
-    module: Any = inline_closurecall
-
-    def run(*given: Any) -> Any:
-        before, module.copy = module.copy, SimpleNamespace(deepcopy=lambda block: block)
-        try:
-            return inline(*given)
-        finally:
-            module.copy = before
-
-    return run
 
 
 def build_group(group: str, given: dict[str, tuple[Any, ...]]) -> tuple[dict[str, Any], bytes]:

@@ -247,21 +247,21 @@ class Planner:
         if name not in self._beams:
             rules = self.task.postpone(self._trial), self._oracle, portfolio, self.settings.seed
             self._beams[name] = start(name, *rules, self.beam_guide)
-        beam, turn, paused = self._beams[name], self._turns.setdefault(name, Turn()), False
+        beam, turn, paused, late = self._beams[name], self._turns.setdefault(name, Turn()), False, False
         others = [self._beams[other].work for other in self._left if other in self._beams and other != name]
         least = min(filter(None, others), default=np.inf)
 
         def halt() -> bool:
-            nonlocal paused
+            nonlocal paused, late
             turn.note(beam, portfolio.narrowest)
-            paused = portfolio.is_over(self._round, turn, beam.work, least)
-            return paused or self._repair.is_over(beam) or (stop is not None and stop())
+            late, paused = self._repair.is_over(beam), portfolio.is_over(self._round, turn, beam.work, least)
+            return late or paused or (stop is not None and stop())
 
         with self._pace.turn(self._round):
             result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
         if result.found and not result.interrupted:
             self._test(beam, result, stop)
-        elif self._repair.is_over(beam):
+        elif late:
             self._drop_beams()
             self.tests.strengthen()
         elif paused or self._pace.over:
