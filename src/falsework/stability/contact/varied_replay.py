@@ -34,7 +34,7 @@ from falsework.utils.interruption import PIECE
 DRAWS, FEW_DRAWS = 20, 2
 """Number of variations with random initial friction, in a thorough test and for every plan with a reserve."""
 PARTS = 16
-"""Parts of a plan, each of which is replayed under all changes before the next."""
+"""Parts of a long plan, each of which is replayed under all changes before the next."""
 
 
 class AnyReplayer(Protocol):
@@ -325,7 +325,8 @@ class AllVariations:
                 self._replays[change] = _ChangedReplay(self._replayer, change)
             self._replays[change].begin(route)
         replays = [self._replays[change] for change in changes]
-        for end in np.linspace(0, len(states), PARTS + 1).astype(int)[1:]:
+        length = max(-(-len(states) // PARTS), 2 * PIECE)  # a round of replays has a cost of its own
+        for end in range(length, len(states) + length, length):
             fallen = [(row, one.change) for one, row in _falls(replays, states[:end], presses[:end]) if row is not None]
             if fallen:
                 row, change = min(fallen, key=itemgetter(0))
