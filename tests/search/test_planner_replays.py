@@ -371,6 +371,7 @@ def test_a_route_is_replayed_under_changes_from_where_it_differs_from_the_last(
     monkeypatch.setattr(RuleReplayer, "replay", noted)
     task, oracle = tower(rules, set())
     states = Planner(task, oracle).run().routes[0].states[::-1]
+    states = np.concatenate([np.repeat(states[:1], 40, axis=0), states])  # so that it has several parts
     presses: list[tuple[()]] = [()] * len(states)
     late, last = tuple(states[-2].tolist()), states.copy()
     last[-2] = last[-1]
