@@ -102,7 +102,7 @@ class RouteTests:
             if self.doubted is None:  # until the slow tests are done, or a deadline or the keyboard ends them
                 self.doubted = route
                 self.when_one_stands()
-            row = self._acceptance.varied_falls_at(states, found)
+            before, row = self.changes, self._acceptance.varied_falls_at(states, found)
             if row is None:
                 self.replays[key] = found = replace(found, varied=self._acceptance.varies)
                 if self._settings.judge:
@@ -111,7 +111,7 @@ class RouteTests:
                     return True
                 break
             if known is not None:
-                self.again = barred_state(states, row)
+                self.again = barred_state(states, row) if self.changes != before else None
                 return False
         row = found.fails_at or 0
         if not found.stands and (self.fallen is None or row > self.fallen[1]):
