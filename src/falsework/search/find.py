@@ -130,7 +130,7 @@ def find_plans(
     if again and clock.limited:
         clock.reserve = FIRST_SHARE * clock.left
     found = _find(assembly, task, first, clock, checkpoint, *more)
-    clock.reserve = 0.0
+    clock.use_reserve()
     good = found.accepted or (found.found and not settings.judge)
     if good or not again or clock.passed or (found.result.interrupted and not found.deadline_passed):
         return found

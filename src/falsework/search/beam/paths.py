@@ -100,17 +100,18 @@ class PathHistories(Generic[K]):
         """Return the replay of the path to a state; None where it does not come to rest."""
         if self._of(last) is None:
             return None
-        most: tuple[float, int] = (0.0, -1)
-        steps: list[StepCertificate] = []
-        name: K | None = last
-        while name is not None:
-            moved, part, step = self._steps[name]
-            most = max(most, (moved, part))
-            steps.append(step)
-            name = self._before(name)
-        steps.reverse()
+        path = [self._steps[name] for name in self._path(last)]
+        most = max((0.0, -1), *((moved, part) for moved, part, _ in path))
+        steps = [step for _, _, step in path]
         known = all(len(step.displacement) for step in steps)
         return PlanReplay(True, *most, None, tuple(step.presses for step in steps), tuple(steps) if known else ())
+
+    def _path(self, name: K) -> list[K]:
+        """Return the names of the states on the path to a state, from the first on."""
+        path = [name]
+        while (before := self._before(path[-1])) is not None:
+            path.append(before)
+        return path[::-1]
 
     def _of(self, name: K) -> History | None:
         """Return the history of a state, along its path from the last state whose history is known."""
@@ -134,11 +135,7 @@ class PathHistories(Generic[K]):
 
     def _learn(self, name: K) -> None:
         """Replay the path to a state under the changes of settings that are new, and forget what is not on it."""
-        replayer, count, path = self._replayer, len(self._changes), [name]
-        while (before := self._before(path[-1])) is not None:
-            path.append(before)
-        path.reverse()
-        end = 0
+        replayer, count, path, end = self._replayer, len(self._changes), self._path(name), 0
         if replayer.changes[:count] == self._changes:
             end = [*(at in self._steps for at in path), False].index(False)
         states, presses = [self._state(at) for at in path[:end]], [self._steps[at][2].presses for at in path[:end]]

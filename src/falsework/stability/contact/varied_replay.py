@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import itemgetter
 from threading import Event
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -163,33 +163,43 @@ def in_pieces(
         history = piece.histories[-1]
 
 
+_Route: TypeAlias = "list[tuple[bytes, tuple[Press, ...]]]"
+"""States in assembly order, each with the presses of the step to it."""
+
+
+def _route_of(states: States, presses: Presses) -> _Route:
+    return [(state.tobytes(), tuple(some)) for state, some in zip(states, presses, strict=True)]
+
+
 class _ChangedReplay:
     """Replay of routes under a change of settings; each begins with what it has in common with the last."""
 
     def __init__(self, replayer: AnyReplayer, change: Change) -> None:
         self.change = change
         self._replayer = replayer.vary(*changed(change, replayer.settings))
-        self._route: list[tuple[bytes, tuple[Press, ...]]] = []
+        self._route: _Route = []
+        self._inexact: Presses = []
         self._known: list[tuple[int, History]] = []
         """Numbers of some states of the route that come to rest, in order, with their histories."""
 
-    def begin(self, route: list[tuple[bytes, tuple[Press, ...]]]) -> None:
-        """Go on with a route, of which each state comes with the presses of the step to it."""
+    def begin(self, route: _Route) -> None:
+        """Go on with a route."""
         shared = [*(old == new for old, new in zip(self._route, route, strict=False)), False].index(False)
         self._route, self._known = route, [known for known in self._known if known[0] < shared]
+        self._inexact = inexact(self.change, [presses for _, presses in route])
 
-    def falls_at(self, states: States, presses: Presses, over: Event) -> int | None:
+    def falls_at(self, states: States, over: Event) -> int | None:
         """Return the first state of the route up to some state that does not come to rest; None if all do.
 
         Args:
-            states, presses: of the route up to there.
+            states: of the route up to there.
             over: whether the answer does not matter any more.
         """
         last, history = self._known[-1] if self._known else (-1, None)
         if last >= len(states) - 1:
             return None
         known = None if history is None else (last, history)
-        for first, histories in in_pieces(self._replayer, states, inexact(self.change, presses), known):
+        for first, histories in in_pieces(self._replayer, states, self._inexact[: len(states)], known):
             last, history = first + len(histories) - 1, histories[-1]
             if over.is_set():
                 break
@@ -198,17 +208,20 @@ class _ChangedReplay:
         return None if last == len(states) - 1 else last + 1
 
 
-def _falls(
-    replays: Sequence[_ChangedReplay], states: States, presses: Presses
-) -> Iterator[tuple[_ChangedReplay, int | None]]:
-    """Yield each replay and the first state of a route that falls in it; as many run at a time as there are cores."""
+def _falls(replays: Sequence[_ChangedReplay], states: States) -> Iterator[tuple[_ChangedReplay, int | None]]:
+    """Yield each replay and the first state of its route that falls; as many run at a time as there are cores.
+
+    Args:
+        replays: under each change, all of the same route.
+        states: of the route up to some state.
+    """
     over = Event()
     workers = core_count()
     with ThreadPoolExecutor(workers) as pool:
         try:
             for first in range(0, len(replays), workers):
                 some = replays[first : first + workers]
-                yield from zip(some, pool.map(lambda one: one.falls_at(states, presses, over), some), strict=True)
+                yield from zip(some, pool.map(lambda one: one.falls_at(states, over), some), strict=True)
         finally:
             over.set()
 
@@ -290,7 +303,10 @@ def replay_varied(
     """
     given: Presses = [()] * len(states) if presses is None else presses
     replays = [_ChangedReplay(replayer, change) for change in variations(replayer.settings, draws, given)]
-    return [Variation(one.change.name, row is None, row) for one, row in _falls(replays, states, given)]
+    route = _route_of(states, given)
+    for one in replays:
+        one.begin(route)
+    return [Variation(one.change.name, row is None, row) for one, row in _falls(replays, states)]
 
 
 class AllVariations:
@@ -319,7 +335,7 @@ class AllVariations:
         """
         known, settings = self._replayer.changes, self._replayer.settings
         changes = [change for change in variations(settings, self._draws, presses) if change not in known]
-        route = [(state.tobytes(), tuple(some)) for state, some in zip(states, presses, strict=True)]
+        route = _route_of(states, presses)
         for change in changes:
             if change not in self._replays:
                 self._replays[change] = _ChangedReplay(self._replayer, change)
@@ -327,7 +343,7 @@ class AllVariations:
         replays = [self._replays[change] for change in changes]
         length = max(-(-len(states) // PARTS), 2 * PIECE)  # a round of replays has a cost of its own
         for end in range(length, len(states) + length, length):
-            fallen = [(row, one.change) for one, row in _falls(replays, states[:end], presses[:end]) if row is not None]
+            fallen = [(row, one.change) for one, row in _falls(replays, states[:end]) if row is not None]
             if fallen:
                 row, change = min(fallen, key=itemgetter(0))
                 self._replayer.also_under((*known, change))

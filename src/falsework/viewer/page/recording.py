@@ -5,7 +5,7 @@ A second of the recording is a step, or a second of the motions of arms, so that
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +27,7 @@ from falsework.viewer.page.step_list import step_list
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import INK, rgb
 from falsework.viewer.pictures.contact_sheet import caption
+from falsework.viewer.section import Plane
 from falsework.viewer.web.content_policy import policy_of
 from falsework.viewer.web.markup import html_text
 from falsework.viewer.web.origin_guard import OriginGuard, import_viser, start_server, unannounced
@@ -71,7 +72,15 @@ class RecordedScene(ViserScene):
         self._poses = np.zeros((parts, 12))
         self._parts: dict[int, Any] = {}
 
-    def show(self, appearance: Appearance, *, labels: Mapping[int, str] | None = None, **_: Any) -> int:
+    def show(
+        self,
+        appearance: Appearance,
+        *,
+        missing: Iterable[int] = (),
+        pale: Iterable[int] = (),
+        labels: Mapping[int, str] | None = None,
+        plane: Plane | None = None,
+    ) -> int:
         """Update the parts; see `ViserScene.show`, but nothing is missing, pale or cut in a recording."""
         before, now = self._opacities, appearance.opacity
         dyed = (appearance.color != self._colors).any(axis=1)
