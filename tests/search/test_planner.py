@@ -145,6 +145,9 @@ def test_turns_end_where_a_search_gets_no_farther_for_twice_as_many_verdicts_in_
     assert 0 < turn.owed - search.asked < 10
     assert turn.level == 1
     assert portfolio("postpone", width=2).widest == 2
+    first = both.assembly_first()
+    assert (first.names, first.later) == ((Direction.ASSEMBLY,), (Direction.DISASSEMBLY,))
+    assert portfolio(**backwards).assembly_first() == portfolio(**backwards)
     again = tuple(REGRASP + name for name in both.names)
     assert portfolio(allow_regrasp=True).names == (*again, both.names[0])
 

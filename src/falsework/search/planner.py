@@ -279,12 +279,12 @@ class Planner:
         self._counters = self.counters
         self._beams, self._turns, self._last = {}, {}, {}
         self._repair = Repair()
-        self._left = list(self._portfolio.names)
-        self._round = self._turn = self._falls = 0
+        self._left, self._round, self._turn, self._falls = list(self._portfolio.names), 0, 0, 0
 
     def _give_up(self) -> bool:
         """Leave the present strategy out from now on; return whether it was the last."""
         del self._left[self._turn]
+        self._left = self._left or [name for name in self._portfolio.later if name not in self._beams]
         self._falls = 0
         return not self._left
 
@@ -341,8 +341,9 @@ class Planner:
 
     @property
     def _portfolio(self) -> Portfolio:
-        edges = self._edge_guide is not None
-        return Portfolio.from_settings(self.settings, self._stage, self.task, edges=edges, wide=self._wide)
+        how = {"edges": self._edge_guide is not None, "wide": self._wide}
+        found = Portfolio.from_settings(self.settings, self._stage, self.task, **how)
+        return found if self.tests.replayer is None or self._stage == "alternatives" else found.assembly_first()
 
     def _finish(self) -> None:
         self._drop_beams()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -107,6 +107,8 @@ class Portfolio:
 
     names: tuple[str, ...]
     """In the order of their turns."""
+    later: tuple[str, ...] = field(default=(), kw_only=True)
+    """Those that begin once all these have given up."""
     narrowest: int
     """Width of beams to begin with."""
     widest: int
@@ -128,6 +130,16 @@ class Portfolio:
         """
         ahead = bool(np.isfinite(self.patience)) and work > _LEAD * least
         return ahead or turn.owed >= self.patience * self.narrowest * 2.0**round
+
+    def assembly_first(self) -> Portfolio:
+        """Return the strategies where contact histories decide: searches in the order of disassembly come last.
+
+        Those judge states from rest, which is stricter than as they are built, and replay complete plans only. But they
+        may prove that there is no plan.
+        """
+        first = tuple(name for name in self.names if direction_of(name) is Direction.ASSEMBLY)
+        later = tuple(name for name in self.names if name not in first)
+        return replace(self, names=first, later=later) if first else self
 
     @classmethod
     def from_settings(
