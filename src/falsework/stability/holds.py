@@ -204,21 +204,23 @@ def pack_presses(presses: Sequence[Sequence[Press]]) -> tuple[NDArray[np.int32],
 
 @cache
 def inexact_wrenches() -> Array:
-    """Return the maps from a wrench to those that a robot may exert instead: itself, 10 % off, or 5 degrees off.
+    """Return the maps from a wrench to those that a robot may exert instead: itself, and some that are off.
+
+    Each of these is 10 % too small or too large and turned by 5 degrees about one of the four diagonals of a cube. They
+    turn a wrench of any direction to all sides: those along one diagonal are turned by the other three.
 
     Shape (errors, 6, 6), the identity first.
     """
     from scipy.spatial.transform import Rotation  # few structures need it
 
-    maps = [np.eye(6), (1 - _OFF_SIZE) * np.eye(6), (1 + _OFF_SIZE) * np.eye(6)]
-    for axis in np.eye(3):
-        for angle in (-_OFF_DIRECTION, _OFF_DIRECTION):
-            maps.append(np.kron(np.eye(2), Rotation.from_rotvec(angle * axis).as_matrix()))
-    return np.stack(maps)
+    diagonals = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
+    turns = Rotation.from_rotvec(_OFF_DIRECTION * diagonals).as_matrix()
+    sizes = 1 + _OFF_SIZE * np.array([-1, 1, -1, 1])
+    return np.stack([np.eye(6), *(size * np.kron(np.eye(2), turn) for size, turn in zip(sizes, turns, strict=True))])
 
 
 def inexact_presses(presses: Sequence[Press]) -> list[tuple[Press, ...]]:
-    """Return presses as robots may carry them out: 10 % off in size, or 5 degrees in direction."""
+    """Return presses as robots may carry them out: 10 % off in size, and 5 degrees in direction."""
     return [
         tuple(Press(press.part, tuple((error @ press.wrench).tolist())) for press in presses)
         for error in inexact_wrenches()[1:]

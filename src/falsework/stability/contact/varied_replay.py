@@ -108,13 +108,7 @@ _THICK = Change("thicker medium", replay=(("first_step", ReplaySettings.first_st
 _THIN = Change("thinner medium", replay=(("first_step", ReplaySettings.first_step * 30),))
 _SOFT = Change("holds 3 times softer", hold_factor=1 / 3)
 _STIFF = Change("holds 3 times stiffer", hold_factor=3.0)
-_PRESSES = tuple(
-    Change(name, press=k)
-    for k, name in enumerate(
-        ["presses 10% weaker", "presses 10% stronger"]
-        + [f"presses {angle} degrees off about {axis}" for axis in "xyz" for angle in (-5, 5)]
-    )
-)
+_PRESSES = tuple(Change(f"presses 10% and 5 degrees off, {k + 1} of 4", press=k) for k in range(4))
 MORE_RESERVE = Change("a larger reserve", reserve=1.05)
 """None of the variations: a search that begins anew tries steps under it too, since what keeps more of a reserve stands
 under most of them."""
