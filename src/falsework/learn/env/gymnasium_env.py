@@ -17,18 +17,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States, as_states, describe_action
-from falsework.errors import DependencyError, InputError, StateError
+from falsework.errors import InputError, StateError
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.frame import frame_of
+from falsework.utils.lazy import importing
 
-try:
+with importing("the Gymnasium environment needs gymnasium; pip install 'falsework[learn]'"):
     import gymnasium
-except ImportError as error:
-    raise DependencyError("the Gymnasium environment needs gymnasium; pip install 'falsework[learn]'") from error
 
 ID = "falsework/Disassembly-v0"
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from falsework.errors import CellError, DependencyError
+from falsework.errors import CellError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.cells.moveit_files import JointLimits, excluded_pairs, group_states, read_joint_limits, read_srdf
 from falsework.robots.cells.urdf_meshes import collision_shapes
@@ -33,6 +33,7 @@ from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
 from falsework.robots.model.shapes import Array, move, outer_hull
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.xml_text import read_xml_text
+from falsework.utils.lazy import importing
 
 COLLISION_SAMPLES = 1000
 """Random configurations in which pairs of links are tested where no SRDF lists the pairs to ignore."""
@@ -229,10 +230,8 @@ def always_touching(model: RobotModel) -> set[tuple[int, int]]:
 
 def parse_urdf(file: Path) -> Any:
     """Return the robot of a URDF as yourdfpy reads it, without meshes; CellError if it does not."""
-    try:
+    with importing("reading URDF files needs yourdfpy: pip install 'falsework[robots]'"):
         import yourdfpy
-    except ImportError as error:
-        raise DependencyError("reading URDF files needs yourdfpy: pip install 'falsework[robots]'") from error
     try:
         return yourdfpy.URDF.load(
             io.BytesIO(read_xml_text(file)),

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, States
-from falsework.errors import DependencyError, InputError
+from falsework.errors import InputError
 from falsework.geometry.clearance.moves import apply
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
+from falsework.utils.lazy import importing
 from falsework.viewer.appearance import TRAVEL, Appearance, appearance_at, bounds_of, diagonal
 from falsework.viewer.arms import Arms, appearance_with_arms, bounds_with_arms, solids_of_arms
 from falsework.viewer.arrows import Arrows, arrows_of_step
@@ -315,12 +316,10 @@ def check_suffix(path: Path | str, *suffixes: str) -> None:
 
 def import_pillow() -> Any:
     """Return the package that writes pictures."""
-    try:
+    with importing("pictures need Pillow; install it with pip install 'falsework[picture]'"):
         import PIL.Image
         import PIL.ImageDraw
         import PIL.ImageFont
-    except ImportError:
-        raise DependencyError("pictures need Pillow; install it with pip install 'falsework[picture]'") from None
     return PIL
 
 

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.errors import DependencyError, InputError
+from falsework.errors import InputError
 from falsework.robots.cells.visuals import PLAIN
 from falsework.utils.files.output_file import write_whole
+from falsework.utils.lazy import importing
 from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import TINT, Arms, bounds_with_arms
 from falsework.viewer.arrows import arrows_of_step
@@ -198,12 +199,8 @@ def _gif_colors() -> NDArray[np.uint8]:
 
 
 def _write_mp4(path: Path, pictures: Iterator[Pixels], rate: float) -> int:
-    try:
+    with importing("MP4 needs imageio-ffmpeg; install it with pip install 'falsework[picture]', or write a .gif"):
         import imageio_ffmpeg
-    except ImportError:
-        raise DependencyError(
-            "MP4 needs imageio-ffmpeg; install it with pip install 'falsework[picture]', or write a .gif"
-        ) from None
     count = 0
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / "video.mp4"
