@@ -124,7 +124,7 @@ def test_a_new_plan_has_no_arms_until_one_goes_back(
     model.go_to(0.5)
     assert model.arm_poses() is not None
     model.go_to(0)
-    assert model.replan().found
+    assert model.replan().plan is not None
     assert model.arms is None
     assert model.arm_poses() is None
     model.go_back()

@@ -82,18 +82,14 @@ class Arms:
         """Prepare the links."""
         self.cell = cell
         self.direction = direction
-        self._plan = robot_plan if robot_plan.direction is direction else robot_plan.reverse()
+        self.plan = robot_plan if robot_plan.direction is direction else robot_plan.reverse()
+        """The plan in the order shown."""
         scale = cell.placement.scale
         self._to_structure = _similar(cell.placement.pose, scale)
         self.scale = scale
-        self.clock = Clock.from_plan(self._plan)
+        self.clock = Clock.from_plan(self.plan)
         """Times in the order shown."""
         self.links = [link for number, robot in enumerate(cell.robots) for link in links_of(number, robot, 1 / scale)]
-
-    @property
-    def plan(self) -> RobotPlan:
-        """The plan in the order shown."""
-        return self._plan
 
     @property
     def differs(self) -> str:
@@ -106,11 +102,11 @@ class Arms:
 
     def turned(self, direction: Direction) -> Arms:
         """Return the same in the other order."""
-        return self if direction is self.direction else Arms(self._plan, self.cell, direction)
+        return self if direction is self.direction else Arms(self.plan, self.cell, direction)
 
     def holders(self) -> NDArray[np.int64]:
         """Return robot that holds each part in each state of the plan; shape (steps + 1, parts)."""
-        plan, frames = self._plan, [(row, self._plan.in_hand(k)) for k, row in enumerate(self._plan.rows.tolist())]
+        plan, frames = self.plan, [(row, self.plan.in_hand(k)) for k, row in enumerate(self.plan.rows.tolist())]
         states, actions = plan.plan.states, plan.plan.actions
         who = np.full(states.shape, NO_ROBOT, dtype=np.int64)
         for row, held in frames if self.direction is Direction.DISASSEMBLY else reversed(frames):
@@ -130,12 +126,12 @@ class Arms:
     def at_time(self, seconds: float) -> ArmPoses:
         """Return the poses at a time of the plan in the order shown."""
         configurations, carried = [], []
-        for arm in activities_at(self._plan, self.clock.starts, seconds):
+        for arm in activities_at(self.plan, self.clock.starts, seconds):
             values = arm.at(np.array([seconds]))[0]
             configurations.append(values)
             if arm.load is not None:
                 carried.append(self._loaded(arm.load, arm.robot, values))
-        for load in waiting_at(self._plan, self.clock.starts, seconds):
+        for load in waiting_at(self.plan, self.clock.starts, seconds):
             if all(other.part != load.part for other in carried):
                 carried.append(CarriedPart(load.part, NO_ROBOT, self._seen(load.pose)))
         return ArmPoses(self._poses(configurations), tuple(carried))
