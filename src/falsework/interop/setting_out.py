@@ -122,8 +122,8 @@ def _view(
             color = unit_rgb(BOUNDARY if assembly.boundary[part] else INSTALLED)
             solids.append(ColoredSolid(mesh.vertices, mesh.faces, color))
     width, height = (max(round(_PIXELS * side), 2) for side in size.tolist())
-    view = Camera(camera.azimuth, camera.elevation, width, height)
-    image = ImageReader(jpeg(render(solids, view, box, floor=False, samples=2)))
+    view = Camera(camera.azimuth, camera.elevation, width, height, samples=2)
+    image = ImageReader(jpeg(render(solids, view, box, floor=False)))
     canvas.drawImage(image, place[0] - edge * points, place[1] - edge * points, *size.tolist())
 
 
