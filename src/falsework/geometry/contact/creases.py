@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.edges import directed_edges
-from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
+from falsework.geometry.mesh.mesh import TriangleMesh, unit_normals
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -39,11 +39,8 @@ class Surface:
         points = np.concatenate([mesh.vertices for mesh in meshes])
         faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, first, strict=False)])
         part = np.repeat(np.arange(len(meshes), dtype=np.int32), [len(mesh.faces) for mesh in meshes])
-        corners = points[faces]
-        cross = triangle_normals(corners)
-        length = np.linalg.norm(cross, axis=1)
-        solid = length > 0.0
-        return Surface(points, faces[solid].astype(np.int64), part[solid], cross[solid] / length[solid, None])
+        normals, solid = unit_normals(points[faces])
+        return Surface(points, faces[solid].astype(np.int64), part[solid], normals)
 
     @cached_property
     def hanging(self) -> Array:

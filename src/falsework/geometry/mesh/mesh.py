@@ -104,6 +104,14 @@ def triangle_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
+def unit_normals(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the unit normals of triangles with an area, shape (count, 3), and which of them have one, (triangles,)."""
+    normals = triangle_normals(corners)
+    length = np.linalg.norm(normals, axis=1)
+    solid = length > 0
+    return normals[solid] / length[solid, None], solid
+
+
 def mass_properties(meshes: Sequence[TriangleMesh], density: NDArray[np.float64]) -> MassProperties:
     """Return mass, centre of mass and inertia of homogeneous parts, exact for their meshes.
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.mesh.mesh import triangle_normals
+from falsework.geometry.mesh.mesh import unit_normals
 from falsework.utils.files.printable import printable
 from falsework.utils.quantity import format_quantity
 from falsework.viewer.appearance import Appearance, bounds_of, diagonal
@@ -352,10 +352,8 @@ def sharp_edges(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> NDA
     """
     points, same = np.unique(np.round(vertices, 5), axis=0, return_inverse=True)
     corners = same.reshape(-1)[faces.astype(np.int64)]
-    triangles = points[corners].astype(float)
-    normals = triangle_normals(triangles)
-    lengths = np.linalg.norm(normals, axis=1)
-    corners, normals = corners[lengths > 0], normals[lengths > 0] / lengths[lengths > 0, None]
+    normals, solid = unit_normals(points[corners].astype(float))
+    corners = corners[solid]
     pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     owner = np.tile(np.arange(len(corners)), 3)
     ends, index = np.unique(np.sort(pairs, axis=1), axis=0, return_inverse=True)

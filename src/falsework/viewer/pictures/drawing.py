@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.geometry.mesh.mesh import triangle_normals
+from falsework.geometry.mesh.mesh import unit_normals
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.palette import INK
@@ -158,9 +158,7 @@ def drawing(
 
 def _is_prism(triangles: Array, axis: int) -> bool:
     """Return whether every face of a mesh is parallel or square to an axis."""
-    normals = triangle_normals(triangles)
-    lengths = np.linalg.norm(normals, axis=1)
-    along = np.abs(normals[lengths > 0, axis]) / lengths[lengths > 0]
+    along = np.abs(unit_normals(triangles)[0][:, axis])
     return bool(((along < _FLAT) | (along > 1 - _FLAT)).all())
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.geometry.mesh.mesh import triangle_normals
+from falsework.geometry.mesh.mesh import unit_normals
 from falsework.viewer.pictures.raster import average, depth_buffer, lay_over, shade
 
 Image = NDArray[np.float64]
@@ -125,11 +125,9 @@ class _Surface:
             return cls(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0, dtype=np.int64), np.ones((1, 4)))
         triangles = np.concatenate([np.asarray(solid.vertices, dtype=float)[solid.faces] for solid in solids])
         owner = np.repeat(np.arange(len(solids)), [len(solid.faces) for solid in solids])
-        normals = triangle_normals(triangles)
-        lengths = np.linalg.norm(normals, axis=1)
-        proper = lengths > 0
+        normals, proper = unit_normals(triangles)
         colors = np.array([(*solid.color, solid.opacity) for solid in solids], dtype=float)
-        return cls(triangles[proper], normals[proper] / lengths[proper, None], owner[proper], colors)
+        return cls(triangles[proper], normals, owner[proper], colors)
 
 
 class _Eye:
