@@ -196,14 +196,6 @@ def bounds_with_arms(arms: Arms, box: Array) -> Array:
     return np.stack([every.min(axis=0), every.max(axis=0)])
 
 
-def wxyz_of(rotation: Array) -> tuple[float, float, float, float]:
-    """Return the unit quaternion, w first, of a rotation matrix of shape (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-    return float(w), float(x), float(y), float(z)
-
-
 def _similar(pose: Array, scale: float) -> Array:
     """Return the transform from the world of the cell to the frame of the structure, shape (4, 4)."""
     made = np.eye(4)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -110,6 +111,14 @@ def unit_normals(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDA
     length = np.linalg.norm(normals, axis=1)
     solid = length > 0
     return normals[solid] / length[solid, None], solid
+
+
+def joined_faces(
+    vertices: Sequence[NDArray[Any]], faces: Sequence[NDArray[Any]]
+) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """Return the vertices of several surfaces after each other, and the faces of all with indices into these."""
+    first = np.cumsum([0, *map(len, vertices)])
+    return np.concatenate(vertices), np.concatenate([some + at for some, at in zip(faces, first, strict=False)])
 
 
 def mass_properties(meshes: Sequence[TriangleMesh], density: NDArray[np.float64]) -> MassProperties:

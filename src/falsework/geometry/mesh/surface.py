@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from falsework.errors import MeshError, ReadWarning
 from falsework.geometry.mesh.bodies import merge_equal, separate_solids
 from falsework.geometry.mesh.edges import is_closed
+from falsework.geometry.mesh.mesh import joined_faces
 from falsework.geometry.mesh.repair import closes
 from falsework.utils.quantity import listed
 
@@ -111,11 +112,9 @@ def warn_of_curves(file: Path, names: Sequence[str]) -> None:
 
 def joined(name: str, surfaces: Sequence[PartSurface]) -> PartSurface:
     """Return surfaces as one."""
-    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
     return PartSurface(
         name,
-        np.concatenate([surface.vertices for surface in surfaces]),
-        np.concatenate([surface.faces + first for surface, first in zip(surfaces, starts, strict=False)]),
+        *joined_faces([surface.vertices for surface in surfaces], [surface.faces for surface in surfaces]),
         support=any(surface.support for surface in surfaces),
         unit=next((surface.unit for surface in surfaces if surface.unit), ""),
     )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import CellError
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh, joined_faces
 from falsework.robots.cells.urdf import carrier_of, parse_urdf
 from falsework.robots.cells.urdf_meshes import colored_meshes, hull_mesh
 from falsework.robots.cells.urdf_review import CellWarning
@@ -101,11 +101,7 @@ def _shapes_of(pieces: Pieces) -> tuple[VisualShape, ...]:
 
 
 def _joined(meshes: list[TriangleMesh], color: Color) -> VisualShape:
-    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    faces = [mesh.faces + start for mesh, start in zip(meshes, first, strict=False)]
-    return VisualShape(
-        np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces).astype(np.int64), color
-    )
+    return VisualShape(*joined_faces([mesh.vertices for mesh in meshes], [mesh.faces for mesh in meshes]), color)
 
 
 @lru_cache(maxsize=16)
