@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD
-from falsework.robots.cells.visuals import VisualShape, link_visuals, shape_of_pieces
-from falsework.robots.plans.loads import Load
+from falsework.robots.cells.visuals import VisualShape, arm_frames, link_visuals, shape_of_pieces
 from falsework.robots.plans.timeline import activities_at, waiting_at
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
@@ -130,7 +129,8 @@ class Arms:
             values = arm.at(np.array([seconds]))[0]
             configurations.append(values)
             if arm.load is not None:
-                carried.append(self._loaded(arm.load, arm.robot, values))
+                pose = arm.load.at(self.cell.robots[arm.robot], values)
+                carried.append(CarriedPart(arm.load.part, arm.robot, self._seen(pose)))
         for load in waiting_at(self.plan, self.clock.starts, seconds):
             if all(other.part != load.part for other in carried):
                 carried.append(CarriedPart(load.part, NO_ROBOT, self._seen(load.pose)))
@@ -140,27 +140,12 @@ class Arms:
         """Return the poses where a place in the plan is reached, in steps of assembly done."""
         return self.at_time(self.clock.seconds(position))
 
-    def _loaded(self, load: Load, robot: int, values: Array) -> CarriedPart:
-        """Return the load of a robot whose joint values are given, shape (joints,)."""
-        from falsework.robots.kinematics.forward import tool_pose
-        from falsework.robots.model.shapes import inverse_pose
-
-        arm, way = self.cell.robots[robot], load.pose
-        if load.grip is not None:
-            way = tool_pose(arm, values) @ inverse_pose(tool_pose(arm, load.grip)) @ way
-        return CarriedPart(load.part, robot, self._seen(way))
-
     def _seen(self, pose: Array) -> Array:
         """Return a displacement in the cell, shape (4, 4), as one in the structure."""
         return self._to_structure @ pose @ np.linalg.inv(self._to_structure)
 
     def _poses(self, configurations: Sequence[Array]) -> Array:
-        from falsework.robots.kinematics.forward import link_poses
-
-        frames = []
-        for robot, values in zip(self.cell.robots, configurations, strict=True):
-            found = link_poses(robot.model, np.asarray(values), robot.base)
-            frames.append([*found, found[-1] @ robot.model.flange])
+        frames = [arm_frames(robot, values) for robot, values in zip(self.cell.robots, configurations, strict=True)]
         made = self._to_structure @ np.array([frames[link.robot][link.frame] for link in self.links])
         made[:, :3, :3] *= self.scale  # vertices are in lengths of the structure already
         return made
