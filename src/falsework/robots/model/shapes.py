@@ -113,6 +113,13 @@ def inverse_pose(given: Array) -> Array:
     return made
 
 
+def square_to(axis: Array) -> Array:
+    """Return two unit vectors that make a right-handed frame with a unit vector after them, shape (2, 3)."""
+    first = np.cross(np.eye(3)[int(np.argmin(np.abs(axis)))], axis)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(axis, first)])
+
+
 def wxyz_of(rotation: Array) -> tuple[float, float, float, float]:
     """Return the unit quaternion, w first, of a rotation matrix of shape (3, 3)."""
     from scipy.spatial.transform import Rotation
