@@ -78,6 +78,14 @@ def stated_unit(comments: str) -> str:
     return next((unit for beginning, unit in _SHORT.items() if word.startswith(beginning)), word)
 
 
+def content_of(file: Path) -> bytes:
+    """Return the bytes of a file of meshes; MeshError if it cannot be read."""
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise MeshError(f"cannot read {file}: {error.strerror}") from error
+
+
 def text_of(file: Path, content: bytes) -> str:
     """Return the text of a file in UTF-8, or with a warning as Western text, in which programs write names too.
 
