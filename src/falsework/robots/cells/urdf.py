@@ -102,7 +102,9 @@ def _load(file: Path, base: str | None, tip: str | None, srdf: Path, limits_file
         raise CellError(f"{file}: {', '.join(roots) or 'no link'} may be the base; name base_link")
     root = base or roots[0]
     end = tip or _tip(links, below, root)
-    chain = _chain(file, below, root, end)
+    chain = _chain(below, root, end)
+    if not chain and end != root:
+        raise CellError(f"{file}: {end} is not connected to {root}; name base and tip of one arm")
     moving = [joint for joint in chain if joint.type != "fixed"]
     if not 1 <= len(moving) <= 12:
         raise CellError(f"{file}: {len(moving)} joints between {root} and {end}; name base and tip of one arm")
@@ -253,18 +255,10 @@ def _tip(links: dict[str, Any], below: dict[str, Any], root: str) -> str:
         if name in links:
             return name
 
-    def above(name: str) -> list[Any]:
-        """Return the joints from the root to a link; none for a link that is elsewhere."""
-        found = []
-        while name != root and name in below:
-            found.append(below[name])
-            name = below[name].parent
-        return found[::-1] if name == root else []
-
     def moving(joints: Iterable[Any]) -> int:
         return sum(joint.type != "fixed" for joint in joints)
 
-    chains = {name: above(name) for name in links}
+    chains = {name: _chain(below, root, name) for name in links}
     end = max(links, key=lambda name: (moving(chains[name]), len(chains[name])))
     for number, joint in enumerate(chains[end]):
         before = chains[end][:number]
@@ -275,15 +269,13 @@ def _tip(links: dict[str, Any], below: dict[str, Any], root: str) -> str:
     return end
 
 
-def _chain(file: Path, below: dict[str, Any], root: str, end: str) -> list[Any]:
-    """Return joints from the root to the end."""
-    found, name = [], end
-    while name != root:
-        if name not in below:
-            raise CellError(f"{file}: {end} is not connected to {root}; name base and tip of one arm")
+def _chain(below: dict[str, Any], root: str, name: str) -> list[Any]:
+    """Return the joints from the root to a link; none for a link that is elsewhere."""
+    found = []
+    while name != root and name in below:
         found.append(below[name])
         name = below[name].parent
-    return found[::-1]
+    return found[::-1] if name == root else []
 
 
 def carrier_of(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Array]]) -> tuple[int, Array] | None:
