@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.interop.pdf_page import BOLD, REGULAR, jpeg
+from falsework.viewer.appearance import bounds_of
 from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, unit_rgb
 from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
@@ -43,7 +44,7 @@ def setting_out(canvas: Canvas, assembly: Assembly, width: float, top: float) ->
     that stand on it. All coordinates are those of the model.
     """
     feet = _set_out(assembly)
-    low, high = _bounds(assembly, [*feet, *np.flatnonzero(~assembly.boundary).tolist()])
+    low, high = bounds_of(assembly, [*feet, *np.flatnonzero(~assembly.boundary).tolist()])
     wide, deep, tall = (high - low).tolist()
     heading = 48.0
     room = (width - _BESIDE - _GAP) / (wide + deep), (top - heading - _BESIDE - _GAP) / (tall + deep)
@@ -80,11 +81,6 @@ def _set_out(assembly: Assembly) -> list[int]:
     pairs = assembly.contacts.parts
     touching = pairs[assembly.boundary[pairs].any(axis=1)]
     return fixed or [part for part in np.unique(touching).tolist() if not assembly.boundary[part]]
-
-
-def _bounds(assembly: Assembly, parts: Sequence[int]) -> Array:
-    boxes = np.array([assembly.meshes[part].bounds for part in parts])
-    return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
 
 def usual_scale(points: float) -> float:
