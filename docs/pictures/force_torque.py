@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -87,18 +88,17 @@ def _graph(axis: Any, assembly: Assembly, graph: ForceTorqueGraph) -> None:
         ("force", "into", "part"): "normal points into part",
         ("force", "out of", "part"): "normal points out of part",
     }
-    edges = graph.edges()
+    edges = _edges(graph)
     for kind, (color, width, dash) in styles.items():
         start, end = places[kind[0]], places[kind[2]]
-        for a, b in edges[kind].tolist():
+        for a, b in edges[kind]:
             axis.plot(*np.stack([start[a], end[b]]).T, color=color, linewidth=width, linestyle=dash, zorder=1)
-    for a, b in edges["part", "beside", "part"].tolist():
-        if a < b:
-            far = abs(rank[a] - rank[b])
-            height = np.linspace(0, 1, 60)
-            bow = (5.0 + 0.9 * (far - 1)) * np.sin(np.pi * height) ** 0.6
-            line = np.stack([bow, part[a, 1] + height * (part[b, 1] - part[a, 1])])
-            axis.plot(*line, color=SKIP, linewidth=1.2, zorder=0)
+    for a, b in combinations(range(graph.part_count), 2):
+        far = abs(rank[a] - rank[b])
+        height = np.linspace(0, 1, 60)
+        bow = (5.0 + 0.9 * (far - 1)) * np.sin(np.pi * height) ** 0.6
+        line = np.stack([bow, part[a, 1] + height * (part[b, 1] - part[a, 1])])
+        axis.plot(*line, color=SKIP, linewidth=1.2, zorder=0)
     axis.plot(*torque.T, "o", color=TORQUE, markersize=7, markeredgecolor="white", zorder=3)
     axis.plot(*force.T, "D", color=FORCE, markersize=13, markeredgecolor="white", zorder=3)
     for name, place, fixed in zip(assembly.names, part, assembly.boundary, strict=True):
@@ -114,6 +114,18 @@ def _graph(axis: Any, assembly: Assembly, graph: ForceTorqueGraph) -> None:
     nodes = [Line2D([], [], color=c, marker=m, linestyle="", markersize=8, label=text) for c, m, text in kinds]
     axis.legend(handles=nodes + handles, frameon=False, fontsize=8.5, loc="center left", bbox_to_anchor=(0.98, 0.5))
     axis.set_title("the graph: every edge runs both ways", fontsize=10, color=INK)
+
+
+def _edges(graph: ForceTorqueGraph) -> dict[tuple[str, str, str], list[tuple[int, int]]]:
+    """Edges of each kind; torque `2 p + s` is of point `p` about part `s` of its pair."""
+    about, (out_of, into) = graph.force_parts[graph.point_force].ravel().tolist(), graph.force_parts.T.tolist()
+    return {
+        ("torque", "about", "part"): list(enumerate(about)),
+        ("torque", "of", "force"): list(enumerate(np.repeat(graph.point_force, 2).tolist())),
+        ("torque", "against", "torque"): [(torque, torque ^ 1) for torque in range(len(about))],
+        ("force", "into", "part"): list(enumerate(into)),
+        ("force", "out of", "part"): list(enumerate(out_of)),
+    }
 
 
 def _rank(assembly: Assembly) -> np.ndarray:

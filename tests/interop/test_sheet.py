@@ -222,7 +222,7 @@ def test_pictures_show_what_stands(arch: Assembly, plan: Plan) -> None:
     sheet = make_sheet(arch, plan)
     covered = []
     for step in sheet.steps:
-        image = draw(arch, appearance_at(sheet.timeline, step.number, travelling=False), CAMERA, samples=1)
+        image = draw(arch, appearance_at(sheet.timeline, step.number, travelling=False), replace(CAMERA, samples=1))
         covered.append(int((image.max(axis=2) - image.min(axis=2) > 0.05).sum()))
         if step.place:
             red, green, blue = unit_rgb(robot_color(step.supports[0]))

@@ -41,7 +41,7 @@ def test_a_cylinder_of_72_facets_is_a_handful_of_forces(peg: Assembly) -> None:
     graph = ForceTorqueGraph.from_assembly(peg)
     assert len(peg.contacts) >= 20
     assert 6 <= graph.force_count <= 12
-    assert graph.torque_count <= 8 * graph.force_count
+    assert 2 * len(graph.point_force) <= 8 * graph.force_count
     assert np.abs(graph.normals[:, 2]).max() < 1e-6
     outwards = np.where(graph.force_parts[:, :1] == 0, 1, -1) * graph.normals
     assert np.linalg.norm(outwards.mean(axis=0)) < 0.2  # all around the peg
@@ -65,7 +65,7 @@ def test_flat_structures_have_a_force_for_each_normal_and_all_their_points(name:
     found = {described(pair, normal) for pair, normal in zip(graph.force_parts, graph.normals, strict=True)}
     assert found == wanted
     assert graph.force_count == len(wanted)
-    assert graph.torque_count == 2 * int(np.diff(contacts.start)[between].sum())
+    assert 2 * len(graph.point_force) == 2 * int(np.diff(contacts.start)[between].sum())
 
 
 def test_the_bottle_is_small() -> None:
@@ -88,35 +88,6 @@ def test_levers_lead_from_the_centres_to_the_points() -> None:
     )
 
 
-def test_edges_and_their_ends() -> None:
-    """Figure 8 of the paper: how many edges a node has of each kind."""
-    graph = ForceTorqueGraph.from_assembly(load_structure("dome:rings=2,blocks=5"))
-    edges = graph.edges()
-    parts, forces, torques = graph.part_count, graph.force_count, graph.torque_count
-    assert len(edges["torque", "about", "part"]) == len(edges["part", "about", "torque"]) == torques
-    assert len(edges["torque", "of", "force"]) == len(edges["force", "of", "torque"]) == torques
-    assert len(edges["torque", "against", "torque"]) == torques
-    for kind in ("into", "out of"):
-        assert len(edges["force", kind, "part"]) == len(edges["part", kind, "force"]) == forces
-    assert len(edges["part", "beside", "part"]) == parts * (parts - 1)
-    about, of = dict(edges["torque", "about", "part"].tolist()), dict(edges["torque", "of", "force"].tolist())
-    ends = {kind: dict(edges["force", kind, "part"].tolist()) for kind in ("into", "out of")}
-    for torque, partner in edges["torque", "against", "torque"].tolist():
-        assert of[torque] == of[partner]
-        assert {about[torque], about[partner]} == {ends["into"][of[torque]], ends["out of"][of[torque]]}
-
-
-def test_a_node_is_there_if_all_its_parts_are() -> None:
-    graph = ForceTorqueGraph.from_assembly(load_structure("bottle"))
-    state = np.random.default_rng(0).integers(0, 3, (1, graph.part_count), dtype=np.uint8)
-    there = {kind: nodes[0] for kind, nodes in graph.present(state).items()}
-    gone = set(np.flatnonzero(state[0] == 0).tolist())
-    for force, pair in enumerate(graph.force_parts.tolist()):
-        assert there["force"][force] == (not gone & set(pair))
-    for torque, force in enumerate(graph.torque_forces().tolist()):
-        assert there["torque"][torque] == there["force"][force]
-
-
 def test_the_grid_holds_every_torque_once() -> None:
     graph = ForceTorqueGraph.from_assembly(load_structure("polycube"))
     grid = graph.grid()
@@ -131,4 +102,4 @@ def test_the_grid_holds_every_torque_once() -> None:
 def test_two_fixed_parts_exert_no_force_worth_knowing() -> None:
     wall = load_structure("wall:bricks=3,courses=2")
     everything = ForceTorqueGraph.from_assembly(wall.replace(boundary=np.ones(wall.part_count, dtype=bool)))
-    assert (everything.force_count, everything.torque_count) == (0, 0)
+    assert (everything.force_count, len(everything.point_force)) == (0, 0)

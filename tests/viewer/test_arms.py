@@ -11,11 +11,11 @@ from falsework import Action, Assembly, Direction, Plan
 from falsework.robots import Cell, RobotPlan
 from falsework.robots.kinematics.forward import link_poses
 from falsework.robots.model.cell import Placement
-from falsework.robots.model.shapes import pose
+from falsework.robots.model.shapes import pose, wxyz_of
 from falsework.robots.plans.robot_plan_file import save_robot_plan
 from falsework.viewer import Timeline
 from falsework.viewer.appearance import appearance_at, bounds_of
-from falsework.viewer.arms import ArmPoses, Arms, appearance_with_arms, bounds_with_arms, solids_of_arms, wxyz_of
+from falsework.viewer.arms import ArmPoses, Arms, appearance_with_arms, bounds_with_arms, solids_of_arms
 from falsework.viewer.page.page_text import legend_text
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.timeline import NO_ROBOT
@@ -124,7 +124,7 @@ def test_a_new_plan_has_no_arms_until_one_goes_back(
     model.go_to(0.5)
     assert model.arm_poses() is not None
     model.go_to(0)
-    assert model.replan().found
+    assert model.replan().plan is not None
     assert model.arms is None
     assert model.arm_poses() is None
     model.go_back()

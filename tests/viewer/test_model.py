@@ -179,10 +179,8 @@ def test_replanning_around_a_missing_part_and_back(model: ViewerState) -> None:
     site = model.site.copy()
     model.set_robots(3)
     answer = model.replan()
-    assert answer.found, answer.words
+    assert answer.plan is not None, answer.words
     assert "decided by" in answer.words
-    assert answer.seconds > 0
-    assert answer.plan is not None
     assert answer.plan.missing == (absent[0],)
     assert answer.plan.robots == 3
     assert validate_plan(answer.plan, model.assembly).good
@@ -218,7 +216,7 @@ def test_proofs_of_a_new_plan_are_those_of_its_own_states(model: ViewerState, fo
                 break
             model.click_part(part)
     count = len(model.timeline)
-    assert model.replan().found
+    assert model.replan().plan is not None
     assert (len(model.timeline) < count) == found  # what is there already need not be placed
     assert model.built == (2 if found else 0)
     for place in range(len(model.timeline) + 1):
@@ -239,7 +237,7 @@ def test_a_robot_holds_a_part_by_a_click(model: ViewerState) -> None:
     assert model.site[part] == HELD
     assert "held or released" in model.disruption.words(model.assembly)
     old = model.timeline.steps
-    assert model.replan().found
+    assert model.replan().plan is not None
     steps = model.timeline.steps
     assert [step.words for step in steps[:place]] == [step.words for step in old[:place]]
     assert steps[place].words == f"hold {model.assembly.names[part]}"  # the next step, which is done
@@ -271,7 +269,7 @@ def test_a_prop_is_placed_by_a_click() -> None:
     assert model.assembly is assembly
     model.click_part(part)
     old = model.timeline.steps
-    assert model.replan().found
+    assert model.replan().plan is not None
     words = [step.words for step in model.timeline.steps]
     assert words[:place] == [step.words for step in old[:place]]
     assert words[place] == f"insert prop-{assembly.names[part]}"
@@ -325,7 +323,7 @@ def test_a_question_without_an_answer_says_why(model: ViewerState) -> None:
     """One robot cannot close an arch: the state before the keystone needs two."""
     model.set_robots(1)
     answer = model.replan()
-    assert not answer.found
+    assert answer.plan is None
     assert answer.plan is None
     assert "there is no plan" in answer.words
     assert not model.can_go_back
@@ -346,11 +344,11 @@ def test_a_structure_without_a_plan_gets_one(arch) -> None:
     still = Timeline.from_state(assembly, plan.states[0])
     model = ViewerState(still)
     answer = model.replan()
-    assert answer.found
+    assert answer.plan is not None
     assert "no plan before" in answer.words
     assert len(model.timeline) == len(plan)
     whole = ViewerState(Timeline.from_state(assembly, plan.states[-1]))  # as it is shown without a plan
-    assert whole.replan().found
+    assert whole.replan().plan is not None
     np.testing.assert_array_equal(whole.timeline.states[[0, -1]], plan.states[[0, -1]])
 
 

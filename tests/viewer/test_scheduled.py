@@ -142,7 +142,7 @@ def test_films_last_as_long_as_the_schedule(scheduled: RobotPlan, cell: Cell, ar
         with pytest.raises(InputError, match="above zero"):
             frame_times(1.0, 10.0, speed)
     model = opened(scheduled, cell, arch[0], Direction.DISASSEMBLY)
-    options = {"seconds": 1.0, "rate": 1.0, "camera": Camera(width=160, height=100), "samples": 1}
+    options = {"seconds": 1.0, "rate": 1.0, "camera": Camera(width=160, height=100, samples=1)}
     pictures = list(frames_of(model.timeline, arms=model.arms, speed=8.0, **options))
     assert len(pictures) == int(np.ceil(scheduled.makespan / 8)) + 1
     strip = strip_of(scheduled, 160)

@@ -159,7 +159,7 @@ def test_films_mark_it(clamp: Assembly, plan: Plan) -> None:
     """The legend has the colour in every picture, and the cube has it where it slides."""
     timeline = Timeline.from_plan(plan, clamp)
     proofs = dict(enumerate(proofs_of_states(StabilityOracle(clamp), timeline.states)))
-    options = {"seconds": 0.5, "rate": 2.0, "camera": Camera(width=240, height=160)}
+    options = {"seconds": 0.5, "rate": 2.0, "camera": Camera(width=240, height=160, samples=2)}
     plain, marked = list(frames_of(timeline, **options)), list(frames_of(timeline, proofs=proofs, **options))
     for one, other in zip(plain, marked, strict=True):
         assert not (one == rgb(SLIDING)).all(axis=2).any()

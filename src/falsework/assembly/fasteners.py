@@ -76,8 +76,6 @@ def fasten(assembly: Assembly, entries: Sequence[Mapping[str, Any]]) -> Assembly
         for array, new in zip(old, zip(*strengths, strict=True), strict=True)
     ]
     friction, cohesion, tension, ductile, sets = arrays
-    for array in (friction, cohesion, tension, ductile, sets):
-        array.setflags(write=False)
     strength = Joints(friction, cohesion, tension, ductile, joints.setting, sets)
     return replace(assembly, contacts=joined, contacts_given=True, joints=strength)
 

@@ -13,7 +13,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.part_numbers import part_id
 from falsework.assembly.state import INSTALLED, REMOVED, States
 from falsework.errors import AssemblyError, StateError
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh, joined_faces
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +134,7 @@ def join_parts(assembly: Assembly, groups: Sequence[Sequence[int | str]]) -> Ass
 
 def _one_mesh(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
     """Return the faces of several meshes as one, in their order."""
-    before = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    faces = [mesh.faces + first for mesh, first in zip(meshes, before, strict=False)]
     name = f"{meshes[0].name} with {', '.join(mesh.name for mesh in meshes[1:])}"
-    return TriangleMesh.from_arrays(name, np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
+    return TriangleMesh.from_arrays(
+        name, *joined_faces([mesh.vertices for mesh in meshes], [mesh.faces for mesh in meshes])
+    )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.touching import ContactWarning
 from falsework.errors import AssemblyError
+from falsework.geometry.contact.contacts import frozen
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings
 from falsework.geometry.contact.patches import frames_of
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
@@ -121,16 +122,13 @@ def interface_contacts(meshes: Sequence[TriangleMesh], interfaces: Sequence[Stor
     kind = np.array([min(len(points), 3) for points in corners])
     pairs = np.array(parts, dtype=np.int32)
     order = np.lexsort((*middles.T[::-1], -kind, pairs[:, 1], pairs[:, 0]))
-    arrays = (
+    return frozen(
         pairs[order],
         np.ascontiguousarray(frames_of(np.array(normals))[order]),
         np.concatenate([corners[index] for index in order]),
         np.concatenate([[0], np.cumsum([len(corners[index]) for index in order])]).astype(np.int32),
         np.array(areas)[order],
     )
-    for array in arrays:
-        array.setflags(write=False)
-    return Contacts(*arrays)
 
 
 def compare_interfaces(stored: Contacts, found: Contacts) -> InterfaceComparison:

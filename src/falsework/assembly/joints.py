@@ -48,6 +48,10 @@ class Joints:
     sets: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
     """Index into `setting` of each contact point, -1 for none, shape (points,); empty where nothing sets."""
 
+    def __post_init__(self) -> None:
+        for array in (self.friction, self.cohesion, self.tension, self.ductile, self.sets):
+            array.setflags(write=False)
+
     @staticmethod
     def from_arrays(
         contacts: Contacts,
@@ -95,7 +99,7 @@ class Joints:
             )
         owner = contacts.contact_of_point
         ways = tuple(_setting(way) for way in setting)
-        return Joints._frozen(
+        return Joints(
             values["friction"][owner],
             (values["cohesion"] * share)[owner],
             (values["tension"] * share)[owner],
@@ -172,19 +176,6 @@ class Joints:
                 ways += [] if entry.sets is None else [entry.sets]
         return Joints.from_arrays(contacts, **values, ductile=ductile, setting=ways, sets=sets)
 
-    @staticmethod
-    def _frozen(
-        friction: Array,
-        cohesion: Array,
-        tension: Array,
-        ductile: NDArray[np.bool_],
-        setting: tuple[Setting, ...],
-        sets: NDArray[np.int32],
-    ) -> Joints:
-        for array in (friction, cohesion, tension, ductile, sets):
-            array.setflags(write=False)
-        return Joints(friction, cohesion, tension, ductile, setting, sets)
-
     @property
     def arrays(self) -> tuple[Array, ...]:
         """All data that a verdict or a replay depends on."""
@@ -207,7 +198,7 @@ class Joints:
     def scale_friction(self, factor: float) -> Joints:
         """Return the same joints with other coefficients of friction; cohesion that was given is kept."""
         friction = factor * self.friction
-        return Joints._frozen(friction, self.cohesion, self.tension, self.ductile, self.setting, self.sets)
+        return Joints(friction, self.cohesion, self.tension, self.ductile, self.setting, self.sets)
 
     def fully_set(self) -> Joints:
         """Return the same joints, fully set from the start."""
@@ -234,7 +225,7 @@ class Joints:
                 more[kept] = array
             return more
 
-        return Joints._frozen(
+        return Joints(
             padded(self.friction, np.nan),
             padded(self.cohesion, np.nan),
             padded(self.tension, 0.0),
@@ -271,7 +262,7 @@ class Joints:
     def of_points(self, kept: NDArray[np.bool_]) -> Joints:
         """Return the joints of some contact points, shape (points,)."""
         sets = self.sets[kept] if len(self.sets) else self.sets
-        return Joints._frozen(
+        return Joints(
             self.friction[kept], self.cohesion[kept], self.tension[kept], self.ductile[kept], self.setting, sets
         )
 

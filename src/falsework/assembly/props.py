@@ -21,7 +21,7 @@ from falsework.assembly.state import REMOVED, States, complete_state
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.contact.patches import frames_of
-from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties
+from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties, triangle_normals
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -204,8 +204,7 @@ class _Columns:
         self._assembly = assembly
         self._triangles = np.concatenate([mesh.triangles for mesh in assembly.meshes])
         self._part = np.repeat(np.arange(assembly.part_count), [len(mesh.faces) for mesh in assembly.meshes])
-        edges = self._triangles[:, 1:] - self._triangles[:, :1]
-        self._normal = np.cross(edges[:, 0], edges[:, 1])
+        self._normal = triangle_normals(self._triangles)
         self._low, self._high = self._triangles[:, :, :2].min(axis=1), self._triangles[:, :, :2].max(axis=1)
 
     def best(self, part: int) -> tuple[_Head | None, str]:

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from falsework.assembly.loads import GRAVITY, Loads
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
-from falsework.errors import DependencyError, InputError
+from falsework.errors import InputError
 from falsework.interop.compas_read import draft_of
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion, Proof, Verdict
+from falsework.utils.lazy import importing
 
 Array = NDArray[np.float64]
 
@@ -54,11 +55,9 @@ def solve(problem: Any, *, criterion: Criterion = "contact", gravity: float | No
         MeshError: a block that does not bound a solid.
         AssemblyError: the blocks make no assembly, or their contacts do not fit them.
     """
-    try:
+    with importing("compas_dem is not installed; pip install compas_dem"):
         from compas.geometry import Transformation
         from compas_dem.problem import Results
-    except ImportError:
-        raise DependencyError("compas_dem is not installed; pip install compas_dem") from None
     model = problem.model
     assembly, nodes = _assembly_and_nodes(problem)
     g = _gravity(problem) if gravity is None else gravity

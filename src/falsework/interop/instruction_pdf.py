@@ -48,7 +48,7 @@ _ARROW = 0.16
 """Length of the arrow of an insertion, in diagonals of the structure."""
 _LISTED_PARTS = 12
 """Names of parts in one line; the rest is a number."""
-CAMERA = Camera(width=480, height=304, zoom=0.96)
+CAMERA = Camera(width=480, height=304, zoom=0.96, samples=2)
 """Default camera of the pictures."""
 _GREY = "#77797d"
 
@@ -187,7 +187,7 @@ def _cover(sheet: AssemblyInstructions, camera: Camera) -> list[Flowable]:
     colors = [f"{_square(robot_color(support))}support {support + 1}" for support in range(sheet.supports)]
     view = replace(camera, width=900, height=round(900 * _COVER[1] / _COVER[0]))
     look = appearance_at(sheet.timeline, len(sheet.timeline), marks={}, travelling=False)
-    picture = _picture(draw(assembly, look, view, samples=2), _COVER)
+    picture = _picture(draw(assembly, look, view), _COVER)
     return [
         _text(f"<b>{escape(assembly.name)}</b>", 18),
         _text(f"{counted(len(placed), 'part')} to place, {mass:,.0f} kg; {work}", 10.5),
@@ -286,7 +286,7 @@ def _row(
     arrows = list(arrows_of_step(sheet.timeline, step.number).values())
     if step.place:
         arrows.append(step_arrows(sheet, step))
-    picture = _picture(draw(sheet.assembly, look, camera, bounds=box, arrows=arrows, samples=2), _PICTURE)
+    picture = _picture(draw(sheet.assembly, look, camera, bounds=box, arrows=arrows), _PICTURE)
     held = [_text(f"{_square(robot_color(by))}{escape(sheet.name(part))}", 9.5) for part, by in last.hold]
     hold = [_text("HOLD until released" if held else "nothing is held", color=_GREY), *held]
     cells = [[_text(f"<b>{number}</b>", 14 if len(steps) == 1 else 9), tick, _axes(camera, 11)], picture]

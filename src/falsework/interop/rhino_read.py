@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.draft import Block, Draft
-from falsework.errors import DependencyError, InputError
+from falsework.errors import InputError
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.read import unit_length
@@ -20,6 +20,7 @@ from falsework.geometry.mesh.sheets import is_sheet
 from falsework.geometry.mesh.surface import PartSurface, separated, warn_of, warn_of_curves
 from falsework.utils.child_process import read_apart
 from falsework.utils.files.formats import Reader
+from falsework.utils.lazy import importing
 
 _UNITS = {
     "Microns": 1e-6,
@@ -57,10 +58,8 @@ def read_rhino(path: Path | str, *, unit: str | None = None) -> Draft:
     Args:
         unit: unit of the coordinates; that of the file if not given.
     """
-    try:
+    with importing("Rhino files need rhino3dm; pip install 'falsework[rhino]'"):
         import rhino3dm  # noqa: F401 - imported by the other process
-    except ImportError:
-        raise DependencyError("Rhino files need rhino3dm; pip install 'falsework[rhino]'") from None
     return read_apart(_read, Path(path), unit, library="rhino3dm")
 
 

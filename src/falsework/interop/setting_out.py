@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.interop.pdf_page import BOLD, REGULAR, jpeg
+from falsework.viewer.appearance import bounds_of
 from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, unit_rgb
 from falsework.viewer.pictures.render import Camera, ColoredSolid, render
 
@@ -43,7 +44,7 @@ def setting_out(canvas: Canvas, assembly: Assembly, width: float, top: float) ->
     that stand on it. All coordinates are those of the model.
     """
     feet = _set_out(assembly)
-    low, high = _bounds(assembly, [*feet, *np.flatnonzero(~assembly.boundary).tolist()])
+    low, high = bounds_of(assembly, [*feet, *np.flatnonzero(~assembly.boundary).tolist()])
     wide, deep, tall = (high - low).tolist()
     heading = 48.0
     room = (width - _BESIDE - _GAP) / (wide + deep), (top - heading - _BESIDE - _GAP) / (tall + deep)
@@ -82,11 +83,6 @@ def _set_out(assembly: Assembly) -> list[int]:
     return fixed or [part for part in np.unique(touching).tolist() if not assembly.boundary[part]]
 
 
-def _bounds(assembly: Assembly, parts: Sequence[int]) -> Array:
-    boxes = np.array([assembly.meshes[part].bounds for part in parts])
-    return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
-
-
 def usual_scale(points: float) -> float:
     """Return the largest usual scale, 1 to so many, at which a metre has at most so many points."""
     least = _POINTS / points
@@ -122,8 +118,8 @@ def _view(
             color = unit_rgb(BOUNDARY if assembly.boundary[part] else INSTALLED)
             solids.append(ColoredSolid(mesh.vertices, mesh.faces, color))
     width, height = (max(round(_PIXELS * side), 2) for side in size.tolist())
-    view = Camera(camera.azimuth, camera.elevation, width, height)
-    image = ImageReader(jpeg(render(solids, view, box, floor=False, samples=2)))
+    view = Camera(camera.azimuth, camera.elevation, width, height, samples=2)
+    image = ImageReader(jpeg(render(solids, view, box, floor=False)))
     canvas.drawImage(image, place[0] - edge * points, place[1] - edge * points, *size.tolist())
 
 

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from falsework.assembly.draft import Block, Draft
-from falsework.errors import DependencyError, InputError
+from falsework.errors import InputError
 from falsework.geometry.mesh.surface import warn_of, warn_of_curves
 from falsework.utils.child_process import read_apart
 from falsework.utils.files.formats import Reader
+from falsework.utils.lazy import importing
 
 _MILLIMETRE = 1e-3
 """Unit to which Open CASCADE converts coordinates, in metres."""
@@ -40,14 +41,12 @@ def read_step(path: Path | str, *, unit: str | None = None) -> Draft:
 
 def _read(path: Path) -> Draft:
     """Read the solids of a STEP file in this process, which Open CASCADE may end when the file is damaged."""
-    try:
+    with importing("STEP files need cadquery-ocp; pip install 'falsework[step]'"):
         from OCP.BRepMesh import BRepMesh_IncrementalMesh
         from OCP.IFSelect import IFSelect_RetDone
         from OCP.STEPControl import STEPControl_Reader
         from OCP.TopAbs import TopAbs_EDGE, TopAbs_FACE, TopAbs_SOLID
         from OCP.TopExp import TopExp_Explorer
-    except ImportError:
-        raise DependencyError("STEP files need cadquery-ocp; pip install 'falsework[step]'") from None
     reader = STEPControl_Reader()
     if reader.ReadFile(str(path)) != IFSelect_RetDone:
         raise InputError(f"{path} is not a STEP file, or is damaged; export it again")

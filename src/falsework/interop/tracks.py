@@ -43,7 +43,7 @@ class Track:
     @property
     def at_first(self) -> bool:
         """Whether the part is to be seen at the beginning."""
-        return next(shown for _, shown in self.shown)
+        return self.shown[0][1]
 
     @property
     def appears(self) -> bool:

@@ -11,15 +11,12 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from falsework import __version__
 from falsework.interop.tracks import Track, Tracks, tracks_of
+from falsework.robots.model.shapes import principal_axes, wxyz_of
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.files.formats import Exporter, writer_of
-from falsework.viewer.arms import wxyz_of
 from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
 
 if TYPE_CHECKING:
@@ -119,12 +116,12 @@ def _body(
         *presses,
     ]
     if not fixed:
-        moments, axes = _principal(assembly.mass.inertia[part])
+        moments, axes = principal_axes(assembly.mass.inertia[part])
         lines += [
             f"    float physics:mass = {_number(assembly.mass.mass[part])}",
             "    point3f physics:centerOfMass = (0, 0, 0)",
             f"    float3 physics:diagonalInertia = {_tuple(moments)}",
-            f"    quatf physics:principalAxes = {_tuple(axes)}",
+            f"    quatf physics:principalAxes = {_tuple(wxyz_of(axes))}",
         ]
         if track is not None:
             lines.append("    bool physics:kinematicEnabled = 1")
@@ -173,14 +170,6 @@ def _colors(track: Track) -> Iterable[tuple[float, str]]:
 def _samples(attribute: str, keys: Iterable[tuple[float, str]]) -> list[str]:
     rows = [f"        {_number(time * FRAMES)}: {value}," for time, value in keys]
     return [f"    {attribute}.timeSamples = {{", *rows, "    }"]
-
-
-def _principal(inertia: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return principal moments, shape (3,), and the rotation to their axes as a quaternion `wxyz`, shape (4,)."""
-    moments, axes = np.linalg.eigh(inertia)
-    if np.linalg.det(axes) < 0:
-        axes[:, 2] *= -1
-    return moments, np.array(wxyz_of(axes))
 
 
 def _convex(mesh: TriangleMesh) -> bool:

@@ -11,6 +11,7 @@ from falsework.assembly.state import REMOVED, States
 from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.task import Direction
+from falsework.utils.quantity import counted
 
 _NAMED = 5
 """Parts that the text names one by one, at most."""
@@ -83,8 +84,8 @@ class Difference:
             when = "then" if self.common_steps else "next"
             pieces.append(f"{when} {self.first_new or 'nothing'} instead of {self.first_old or 'nothing'}")
         for move in self.moved[:_NAMED]:
-            far, places = abs(move.places), "place" if abs(move.places) == 1 else "places"
-            pieces.append(f"{move.name} comes {far} {places} {'later' if move.places > 0 else 'earlier'}")
+            far = counted(abs(move.places), "place")
+            pieces.append(f"{move.name} comes {far} {'later' if move.places > 0 else 'earlier'}")
         if len(self.moved) > _NAMED:
             rest = len(self.moved) - _NAMED
             pieces.append(f"{rest} more {'part changes its place' if rest == 1 else 'parts change their places'}")
@@ -93,8 +94,7 @@ class Difference:
         if self.dropped:
             pieces.append(f"no longer: {', '.join(self.dropped)}")
         if self.steps_saved:
-            steps = "step" if abs(self.steps_saved) == 1 else "steps"
-            pieces.append(f"{abs(self.steps_saved)} {steps} {'fewer' if self.steps_saved > 0 else 'more'}")
+            pieces.append(f"{counted(abs(self.steps_saved), 'step')} {'fewer' if self.steps_saved > 0 else 'more'}")
         return "; ".join(pieces)
 
     def to_dict(self) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction, Task
+from falsework.stability.cache import unique_rows
 from falsework.utils.tensors import check_torch
 
 _FLOOR = -30.0
@@ -107,9 +108,7 @@ class PolicyGuide:
         """Evaluate the network on distinct inputs. Shape (batch, 2 parts)."""
         targets = targets if self.goal_conditioned else None
         questions = states if targets is None else np.concatenate([states, targets], axis=1)
-        questions = np.ascontiguousarray(questions)
-        keys = questions.view(np.dtype((np.void, questions.shape[1]))).ravel()
-        _, first, back = np.unique(keys, return_index=True, return_inverse=True)
+        first, back = unique_rows(questions)
         pieces = [first[begin : begin + _BATCH] for begin in range(0, len(first), _BATCH)]
         answers = [self._ask(states[rows], None if targets is None else targets[rows]) for rows in pieces]
         logits = np.concatenate(answers) if answers else np.empty((0, 2 * states.shape[1]))

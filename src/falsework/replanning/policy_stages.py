@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,14 +42,16 @@ def follow_greedily(sessions: Sequence[ReplanSession], context: ReplanContext) -
     if not variants:
         return
     owners = [session for session, _ in variants]
-    with _policy_time(sessions):
-        rollouts = follow_scores(
-            [task for _, task in variants],
-            [task.start for _, task in variants],
-            np.arange(len(variants)),
-            context.guide.log_probabilities,
-            stop=lambda number: _late(owners[number]),
-        )
+    begun = time.perf_counter()
+    rollouts = follow_scores(
+        [task for _, task in variants],
+        [task.start for _, task in variants],
+        np.arange(len(variants)),
+        context.guide.log_probabilities,
+        stop=lambda number: _late(owners[number]),
+    )
+    for session in sessions:
+        session.clock.add("policy", time.perf_counter() - begun)
     proven = _proven_steps(owners, rollouts)
     for session, rollout, steps in zip(owners, rollouts, proven, strict=True):
         if rollout.reached and steps == len(rollout.states) - 1:
@@ -187,11 +188,3 @@ def _judge(owners: Sequence[ReplanSession], states: States, parents: States) -> 
         for session in {id(owners[row]): owners[row] for row in rows.tolist()}.values():
             session.clock.add("verdicts", taken)
     return verdict
-
-
-@contextmanager
-def _policy_time(sessions: Sequence[ReplanSession]) -> Iterator[None]:
-    begun = time.perf_counter()
-    yield
-    for session in sessions:
-        session.clock.add("policy", time.perf_counter() - begun)

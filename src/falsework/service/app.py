@@ -255,12 +255,7 @@ async def _answer(
         given = payload(wanted)
     except InputError as error:
         return _response(Reply(422, refusal(str(error))))
-    return await _wait(request, ask(wanted, given), media=media)
-
-
-async def _wait(request: Request, question: Any, *, media: str = _JSON) -> Response:
-    """Wait for an answer while the client is connected."""
-    task = asyncio.ensure_future(question)
+    task = asyncio.ensure_future(ask(wanted, given))
     try:
         while not task.done():
             await asyncio.wait({task}, timeout=_GONE_EVERY)

@@ -22,7 +22,7 @@ import numpy as np
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.props import with_props
-from falsework.assembly.state import States
+from falsework.assembly.state import States, complete_state
 from falsework.errors import DependencyError, InputError, PlanError
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import check_identity
@@ -146,7 +146,7 @@ class _Judge:
     def __init__(self, config: WorkerConfig) -> None:
         self._assembly, self._settings = config.assembly, one_thread(config.criterion)
         self._oracle = StabilityOracle(config.assembly, self._settings)
-        states = np.where(config.assembly.boundary, 2, 1).astype(np.uint8)[None]
+        states = complete_state(config.assembly.boundary)[None]
         self._oracle.verdicts(states)
         self._oracle.verdicts(states, require_certificate=True)
 

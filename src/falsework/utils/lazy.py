@@ -1,4 +1,4 @@
-"""Exports of a package that are imported at their first use (PEP 562), as its stub lists them.
+"""Imports at first use (PEP 562): exports of a package, as its stub lists them, and optional packages.
 
 Importing a package then costs nothing, and a name costs the import of its own module. Type checkers and editors read
 the same stub `__init__.pyi`, so that there is one list (Scientific Python SPEC 1).
@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import ast
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -52,3 +53,12 @@ def lazy_exports(package: str) -> tuple[Callable[[str], Any], Callable[[], list[
         return sorted({*vars(sys.modules[package]), *origins})
 
     return __getattr__, __dir__, sorted(origins)
+
+
+@contextmanager
+def importing(message: str) -> Iterator[None]:
+    """Import what may be missing; a DependencyError with a message where it is."""
+    try:
+        yield
+    except ImportError:
+        raise DependencyError(message) from None

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from falsework.errors import DependencyError, InputError
+from falsework.utils.lazy import importing
 
 if TYPE_CHECKING:
     import torch
@@ -16,10 +17,8 @@ if TYPE_CHECKING:
 
 def import_torch() -> Any:
     """Return the module torch."""
-    try:
+    with importing("a search on tensors needs torch; pip install 'falsework[gpu]'"):
         import torch
-    except ImportError as error:
-        raise DependencyError("a search on tensors needs torch; pip install 'falsework[gpu]'") from error
     return torch
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -145,9 +145,9 @@ class SceneView:
         return replace(look, opacity=opacity, shift=shift)
 
 
-def bounds_of(assembly: Assembly) -> Array:
-    """Return the lowest and highest coordinates of all parts, shape (2, 3), metres."""
-    boxes = np.array([mesh.bounds for mesh in assembly.meshes])
+def bounds_of(assembly: Assembly, parts: Sequence[int] | slice = slice(None)) -> Array:
+    """Return the lowest and highest coordinates of all parts, or of some, shape (2, 3), metres."""
+    boxes = np.array([mesh.bounds for mesh in assembly.meshes])[parts]
     return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
 
 

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD
-from falsework.robots.cells.visuals import VisualShape, link_visuals, shape_of_pieces
-from falsework.robots.plans.loads import Load
+from falsework.robots.cells.visuals import VisualShape, arm_frames, link_visuals, shape_of_pieces
 from falsework.robots.plans.timeline import activities_at, waiting_at
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
@@ -82,18 +81,14 @@ class Arms:
         """Prepare the links."""
         self.cell = cell
         self.direction = direction
-        self._plan = robot_plan if robot_plan.direction is direction else robot_plan.reverse()
+        self.plan = robot_plan if robot_plan.direction is direction else robot_plan.reverse()
+        """The plan in the order shown."""
         scale = cell.placement.scale
         self._to_structure = _similar(cell.placement.pose, scale)
         self.scale = scale
-        self.clock = Clock.from_plan(self._plan)
+        self.clock = Clock.from_plan(self.plan)
         """Times in the order shown."""
         self.links = [link for number, robot in enumerate(cell.robots) for link in links_of(number, robot, 1 / scale)]
-
-    @property
-    def plan(self) -> RobotPlan:
-        """The plan in the order shown."""
-        return self._plan
 
     @property
     def differs(self) -> str:
@@ -106,11 +101,11 @@ class Arms:
 
     def turned(self, direction: Direction) -> Arms:
         """Return the same in the other order."""
-        return self if direction is self.direction else Arms(self._plan, self.cell, direction)
+        return self if direction is self.direction else Arms(self.plan, self.cell, direction)
 
     def holders(self) -> NDArray[np.int64]:
         """Return robot that holds each part in each state of the plan; shape (steps + 1, parts)."""
-        plan, frames = self._plan, [(row, self._plan.in_hand(k)) for k, row in enumerate(self._plan.rows.tolist())]
+        plan, frames = self.plan, [(row, self.plan.in_hand(k)) for k, row in enumerate(self.plan.rows.tolist())]
         states, actions = plan.plan.states, plan.plan.actions
         who = np.full(states.shape, NO_ROBOT, dtype=np.int64)
         for row, held in frames if self.direction is Direction.DISASSEMBLY else reversed(frames):
@@ -130,12 +125,13 @@ class Arms:
     def at_time(self, seconds: float) -> ArmPoses:
         """Return the poses at a time of the plan in the order shown."""
         configurations, carried = [], []
-        for arm in activities_at(self._plan, self.clock.starts, seconds):
+        for arm in activities_at(self.plan, self.clock.starts, seconds):
             values = arm.at(np.array([seconds]))[0]
             configurations.append(values)
             if arm.load is not None:
-                carried.append(self._loaded(arm.load, arm.robot, values))
-        for load in waiting_at(self._plan, self.clock.starts, seconds):
+                pose = arm.load.at(self.cell.robots[arm.robot], values)
+                carried.append(CarriedPart(arm.load.part, arm.robot, self._seen(pose)))
+        for load in waiting_at(self.plan, self.clock.starts, seconds):
             if all(other.part != load.part for other in carried):
                 carried.append(CarriedPart(load.part, NO_ROBOT, self._seen(load.pose)))
         return ArmPoses(self._poses(configurations), tuple(carried))
@@ -144,27 +140,12 @@ class Arms:
         """Return the poses where a place in the plan is reached, in steps of assembly done."""
         return self.at_time(self.clock.seconds(position))
 
-    def _loaded(self, load: Load, robot: int, values: Array) -> CarriedPart:
-        """Return the load of a robot whose joint values are given, shape (joints,)."""
-        from falsework.robots.kinematics.forward import tool_pose
-        from falsework.robots.model.shapes import inverse_pose
-
-        arm, way = self.cell.robots[robot], load.pose
-        if load.grip is not None:
-            way = tool_pose(arm, values) @ inverse_pose(tool_pose(arm, load.grip)) @ way
-        return CarriedPart(load.part, robot, self._seen(way))
-
     def _seen(self, pose: Array) -> Array:
         """Return a displacement in the cell, shape (4, 4), as one in the structure."""
         return self._to_structure @ pose @ np.linalg.inv(self._to_structure)
 
     def _poses(self, configurations: Sequence[Array]) -> Array:
-        from falsework.robots.kinematics.forward import link_poses
-
-        frames = []
-        for robot, values in zip(self.cell.robots, configurations, strict=True):
-            found = link_poses(robot.model, np.asarray(values), robot.base)
-            frames.append([*found, found[-1] @ robot.model.flange])
+        frames = [arm_frames(robot, values) for robot, values in zip(self.cell.robots, configurations, strict=True)]
         made = self._to_structure @ np.array([frames[link.robot][link.frame] for link in self.links])
         made[:, :3, :3] *= self.scale  # vertices are in lengths of the structure already
         return made
@@ -198,14 +179,6 @@ def bounds_with_arms(arms: Arms, box: Array) -> Array:
         points.append(link.vertices @ pose[:3, :3].T + pose[:3, 3])
     every = np.concatenate(points)
     return np.stack([every.min(axis=0), every.max(axis=0)])
-
-
-def wxyz_of(rotation: Array) -> tuple[float, float, float, float]:
-    """Return the unit quaternion, w first, of a rotation matrix of shape (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
-    return float(w), float(x), float(y), float(z)
 
 
 def _similar(pose: Array, scale: float) -> Array:

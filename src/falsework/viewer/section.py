@@ -78,20 +78,9 @@ def _cap(outline: Array, plane: Plane) -> Array:
     ends = ends[(ends[:, 0] != ends[:, 1]).any(axis=1)]
     later = (ends[:, 0, 0] > ends[:, 1, 0]) | ((ends[:, 0, 0] == ends[:, 1, 0]) & (ends[:, 0, 1] > ends[:, 1, 1]))
     ends[later] = ends[later][:, ::-1]
-    segments = np.asarray(shapely.linestrings(np.unique(ends, axis=0)))
-    rings = np.asarray(shapely.get_parts(shapely.polygonize(segments)))
-    if not len(rings):
-        return none
-    # Of nested outlines every other one is a hole.
-    inside = np.asarray(shapely.point_on_surface(rings))
-    outer = np.asarray(shapely.polygons(shapely.get_exterior_ring(rings)))
-    depth = shapely.contains(outer[:, None], inside[None]).sum(axis=0)
-    triangles = [
-        shapely.get_coordinates(shapely.constrained_delaunay_triangles(ring)) for ring in rings[depth % 2 == 1]
-    ]
-    if not triangles:
-        return none
-    corners = np.concatenate(triangles).reshape(-1, 4, 2)[:, :3]
+    segments = shapely.multilinestrings(shapely.linestrings(np.unique(ends, axis=0)))
+    area = shapely.build_area(segments)  # of nested outlines every other one is a hole
+    corners = shapely.get_coordinates(shapely.constrained_delaunay_triangles(area)).reshape(-1, 4, 2)[:, :3]
     filled = np.full((*corners.shape[:2], 3), plane.at)
     filled[:, :, flat] = corners
     turned = np.cross(filled[:, 1] - filled[:, 0], filled[:, 2] - filled[:, 0])[:, plane.column] > 0

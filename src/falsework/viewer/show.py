@@ -293,7 +293,7 @@ def animate(
         raise InputError(f"{shown.assembly.name} has no steps to animate; give a plan, as `falsework plan` writes it")
     places = tuple(timeline.places)
     proofs = shown.proofs(places, criterion) if verdicts else {}
-    camera = Camera(azimuth, elevation, width, 2 * round(0.35 * width), 0.95)
+    camera = Camera(azimuth, elevation, width, 2 * round(0.35 * width), 0.95, samples=2)
     count = write_film(
         path,
         timeline,

@@ -32,7 +32,7 @@ def cube(size: int) -> list[Cell]:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(("region", "pieces"), [(bottle_outline(6, 10), 11), (cube(4), 14), (cube(3), 5)])
 def test_pieces_are_a_partition_into_connected_parts(region: list[Cell], pieces: int, seed: int) -> None:
-    cut = random_pieces(region, pieces, smallest=2, seed=seed)
+    cut = random_pieces(region, pieces, seed=seed)
     assert len(cut) == pieces
     assert sorted(cell for piece in cut for cell in piece) == sorted(region)
     assert all(connected(piece) and len(piece) >= 2 for piece in cut)
@@ -41,7 +41,7 @@ def test_pieces_are_a_partition_into_connected_parts(region: list[Cell], pieces:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_polycube_comes_apart(seed: int) -> None:
     """Rays from each cube, in an order found by trying: independent of how the generator looks at it."""
-    left = list(random_pieces(cube(4), 10, smallest=2, seed=seed))
+    left = list(random_pieces(cube(4), 10, seed=seed))
     while left:
         for piece in left:
             others = {cell for other in left if other is not piece for cell in other}
@@ -67,7 +67,7 @@ def test_volume_and_contact_area_count_cubes_and_shared_faces(structure, edge: f
     assembly = structure(seed=2)
     cells = bottle_outline(6, 10) if structure is bottle else cube(4)
     assert assembly.mass.volume[:-1].sum() == pytest.approx(len(cells) * edge**3)
-    pieces = random_pieces(cells, assembly.part_count - 1, smallest=2, seed=2)
+    pieces = random_pieces(cells, assembly.part_count - 1, seed=2)
     of = {cell: number for number, piece in enumerate(pieces) for cell in piece}
     area: dict[tuple[int, int], float] = {}
     for cell in cells:
@@ -107,4 +107,4 @@ def test_surface_of_a_known_piece() -> None:
 
 def test_too_many_pieces_are_refused_at_once() -> None:
     with pytest.raises(InputError, match="found no 5 pieces of at least 2 cubes in 8 cubes"):
-        random_pieces(cube(2), 5, smallest=2, seed=0)
+        random_pieces(cube(2), 5, seed=0)

@@ -93,8 +93,8 @@ def test_after_a_search_that_died_out_one_begins_at_the_empty_structure(
 
     def search(task: Task, oracle: Any, count: int, width: int, *, direction: Direction, **options: Any) -> Any:
         directions.append((direction, count, width))
-        found = parallel_beam_search(task, oracle, count, width, direction=direction, **options)
-        return replace(found, found=np.arange(count) < next(through))
+        states, _ = parallel_beam_search(task, oracle, count, width, direction=direction, **options)
+        return states, np.arange(count) < next(through)
 
     monkeypatch.setattr("falsework.learn.data.dataset.parallel_beam_search", search)
     task, device = training_task(bottle), torch.device("cpu")

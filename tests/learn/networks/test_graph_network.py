@@ -15,6 +15,30 @@ from falsework.learn.networks.force_torque_graph import ForceTorqueGraph
 from falsework.learn.networks.graph_attention import GraphAttentionPolicy, Layer
 
 Nodes = dict[str, dict[int, Tensor]]
+Edges = dict[tuple[str, str, str], list[tuple[int, int]]]
+
+
+def edges_of(graph: ForceTorqueGraph) -> Edges:
+    """All edges of figure 8 of the paper, self loops aside: (from, kind, to). Torque `2 p + s` is of point `p`."""
+    torques, forces = np.arange(2 * len(graph.point_force)), np.arange(graph.force_count)
+    a, b = graph.force_parts.T
+    forward = {
+        ("torque", "about", "part"): np.stack([torques, graph.force_parts[graph.point_force].reshape(-1)], axis=1),
+        ("torque", "of", "force"): np.stack([torques, np.repeat(graph.point_force, 2)], axis=1),
+        ("force", "into", "part"): np.stack([forces, b], axis=1),
+        ("force", "out of", "part"): np.stack([forces, a], axis=1),
+    }
+    back = {(to, kind, start): pairs[:, ::-1] for (start, kind, to), pairs in forward.items()}
+    every = forward | back | {("torque", "against", "torque"): np.stack([torques, torques ^ 1], axis=1)}
+    every["part", "beside", "part"] = np.argwhere(~np.eye(graph.part_count, dtype=bool))
+    return {kind: [(a, b) for a, b in pairs.tolist()] for kind, pairs in every.items()}
+
+
+def present_in(graph: ForceTorqueGraph, state: np.ndarray) -> dict[str, list[int]]:
+    """Nodes that are present in a state: those of which all parts are."""
+    force = (state[graph.force_parts] != 0).all(axis=1)
+    masks = {"part": state != 0, "force": force, "torque": force[np.repeat(graph.point_force, 2)]}
+    return {kind: np.flatnonzero(mask).tolist() for kind, mask in masks.items()}
 
 
 def attend(
@@ -42,7 +66,7 @@ def attend(
     return out
 
 
-def layer_by_edges(layer: Layer, nodes: Nodes, edges: dict[tuple[str, str, str], list[tuple[int, int]]]) -> Nodes:
+def layer_by_edges(layer: Layer, nodes: Nodes, edges: Edges) -> Nodes:
     """One layer, from explicit lists of edges between nodes that are there."""
     h = layer.heads
     norms = {"part": layer.norm_part, "force": layer.norm_force, "torque": layer.norm_torque}
@@ -88,7 +112,7 @@ def evaluate_by_edges(
     policy: GraphAttentionPolicy, graph: ForceTorqueGraph, state: np.ndarray, target: np.ndarray | None
 ) -> tuple[Tensor, Tensor]:
     """Logits and value of one state."""
-    there = {kind: np.flatnonzero(mask[0]).tolist() for kind, mask in graph.present(state[None]).items()}
+    there = present_in(graph, state)
     goal = np.where(graph.boundary, 2, 0) if target is None else target
     nodes: Nodes = {"part": {}, "force": {}, "torque": {}}
     for part in there["part"]:
@@ -100,7 +124,7 @@ def evaluate_by_edges(
         nodes["force"][force] = policy.force_in(torch.tensor(graph.normals[force]))
     for torque in there["torque"]:
         nodes["torque"][torque] = policy.torque_in(torch.tensor(graph.levers.reshape(-1, 3)[torque]))
-    edges = {kind: [(a, b) for a, b in pairs.tolist()] for kind, pairs in graph.edges().items()}
+    edges = edges_of(graph)
     for layer in policy.layers:
         assert isinstance(layer, Layer)
         nodes = layer_by_edges(layer, nodes, edges)

@@ -19,7 +19,7 @@ from falsework.geometry.clearance.moves import PathMove
 from falsework.robots import Cell, Obstacle, RobotPlan, Trajectory
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.keyframes.keyframes import PathSegment
-from falsework.robots.keyframes.trajectory_assembly import timed_leg
+from falsework.robots.keyframes.trajectory_assembly import timed_legs
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import cell_identity
@@ -102,7 +102,7 @@ class Case:
                 goal = at.copy()
                 goal[:3, 3] += begin + share * (np.asarray(end) - begin)
                 points.append(self.reach(goal, points[-1]))
-        made = timed_leg(self.cell.robots[0].model, PathSegment("line", np.array(points)), self.cell.speed)
+        made = timed_legs([self.cell.robots[0].model], [PathSegment("line", np.array(points))], self.cell.speed)[0]
         assert made is not None
         return replace(made, **more)
 

@@ -24,9 +24,7 @@ def bottle(
     """
     cells = bottle_outline(width, height)
     origin = (-width * square / 2, -square / 2, 0.0)
-    solids = [
-        surface("piece", piece, (square,) * 3, origin) for piece in random_pieces(cells, pieces, smallest=2, seed=seed)
-    ]
+    solids = [surface("piece", piece, (square,) * 3, origin) for piece in random_pieces(cells, pieces, seed=seed)]
     half = width * square / 2
     solids.append(ground((-half, -square / 2), (half, square / 2), margin=square / 2, depth=square / 2))
     return gather(solids)
@@ -57,8 +55,7 @@ def polycube(
     cells = [(x, y, z) for x in range(size) for y in range(size) for z in range(size)]
     half = size * edge / 2
     solids = [
-        surface("piece", piece, (edge,) * 3, (-half, -half, 0.0))
-        for piece in random_pieces(cells, pieces, smallest=2, seed=seed)
+        surface("piece", piece, (edge,) * 3, (-half, -half, 0.0)) for piece in random_pieces(cells, pieces, seed=seed)
     ]
     solids.append(ground((-half, -half), (half, half), margin=edge / 2, depth=edge / 2))
     return gather(solids)

@@ -14,11 +14,13 @@ Piece = frozenset[Cell]
 
 STEPS: tuple[Cell, ...] = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 _ACROSS = tuple((a, b, c) for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (-1, 0, 1) if abs(a) + abs(b) + abs(c) == 2)
+_SMALLEST = 2
+"""Cubes that each piece has at least."""
 _ATTEMPTS = 200
 """Random divisions that are tried before the request is refused."""
 
 
-def random_pieces(region: Iterable[Cell], pieces: int, *, smallest: int, seed: int) -> tuple[Piece, ...]:
+def random_pieces(region: Iterable[Cell], pieces: int, *, seed: int) -> tuple[Piece, ...]:
     """Cut a region of cubes at random into connected pieces of similar size that come apart one by one.
 
     Pieces grow from random cells, always the smallest that still can, and none touches itself along an edge
@@ -26,21 +28,20 @@ def random_pieces(region: Iterable[Cell], pieces: int, *, smallest: int, seed: i
     pieces are locked: some order must exist in which each one leaves straight along an axis, none downwards.
 
     Args:
-        smallest: cubes that each piece has at least.
         seed: of the random numbers; the same seed gives the same pieces.
 
     Returns:
         Pieces, lowest first.
     """
     cells = sorted(region)
-    if pieces * smallest <= len(cells):
+    if pieces * _SMALLEST <= len(cells):
         random = np.random.default_rng(seed)
         for _ in range(_ATTEMPTS):
             drawn = grow_pieces(cells, pieces, random)
-            if drawn is not None and min(map(len, drawn)) >= smallest and _comes_apart(drawn):
+            if drawn is not None and min(map(len, drawn)) >= _SMALLEST and _comes_apart(drawn):
                 return tuple(sorted(drawn, key=_height))
     raise InputError(
-        f"found no {pieces} pieces of at least {smallest} cubes in {len(cells)} cubes; "
+        f"found no {pieces} pieces of at least {_SMALLEST} cubes in {len(cells)} cubes; "
         "give fewer pieces or another seed"
     )
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.edges import directed_edges
-from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
+from falsework.geometry.mesh.mesh import TriangleMesh, joined_faces, unit_normals
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -35,15 +35,10 @@ class Surface:
     @staticmethod
     def from_meshes(meshes: Sequence[TriangleMesh]) -> Surface:
         """Collect the faces of all parts."""
-        first = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])
-        points = np.concatenate([mesh.vertices for mesh in meshes])
-        faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, first, strict=False)])
+        points, faces = joined_faces([mesh.vertices for mesh in meshes], [mesh.faces for mesh in meshes])
         part = np.repeat(np.arange(len(meshes), dtype=np.int32), [len(mesh.faces) for mesh in meshes])
-        corners = points[faces]
-        cross = triangle_normals(corners)
-        length = np.linalg.norm(cross, axis=1)
-        solid = length > 0.0
-        return Surface(points, faces[solid].astype(np.int64), part[solid], cross[solid] / length[solid, None])
+        normals, solid = unit_normals(points[faces])
+        return Surface(points, faces[solid], part[solid], normals)
 
     @cached_property
     def hanging(self) -> Array:

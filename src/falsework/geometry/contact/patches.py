@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.geometry.mesh.boxes import pairs_of_groups
-from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
+from falsework.geometry.mesh.mesh import TriangleMesh, unit_normals
 
 Array = NDArray[np.float64]
 
@@ -114,10 +114,8 @@ class Faces:
         """Collect the faces of all parts."""
         corners = np.concatenate([mesh.triangles for mesh in meshes])
         part = np.repeat(np.arange(len(meshes), dtype=np.int32), [len(mesh.faces) for mesh in meshes])
-        cross = triangle_normals(corners)
-        length = np.linalg.norm(cross, axis=1)
-        solid = length > 0.0  # a face without area has no normal and carries no force
-        return Faces(corners[solid], part[solid], cross[solid] / length[solid, None])
+        normals, solid = unit_normals(corners)  # a face without area carries no force
+        return Faces(corners[solid], part[solid], normals)
 
 
 def face_patches(

@@ -8,7 +8,7 @@ import fcl
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
+from falsework.geometry.mesh.mesh import TriangleMesh, unit_normals
 
 Array = NDArray[np.float64]
 
@@ -31,11 +31,7 @@ def shrink(mesh: TriangleMesh, distance: float) -> Array:
 
 def outwards(mesh: TriangleMesh) -> Array:
     """Return for each vertex the vector that moves all planes of its faces outwards by one, shape (vertices, 3)."""
-    corners = mesh.triangles
-    normals = triangle_normals(corners)
-    length = np.linalg.norm(normals, axis=1)
-    solid = length > 0
-    normals = normals[solid] / length[solid, None]
+    normals, solid = unit_normals(mesh.triangles)
     vertex = mesh.faces[solid].ravel()
     at = np.repeat(normals, 3, axis=0)
     count = len(mesh.vertices)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from falsework.errors import MeshError
 from falsework.geometry.mesh.bounds import check_growth
-from falsework.geometry.mesh.surface import PartSurface, joined, warn_of
+from falsework.geometry.mesh.surface import PartSurface, content_of, joined, warn_of
 from falsework.utils.json_text import parse_json
 from falsework.utils.quantity import listed
 
@@ -57,10 +57,7 @@ def read_gltf(file: Path) -> list[PartSurface]:
         MeshError: a file that is damaged, that has too many copies of its meshes (see `check_growth`), or whose shape
             depends on what is not read: skins, morph targets, compression, instancing.
     """
-    try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise MeshError(f"cannot read {file}: {error.strerror}") from error
+    content = content_of(file)
     reader = _Reader(file)
     try:
         return reader.read(content)

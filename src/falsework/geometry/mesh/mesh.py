@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -102,6 +103,22 @@ def triangle_normals(corners: NDArray[np.float64]) -> NDArray[np.float64]:
         corners: shape (triangles, 3, 3).
     """
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+def unit_normals(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the unit normals of triangles with an area, shape (count, 3), and which of them have one, (triangles,)."""
+    normals = triangle_normals(corners)
+    length = np.linalg.norm(normals, axis=1)
+    solid = length > 0
+    return normals[solid] / length[solid, None], solid
+
+
+def joined_faces(
+    vertices: Sequence[NDArray[Any]], faces: Sequence[NDArray[Any]]
+) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """Return the vertices of several surfaces after each other, and the faces of all with indices into these."""
+    first = np.cumsum([0, *map(len, vertices)])
+    return np.concatenate(vertices), np.concatenate([some + at for some, at in zip(faces, first, strict=False)])
 
 
 def mass_properties(meshes: Sequence[TriangleMesh], density: NDArray[np.float64]) -> MassProperties:

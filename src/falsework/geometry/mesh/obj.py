@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from falsework.errors import MeshError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangles_of
-from falsework.geometry.mesh.surface import PartSurface, joined, regrouped, stated_unit, text_of, warn_of
+from falsework.geometry.mesh.surface import PartSurface, content_of, joined, regrouped, stated_unit, text_of, warn_of
 from falsework.utils.quantity import listed
 
 _APPEARANCE = {"vt", "vn", "s", "usemtl", "mtllib", "usemap", "maplib", "bevel", "c_interp", "d_interp"}
@@ -42,10 +42,7 @@ def read_obj(file: Path) -> list[PartSurface]:
     Raises:
         MeshError: a line that cannot be understood, a face with a vertex that is not there, or a free-form surface.
     """
-    try:
-        text = text_of(file, file.read_bytes())
-    except OSError as error:
-        raise MeshError(f"cannot read {file}: {error.strerror}") from error
+    text = text_of(file, content_of(file))
     vertices: list[tuple[float, float, float]] = []
     sections = [_Section(0, "", "", [])]
     unused: Counter[str] = Counter()

@@ -10,7 +10,7 @@ import numpy as np
 
 from falsework.errors import MeshError
 from falsework.geometry.mesh.polygon import triangles_of
-from falsework.geometry.mesh.surface import PartSurface, stated_unit, warn_of
+from falsework.geometry.mesh.surface import PartSurface, content_of, stated_unit, warn_of
 from falsework.utils.quantity import listed
 
 _TYPES = {
@@ -49,10 +49,7 @@ def read_ply(file: Path) -> list[PartSurface]:
     Raises:
         MeshError: a file that is damaged, has triangle strips, or has more or other data than its header says.
     """
-    try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise MeshError(f"cannot read {file}: {error.strerror}") from error
+    content = content_of(file)
     try:
         order, elements, start = _header(content)
         if twice := _stated_twice(elements):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from falsework.errors import MeshError
-from falsework.geometry.mesh.surface import PartSurface, regrouped, stated_unit, text_of
+from falsework.geometry.mesh.surface import PartSurface, content_of, regrouped, stated_unit, text_of
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _HEADER = 84
@@ -21,10 +21,7 @@ def read_stl(file: Path) -> list[PartSurface]:
     Raises:
         MeshError: a file that is damaged.
     """
-    try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise MeshError(f"cannot read {file}: {error.strerror}") from error
+    content = content_of(file)
     count = int.from_bytes(content[_HEADER - 4 : _HEADER], "little") if len(content) >= _HEADER else -1
     if len(content) == _HEADER + count * _FACET.itemsize:
         corners = np.frombuffer(content, _FACET, offset=_HEADER)["corners"].astype(np.float64)

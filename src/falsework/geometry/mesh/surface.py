@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from falsework.errors import MeshError, ReadWarning
 from falsework.geometry.mesh.bodies import merge_equal, separate_solids
 from falsework.geometry.mesh.edges import is_closed
+from falsework.geometry.mesh.mesh import joined_faces
 from falsework.geometry.mesh.repair import closes
 from falsework.utils.quantity import listed
 
@@ -77,6 +78,14 @@ def stated_unit(comments: str) -> str:
     return next((unit for beginning, unit in _SHORT.items() if word.startswith(beginning)), word)
 
 
+def content_of(file: Path) -> bytes:
+    """Return the bytes of a file of meshes; MeshError if it cannot be read."""
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise MeshError(f"cannot read {file}: {error.strerror}") from error
+
+
 def text_of(file: Path, content: bytes) -> str:
     """Return the text of a file in UTF-8, or with a warning as Western text, in which programs write names too.
 
@@ -111,11 +120,9 @@ def warn_of_curves(file: Path, names: Sequence[str]) -> None:
 
 def joined(name: str, surfaces: Sequence[PartSurface]) -> PartSurface:
     """Return surfaces as one."""
-    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
     return PartSurface(
         name,
-        np.concatenate([surface.vertices for surface in surfaces]),
-        np.concatenate([surface.faces + first for surface, first in zip(surfaces, starts, strict=False)]),
+        *joined_faces([surface.vertices for surface in surfaces], [surface.faces for surface in surfaces]),
         support=any(surface.support for surface in surfaces),
         unit=next((surface.unit for surface in surfaces if surface.unit), ""),
     )

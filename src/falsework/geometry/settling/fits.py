@@ -80,7 +80,6 @@ def settled_if_loose(make: Callable[[float | None], Made], meshes: Sequence[Tria
             as_modelled = make(None)
         except UntouchedPartError:
             as_modelled = None
-    settled = as_modelled
     play = min(min(mesh.thickness, float(np.ptp(mesh.bounds, axis=0).min()) / 2) for mesh in meshes)
     within = (
         f"so parts settle into their clearance by at most {format_quantity(play, 'length')}, the thickness of the "

@@ -249,8 +249,8 @@ def search_several(
     states, through = np.empty((0, task.part_count), dtype=np.uint8), 0.0
     if mine:
         own = seed * shards.size + shards.rank
-        searched = parallel_beam_search(task, oracle, mine, width, direction=direction, seed=own, device=device)
-        states, through = searched.states, float(searched.found.sum())
+        states, found = parallel_beam_search(task, oracle, mine, width, direction=direction, seed=own, device=device)
+        through = float(found.sum())
     if shards.size > 1:
         states = gather_rows(torch.from_numpy(states).to(device), shards).cpu().numpy()
         through = summed([through], shards, device)[0]

@@ -7,7 +7,6 @@ costs little beyond its verdicts.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -31,18 +30,8 @@ _OWNER_BITS = 20
 """Of a key that orders candidates by search and then at random."""
 
 
-@dataclass(frozen=True, eq=False)
-class ParallelBeamResult:
-    """Result of parallel searches."""
-
-    states: States
-    """Stable states, those of one search after those of another, shape (count, parts)."""
-    found: NDArray[np.bool_]
-    """Whether each search reached its goal, shape (searches,)."""
-
-
 @dataclass(eq=False)
-class ParallelLevel:
+class _Level:
     """States of several searches the same number of steps away from their origins, those of one search together."""
 
     states: torch.Tensor
@@ -52,41 +41,9 @@ class ParallelLevel:
     value: torch.Tensor
     """Number that the order of successors depends on, such as a hash or a score, shape (count,)."""
 
-    def take(self, rows: torch.Tensor) -> ParallelLevel:
+    def take(self, rows: torch.Tensor) -> _Level:
         """Return some of the states."""
-        return ParallelLevel(self.states[rows], self.owner[rows], self.value[rows])
-
-
-Stable = Callable[["torch.Tensor", "torch.Tensor", "torch.Tensor"], "torch.Tensor"]
-"""Function of states and parents, shape (count, parts), and actions, shape (count,): whether each state is stable."""
-
-
-def next_level(
-    rules: TensorRules,
-    level: ParallelLevel,
-    candidates: tuple[torch.Tensor, torch.Tensor, torch.Tensor],
-    stable: Stable,
-    width: int,
-    spare: int,
-) -> ParallelLevel:
-    """Check the first candidates of each search and keep the first that are stable.
-
-    Args:
-        rules: effects of actions.
-        level: states that the candidates come from.
-        candidates: parent, action and value of each, in the order in which each search prefers them, those of one
-            search together, and no state twice in one search; shape (candidates,).
-        width: states that each search keeps.
-        spare: candidates checked for each state that is kept, since some are unstable.
-    """
-    parent, action, value = candidates
-    looked = place_in_group(level.owner[parent]) < spare * width
-    parent, action, value = parent[looked], action[looked], value[looked]
-    before = level.states[parent]
-    after = rules.follow(before, action)
-    rows = stable(after, before, action).nonzero()[:, 0]
-    rows = rows[place_in_group(level.owner[parent[rows]]) < width]
-    return ParallelLevel(after[rows], level.owner[parent[rows]], value[rows])
+        return _Level(self.states[rows], self.owner[rows], self.value[rows])
 
 
 def parallel_beam_search(
@@ -99,7 +56,7 @@ def parallel_beam_search(
     seed: int = 0,
     device: torch.device | str = "cpu",
     numbers: int = 1 << 23,
-) -> ParallelBeamResult:
+) -> tuple[States, NDArray[np.bool_]]:
     """Run beam searches that choose at random among the stable states of each level.
 
     Args:
@@ -110,6 +67,10 @@ def parallel_beam_search(
         device: where to search; the states are the same on each, as far as the verdicts are.
         numbers: parts of all states of a level that are in memory at once; the searches run in groups. There are fewer
             candidates than that, which take some 150 bytes each while they are sorted.
+
+    Returns:
+        Stable states, those of one search after those of another, shape (count, parts), and whether each search reached
+        its goal, shape (searches,).
 
     Raises:
         DependencyError: torch is not installed.
@@ -129,7 +90,7 @@ def parallel_beam_search(
         states = torch.cat([level.states for level in levels])
         owner = torch.cat([level.owner for level in levels])
         pieces.append(states[torch.argsort(owner, stable=True)].cpu().numpy())
-    return ParallelBeamResult(np.concatenate(pieces), found)
+    return np.concatenate(pieces), found
 
 
 class _Beams:
@@ -143,21 +104,30 @@ class _Beams:
         self._judge = oracle
         self._dead = not task.contains(task.origin(direction)[None])[0]
 
-    def run(self, owners: torch.Tensor) -> list[ParallelLevel]:
+    def run(self, owners: torch.Tensor) -> list[_Level]:
         """Run some searches and return all levels, up to the deepest."""
         origin = self._rules.origin().expand(len(owners), -1).contiguous()
-        levels = [ParallelLevel(origin, owners, self._rules.hashes(origin))]
+        levels = [_Level(origin, owners, self._rules.hashes(origin))]
         while len(levels) <= self._steps and not self._dead:
             level = levels[-1]
-            candidates = self._candidates(level, len(levels))
-            level = next_level(self._rules, level, candidates, self._stable, self._width, _SPARE)
+            level = self._next_level(level, *self._candidates(level, len(levels)))
             level = level.take((~self._rules.dead_ends(level.states)).nonzero()[:, 0])
             if len(level.states) == 0:
                 break
             levels.append(level)
         return levels
 
-    def _candidates(self, level: ParallelLevel, number: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def _next_level(self, level: _Level, parent: torch.Tensor, action: torch.Tensor, value: torch.Tensor) -> _Level:
+        """Return the first candidates of each search that are stable; more are checked than are kept."""
+        looked = place_in_group(level.owner[parent]) < _SPARE * self._width
+        parent, action, value = parent[looked], action[looked], value[looked]
+        before = level.states[parent]
+        after = self._rules.follow(before, action)
+        rows = self._stable(after, before, action).nonzero()[:, 0]
+        rows = rows[place_in_group(level.owner[parent[rows]]) < self._width]
+        return _Level(after[rows], level.owner[parent[rows]], value[rows])
+
+    def _candidates(self, level: _Level, number: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return the successors of the states of a level, those of each search in random order."""
         torch = import_torch()
         parent, action, hashes = self._rules.children(level.states, level.value, self._rules.moves(level.states))
@@ -165,7 +135,7 @@ class _Beams:
         # Equal states get equal words. The lowest bit puts that one of them first that needs no verdict. Two others
         # of one search agree in these 42 bits once in a million levels; then one of the candidates is left out.
         owner = level.owner[parent]
-        words = self._words(hashes, owner, 2 * number)
+        words = mix(hashes ^ mix(owner, self._seed), 2 * number)  # different in each search
         local = owner - level.owner[0]
         key = (local << (63 - _OWNER_BITS)) | ((words & ((1 << (62 - _OWNER_BITS)) - 1)) << 1) | asks.long()
         key, order = torch.sort(key, stable=True)
@@ -180,7 +150,3 @@ class _Beams:
         if len(rows):
             stable[rows] = self._judge(states[rows], parents[rows]) == Verdict.STABLE
         return stable
-
-    def _words(self, hashes: torch.Tensor, owner: torch.Tensor, salt: int) -> torch.Tensor:
-        """Return random words of states, different in each search."""
-        return mix(hashes ^ mix(owner, self._seed), salt)

@@ -17,18 +17,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import HELD, INSTALLED, REMOVED, Mask, States, as_states, describe_action
-from falsework.errors import DependencyError, InputError, StateError
+from falsework.errors import InputError, StateError
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.frame import frame_of
+from falsework.utils.lazy import importing
 
-try:
+with importing("the Gymnasium environment needs gymnasium; pip install 'falsework[learn]'"):
     import gymnasium
-except ImportError as error:
-    raise DependencyError("the Gymnasium environment needs gymnasium; pip install 'falsework[learn]'") from error
 
 ID = "falsework/Disassembly-v0"
 
@@ -94,9 +93,9 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         table = self.assembly.clearance if removable_only_if_clear else None
         whole = Task.from_rules(self.assembly.boundary, robots, target=target, fixed=fixed, clearance=table)
         whole = whole.judged_by(oracle)
-        self._starts = self._check_starts(starts, whole, target, fixed)
         # Legal moves do not depend on the start, so that one task serves all episodes.
         self._task = whole
+        self._starts = self._check_starts(starts)
         self._shown = target is not None
         parts = self.assembly.part_count
         self.observation_space = gymnasium.spaces.MultiDiscrete([3] * (2 * parts if self._shown else parts))
@@ -193,12 +192,9 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
     def _reached(self, state: States) -> bool:
         return bool(np.array_equal(state, self._task.target))
 
-    def _check_starts(
-        self, starts: StateGraph | ArrayLike | None, task: Task, target: ArrayLike | None, fixed: Sequence[int]
-    ) -> States:
-        self._task = task
+    def _check_starts(self, starts: StateGraph | ArrayLike | None) -> States:
         if starts is None:
-            states = task.start[None]
+            states = self._task.start[None]
         elif isinstance(starts, StateGraph):
             left = (starts.states != starts.task.target).any(axis=1)
             states = starts.states[starts.solvable & left]

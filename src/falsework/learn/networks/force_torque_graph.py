@@ -115,46 +115,6 @@ class ForceTorqueGraph:
         """Number of force nodes."""
         return len(self.normals)
 
-    @property
-    def torque_count(self) -> int:
-        """Number of torque nodes, two a contact point; torque `2 p + s` is of point `p` about part `s` of its pair."""
-        return 2 * len(self.point_force)
-
-    def torque_parts(self) -> NDArray[np.int32]:
-        """Return the part about which each torque is, shape (torques,)."""
-        return self.force_parts[self.point_force].reshape(-1)
-
-    def torque_forces(self) -> NDArray[np.int32]:
-        """Return the force that exerts each torque, shape (torques,)."""
-        return np.repeat(self.point_force, 2)
-
-    def edges(self) -> dict[tuple[str, str, str], NDArray[np.int64]]:
-        """Return all edges explicitly: (from, kind, to) to an array of shape (edges, 2), self loops aside.
-
-        For pictures and tests; the network works on `grid`.
-        """
-        torques = np.arange(self.torque_count)
-        forces = np.arange(self.force_count)
-        part, force = self.torque_parts(), self.torque_forces()
-        a, b = self.force_parts.T
-        everyone = np.argwhere(~np.eye(self.part_count, dtype=bool))
-        forward = {
-            ("torque", "about", "part"): np.stack([torques, part], axis=1),
-            ("torque", "of", "force"): np.stack([torques, force], axis=1),
-            ("force", "into", "part"): np.stack([forces, b], axis=1),
-            ("force", "out of", "part"): np.stack([forces, a], axis=1),
-        }
-        back = {(to, kind, start): pairs[:, ::-1] for (start, kind, to), pairs in forward.items()}
-        partners = {("torque", "against", "torque"): np.stack([torques, torques ^ 1], axis=1)}
-        every = {**forward, **back, **partners, ("part", "beside", "part"): everyone}
-        return {kind: np.ascontiguousarray(pairs, dtype=np.int64) for kind, pairs in every.items()}
-
-    def present(self, states: NDArray[np.uint8]) -> dict[str, NDArray[np.bool_]]:
-        """Return which nodes are present in each state: `part` (batch, parts), `force` and `torque` likewise."""
-        part = states != 0
-        force = part[:, self.force_parts].all(axis=2)
-        return {"part": part, "force": force, "torque": force[:, self.torque_forces()]}
-
     def grid(self) -> TorqueGrid:
         """Arrange torque nodes in rows of equal length, each of one force, so that most of the work needs no index.
 

@@ -14,6 +14,7 @@ from falsework.learn.algorithms.learner import Learner
 from falsework.learn.env.environment import Environment
 from falsework.learn.training.budget import TrainingBudget
 from falsework.utils.files.output_file import write_whole
+from falsework.utils.lazy import importing
 
 PROGRESS = "progress.jsonl"
 TENSORBOARD = "tensorboard"
@@ -152,10 +153,8 @@ def read_progress(folder: Path) -> list[dict[str, Any]]:
 
 
 def _tensorboard(folder: Path, resumed_at: int | None) -> Any:
-    try:
+    with importing("logs for TensorBoard need tensorboard; pip install 'falsework[learn]'"):
         from torch.utils.tensorboard import SummaryWriter
-    except ImportError:
-        raise DependencyError("logs for TensorBoard need tensorboard; pip install 'falsework[learn]'") from None
     purge = None if resumed_at is None else resumed_at + 1
     try:
         return SummaryWriter(str(folder / TENSORBOARD), purge_step=purge, flush_secs=10)
@@ -164,8 +163,6 @@ def _tensorboard(folder: Path, resumed_at: int | None) -> Any:
 
 
 def _import_wandb() -> Any:
-    try:
+    with importing("--log wandb needs wandb; pip install 'falsework[wandb]', or leave it out"):
         import wandb
-    except ImportError:
-        raise DependencyError("--log wandb needs wandb; pip install 'falsework[wandb]', or leave it out") from None
     return wandb

@@ -37,7 +37,7 @@ def read_robot(
         given = _joint_values(entry.acceleration, place, "acceleration", model)
         if not (given > 0).all():
             raise place.fail("acceleration", f"is {given.tolist()}; give numbers above 0, in degrees (or m) per s2")
-        model = replace(model, acceleration=given * _units(model))
+        model = replace(model, acceleration=given * model.units)
     elif model.assumed:
         some = "" if len(model.assumed) == model.joints else f" of {', '.join(model.assumed)}"
         warnings.warn(
@@ -110,14 +110,9 @@ def _joint_values(given: list[float], place: Place, key: str, model: RobotModel)
     )
 
 
-def _units(model: RobotModel) -> Array:
-    """Return the factors from the units of a cell file to those of joints, shape (joints,)."""
-    return np.where(model.prismatic, 1.0, np.pi / 180)
-
-
 def _home(given: list[float] | dict[str, float] | str | None, place: Place, model: RobotModel) -> Array:
     """Return the home joint values: a list or a table by joint, degrees, a state of the SRDF, or those of the model."""
-    units, states = _units(model), dict(model.group_states)
+    units, states = model.units, dict(model.group_states)
     if given is None:
         return model.home
     if isinstance(given, str):

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from falsework.errors import CellError, DependencyError
+from falsework.errors import CellError
 from falsework.robots.model.shapes import Array
+from falsework.utils.lazy import importing
 
 Element = ElementTree.Element
 _KINDS = ("position", "velocity", "acceleration")
@@ -153,10 +154,8 @@ def _number(file: Path, joint: object, entry: dict[Any, Any], key: str, *, above
 
 
 def _parse(file: Path) -> Any:
-    try:
+    with importing("reading joint_limits.yaml needs PyYAML: pip install 'falsework[robots]'"):
         import yaml
-    except ImportError as error:
-        raise DependencyError("reading joint_limits.yaml needs PyYAML: pip install 'falsework[robots]'") from error
 
     class Loader(yaml.SafeLoader):
         """Loader of plain values that knows units of angles."""

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from falsework.errors import CellError, DependencyError
+from falsework.errors import CellError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.cells.moveit_files import JointLimits, excluded_pairs, group_states, read_joint_limits, read_srdf
 from falsework.robots.cells.urdf_meshes import collision_shapes
@@ -33,6 +33,7 @@ from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
 from falsework.robots.model.shapes import Array, move, outer_hull
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.xml_text import read_xml_text
+from falsework.utils.lazy import importing
 
 COLLISION_SAMPLES = 1000
 """Random configurations in which pairs of links are tested where no SRDF lists the pairs to ignore."""
@@ -101,7 +102,9 @@ def _load(file: Path, base: str | None, tip: str | None, srdf: Path, limits_file
         raise CellError(f"{file}: {', '.join(roots) or 'no link'} may be the base; name base_link")
     root = base or roots[0]
     end = tip or _tip(links, below, root)
-    chain = _chain(file, below, root, end)
+    chain = _chain(below, root, end)
+    if not chain and end != root:
+        raise CellError(f"{file}: {end} is not connected to {root}; name base and tip of one arm")
     moving = [joint for joint in chain if joint.type != "fixed"]
     if not 1 <= len(moving) <= 12:
         raise CellError(f"{file}: {len(moving)} joints between {root} and {end}; name base and tip of one arm")
@@ -229,10 +232,8 @@ def always_touching(model: RobotModel) -> set[tuple[int, int]]:
 
 def parse_urdf(file: Path) -> Any:
     """Return the robot of a URDF as yourdfpy reads it, without meshes; CellError if it does not."""
-    try:
+    with importing("reading URDF files needs yourdfpy: pip install 'falsework[robots]'"):
         import yourdfpy
-    except ImportError as error:
-        raise DependencyError("reading URDF files needs yourdfpy: pip install 'falsework[robots]'") from error
     try:
         return yourdfpy.URDF.load(
             io.BytesIO(read_xml_text(file)),
@@ -254,18 +255,10 @@ def _tip(links: dict[str, Any], below: dict[str, Any], root: str) -> str:
         if name in links:
             return name
 
-    def above(name: str) -> list[Any]:
-        """Return the joints from the root to a link; none for a link that is elsewhere."""
-        found = []
-        while name != root and name in below:
-            found.append(below[name])
-            name = below[name].parent
-        return found[::-1] if name == root else []
-
     def moving(joints: Iterable[Any]) -> int:
         return sum(joint.type != "fixed" for joint in joints)
 
-    chains = {name: above(name) for name in links}
+    chains = {name: _chain(below, root, name) for name in links}
     end = max(links, key=lambda name: (moving(chains[name]), len(chains[name])))
     for number, joint in enumerate(chains[end]):
         before = chains[end][:number]
@@ -276,15 +269,13 @@ def _tip(links: dict[str, Any], below: dict[str, Any], root: str) -> str:
     return end
 
 
-def _chain(file: Path, below: dict[str, Any], root: str, end: str) -> list[Any]:
-    """Return joints from the root to the end."""
-    found, name = [], end
-    while name != root:
-        if name not in below:
-            raise CellError(f"{file}: {end} is not connected to {root}; name base and tip of one arm")
+def _chain(below: dict[str, Any], root: str, name: str) -> list[Any]:
+    """Return the joints from the root to a link; none for a link that is elsewhere."""
+    found = []
+    while name != root and name in below:
         found.append(below[name])
         name = below[name].parent
-    return found[::-1]
+    return found[::-1] if name == root else []
 
 
 def carrier_of(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Array]]) -> tuple[int, Array] | None:

@@ -1,4 +1,4 @@
-"""Looks of arms: visual shapes of a URDF with their colours, for pages and pictures."""
+"""Looks of arms: visual shapes of a URDF with their colours and places, for pages and pictures."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import CellError
-from falsework.geometry.mesh.mesh import TriangleMesh
+from falsework.geometry.mesh.mesh import TriangleMesh, joined_faces
 from falsework.robots.cells.urdf import carrier_of, parse_urdf
 from falsework.robots.cells.urdf_meshes import colored_meshes, hull_mesh
 from falsework.robots.cells.urdf_review import CellWarning
+from falsework.robots.kinematics.forward import link_poses
+from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Array, Pieces, move
 
@@ -94,6 +96,12 @@ def seen_from_both_sides(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.concatenate([faces, faces[:, ::-1]])
 
 
+def arm_frames(robot: CellRobot, values: ArrayLike) -> Array:
+    """Return the poses of the links and of the flange of a robot of a cell in the world, shape (joints + 2, 4, 4)."""
+    poses = link_poses(robot.model, values, robot.base)
+    return np.concatenate([poses, (poses[-1] @ robot.model.flange)[None]])
+
+
 def _shapes_of(pieces: Pieces) -> tuple[VisualShape, ...]:
     if not pieces:
         return ()
@@ -101,11 +109,7 @@ def _shapes_of(pieces: Pieces) -> tuple[VisualShape, ...]:
 
 
 def _joined(meshes: list[TriangleMesh], color: Color) -> VisualShape:
-    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    faces = [mesh.faces + start for mesh, start in zip(meshes, first, strict=False)]
-    return VisualShape(
-        np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces).astype(np.int64), color
-    )
+    return VisualShape(*joined_faces([mesh.vertices for mesh in meshes], [mesh.faces for mesh in meshes]), color)
 
 
 @lru_cache(maxsize=16)

@@ -182,12 +182,11 @@ class _Checker:
                     return
                 trajectory = step.of(robot)[order]
                 self._content(index, order, robot)
-                values[robot] = self._joins(
-                    index, robot, values[robot], trajectory.positions[0], trajectory.positions[-1]
-                )
+                self._joins(index, robot, values[robot], trajectory.positions[0])
+                values[robot] = trajectory.positions[-1]
                 self._collisions(index, order, robot, present)
         for robot, (here, there) in enumerate(zip(values, after.configurations, strict=True)):
-            self._joins(index, robot, here, there, here)
+            self._joins(index, robot, here, there)
 
     def at_rest(self, index: int, when: str) -> None:
         """Check that the configurations of the first or the last keyframe are within limits, and free of collisions."""
@@ -239,12 +238,11 @@ class _Checker:
         if fault := self.grips.fault(robot, values, part):
             self.say(index, robot, f"{fault}, which it should carry")
 
-    def _joins(self, index: int, robot: int, here: Array, there: Array, end: Array) -> Array:
+    def _joins(self, index: int, robot: int, here: Array, there: Array) -> None:
         far = float(np.abs(here - there).max())
         self.largest_join = max(self.largest_join, far)
         if far > _SAME_JOINT:
             self.say(index, robot, f"it jumps by {format_number(far, 4)} rad between two motions")
-        return end
 
     def _collisions(self, index: int, order: int, robot: int, present: NDArray[np.bool_]) -> None:
         step, at_place = self.plan.steps[index], order in place_lines(self.plan, index, robot)

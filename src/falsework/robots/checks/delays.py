@@ -150,25 +150,13 @@ class SeparationProver:
         """Return the path of bodies; arguments as those of `BodyPath`."""
         return BodyPath(self.judge, bodies, [self._shape(body.shape) for body in bodies], values, trajectory, robot)
 
-    def meeting(
-        self, one: BodyPath, other: BodyPath, one_range: tuple[float, float], other_range: tuple[float, float]
-    ) -> Meeting | None:
-        """Return positions in ranges of two paths at which bodies meet; None where they are proven to keep apart."""
-        return self._meeting(one, other, one_range, other_range, as_one=False)
+    def meeting(self, one: BodyPath, other: BodyPath, *ranges: tuple[float, float]) -> Meeting | None:
+        """Return positions in two ranges of two paths at which bodies meet; None where they are proven to keep apart.
 
-    def meeting_as_one(self, one: BodyPath, other: BodyPath) -> Meeting | None:
-        """Return positions at equal times of two motions at which bodies meet; None where they keep apart."""
-        return self._meeting(one, other, (0.0, one.last), (0.0, other.last), as_one=True)
-
-    def _meeting(
-        self,
-        one: BodyPath,
-        other: BodyPath,
-        one_range: tuple[float, float],
-        other_range: tuple[float, float],
-        *,
-        as_one: bool,
-    ) -> Meeting | None:
+        Without ranges, at equal times of two motions.
+        """
+        as_one = not ranges
+        one_range, other_range = ranges or ((0.0, one.last), (0.0, other.last))
         first, second = np.indices((len(one.names), len(other.names))).reshape(2, -1)
         left = [(*one_range, *other_range, first, second)]
         while left:
@@ -281,14 +269,12 @@ class _DelayChecker:
                 # The parts touch, and leave each other, or pass, as the check of single motions has them do.
                 bare = [self._path(replace(segment, load=None)) for segment in (overlap.one, overlap.other)]
                 pairs = [(paths[0], bare[1]), (bare[0], paths[1])]
-            if overlap.as_one:
-                found = next(filter(None, (self.prover.meeting_as_one(*pair) for pair in pairs)), None)
-            else:
-                ranges = (
-                    _positions(paths[0], overlap.one, overlap.one_range),
-                    _positions(paths[1], overlap.other, overlap.other_range),
-                )
-                found = next(filter(None, (self.prover.meeting(*pair, *ranges) for pair in pairs)), None)
+            ranges = (
+                _positions(paths[0], overlap.one, overlap.one_range),
+                _positions(paths[1], overlap.other, overlap.other_range),
+            )
+            given = () if overlap.as_one else ranges
+            found = next(filter(None, (self.prover.meeting(*pair, *given) for pair in pairs)), None)
             if found is not None:
                 self._say(found, overlap.one, paths[0], self._where(overlap.other, paths[1].seconds(found.other)))
 

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from falsework.errors import DependencyError
 from falsework.geometry.mesh.collision import shrink
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.model.cell import Cell
@@ -23,6 +22,7 @@ from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Array, inverse_pose
 from falsework.robots.plans.loads import Load
+from falsework.utils.lazy import importing
 
 WORLD = 0
 """Index of Pinocchio's fixed joint."""
@@ -389,11 +389,7 @@ class PinocchioCollisionChecker:
 
 def import_pinocchio() -> tuple[Any, Any]:
     """Return the modules Pinocchio and Coal; DependencyError without them."""
-    try:
+    with importing("checking robot plans needs Pinocchio and Coal; install them: pip install 'falsework[robots]'"):
         import coal
         import pinocchio
-    except ImportError:
-        raise DependencyError(
-            "checking robot plans needs Pinocchio and Coal; install them: pip install 'falsework[robots]'"
-        ) from None
     return pinocchio, coal

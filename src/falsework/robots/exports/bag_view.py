@@ -14,13 +14,11 @@ from typing import Any
 import numpy as np
 
 from falsework.assembly.state import REMOVED
-from falsework.robots.cells.visuals import link_visuals, shape_of_pieces
+from falsework.robots.cells.visuals import arm_frames, link_visuals, shape_of_pieces
 from falsework.robots.exports.ros2 import duration, joint_names
-from falsework.robots.kinematics.forward import link_poses, tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
-from falsework.robots.model.shapes import Array, inverse_pose
-from falsework.robots.plans.loads import Load
+from falsework.robots.model.shapes import Array
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import activities_at, event_times, schedule_of
 
@@ -60,7 +58,7 @@ def write_view(plan: RobotPlan, placed: PlacedParts, write: Write) -> None:
             values.append(configuration)
             frames += _arm_frames(plan, placed.cell, arm.robot, configuration)
             if arm.load is not None:
-                loads[arm.load.part] = _pose(arm.load, placed.cell, arm.robot, configuration)
+                loads[arm.load.part] = arm.load.at(placed.cell.robots[arm.robot], configuration)
         row = int(np.searchsorted(reached, now, side="right"))
         state, loads = plan.states[row], dict(plan.keyframes[row].waits) | loads
         there = {*np.flatnonzero(state != REMOVED).tolist(), *loads}
@@ -84,20 +82,11 @@ def write_view(plan: RobotPlan, placed: PlacedParts, write: Write) -> None:
         shown, moved, markers = there, set(loads), []
 
 
-def _pose(load: Load, cell: Cell, robot: int, configuration: Array) -> Array:
-    """Return how far a load is from its place, in the frame of the cell."""
-    if load.grip is None:
-        return load.pose
-    arm = cell.robots[robot]
-    return tool_pose(arm, configuration) @ inverse_pose(tool_pose(arm, load.grip)) @ load.pose
-
-
 def _arm_frames(plan: RobotPlan, cell: Cell, robot: int, configuration: Array) -> list[tuple[str, Array]]:
     """Return the frames of the links of an arm, and of its flange."""
-    model, name = cell.robots[robot].model, plan.robots[robot].name
-    poses = link_poses(model, configuration, cell.robots[robot].base)
-    links = [(f"{name}_{link}", pose) for link, pose in zip(model.link_names, poses, strict=True)]
-    return [*links, (f"{name}_tool0", poses[-1] @ model.flange)]
+    arm, name = cell.robots[robot], plan.robots[robot].name
+    names = [f"{name}_{link}" for link in (*arm.model.link_names, "tool0")]
+    return list(zip(names, arm_frames(arm, configuration), strict=True))
 
 
 def _arm_markers(plan: RobotPlan, cell: Cell) -> list[dict[str, Any]]:

@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from falsework.assembly.state import REMOVED
-from falsework.errors import DependencyError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.exports.bag_view import WORLD, PlacedParts, write_view
 from falsework.robots.exports.controller import program_names
@@ -36,6 +35,7 @@ from falsework.robots.plans.temporal_graph import MotionNode
 from falsework.robots.plans.timeline import schedule_of
 from falsework.search.problem.task import Direction
 from falsework.utils.files.output_file import write_whole
+from falsework.utils.lazy import importing
 
 _ADD, _REMOVE = 0, 1
 _MOST_NAME = 200
@@ -60,12 +60,10 @@ class _Bag:
     """MCAP bag in memory."""
 
     def __init__(self) -> None:
-        try:
+        with importing("an MCAP bag needs mcap and rosbags: pip install 'falsework[schedule]'"):
             from mcap.writer import Writer
 
             self.store = _message_types()
-        except ImportError:
-            raise DependencyError("an MCAP bag needs mcap and rosbags: pip install 'falsework[schedule]'") from None
         self.data = io.BytesIO()
         self.writer = Writer(self.data)
         self.writer.start(profile="ros2", library="falsework")

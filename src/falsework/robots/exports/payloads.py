@@ -10,7 +10,7 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.cell import Cell, Gripper
-from falsework.robots.model.shapes import Array, Pieces, inverse_pose, move
+from falsework.robots.model.shapes import Array, Pieces, inverse_pose, move, principal_axes, wxyz_of
 from falsework.robots.plans.loads import load_of
 from falsework.robots.plans.robot_plan import RobotPlan
 
@@ -43,15 +43,11 @@ def tool_load(gripper: Gripper) -> ToolLoad:
 
 def rapid_load(load: ToolLoad) -> str:
     """Return a load as RAPID's `loaddata`: kg, mm, axes of the moments of inertia as a quaternion, kg m2."""
-    from scipy.spatial.transform import Rotation
-
-    moments, axes = np.linalg.eigh(load.inertia)
+    moments, axes = principal_axes(load.inertia)
     if np.array_equal(load.inertia, np.diag(np.diag(load.inertia))):
         moments, axes = np.diag(load.inertia), np.eye(3)
-    axes = axes * np.where(np.arange(3) == 2, np.sign(np.linalg.det(axes)), 1.0)
-    x, y, z, w = Rotation.from_matrix(axes).as_quat()
     center = ",".join(f"{round(1000 * value, 3) + 0.0:.3f}" for value in load.center)
-    turn = ",".join(map(_plain, (w, x, y, z)))
+    turn = ",".join(map(_plain, wxyz_of(axes)))
     return f"[{max(load.mass, _LEAST_MASS):.4f},[{center}],[{turn}],{','.join(map(_plain, moments.tolist()))}]"
 
 

@@ -33,7 +33,7 @@ from falsework.robots.exports.controller import (
 )
 from falsework.robots.exports.payloads import PartLoads, ToolLoad, in_tool, rapid_load, together, tool_load, ur_payload
 from falsework.robots.model.cell import Cell, CellRobot
-from falsework.robots.model.shapes import Array
+from falsework.robots.model.shapes import Array, wxyz_of
 from falsework.robots.plans.robot_forces import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import nodes_of
@@ -297,10 +297,7 @@ def _jointtarget(values: Array) -> str:
 
 
 def _tooldata(tool: Array, robot: CellRobot) -> str:
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(tool[:3, :3]).as_quat()
-    turn = ",".join(f"{value:.7f}" for value in (w, x, y, z))
+    turn = ",".join(f"{value:.7f}" for value in wxyz_of(tool[:3, :3]))
     place = ",".join(f"{1000 * value:.3f}" for value in tool[:3, 3])
     return f"[TRUE,[[{place}],[{turn}]],{rapid_load(tool_load(robot.gripper))}]"
 

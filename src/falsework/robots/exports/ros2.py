@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from falsework.errors import DependencyError, InputError
+from falsework.errors import InputError
 from falsework.robots.exports.commands import (
     COUNT_FROM,
     AtOnce,
@@ -24,6 +24,7 @@ from falsework.robots.plans.robot_forces import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.robot_plan_file import rounded
 from falsework.robots.plans.trajectory import Trajectory
+from falsework.utils.lazy import importing
 
 GOALS_FORMAT = "falsework.ros2-goals/1"
 ONE_AFTER_THE_OTHER = ("ros2-json", "ros2-yaml", "csv")
@@ -181,9 +182,7 @@ def _json(value: Any) -> str:
 
 def _yaml(value: Any) -> str:
     """Return plain values as YAML, lists of numbers in one line."""
-    try:
+    with importing("YAML files need PyYAML; pip install 'falsework[robots]'"):
         import yaml
-    except ImportError:
-        raise DependencyError("YAML files need PyYAML; pip install 'falsework[robots]'") from None
     dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
     return yaml.dump(value, Dumper=dumper, allow_unicode=True, default_flow_style=None, sort_keys=False, width=1 << 20)

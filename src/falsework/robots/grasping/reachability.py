@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from falsework.assembly.model import Assembly
-from falsework.errors import DependencyError, InputError
+from falsework.errors import InputError
 from falsework.robots.cells.validate import overlap, shrunk
 from falsework.robots.grasping.grasp import Grasp, grasps
 from falsework.robots.kinematics.inverse import inverse
@@ -21,6 +21,7 @@ from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import Array, move, pose
 from falsework.robots.motion.collision_world import CollisionWorld, Scene, grasp_contact
+from falsework.utils.lazy import importing
 
 GRASPS_PER_PART = 24
 """Grasps of a part that are tried."""
@@ -200,10 +201,8 @@ def _moved(robot: CellRobot, base: Array) -> Array:
 
 def check_picture(path: Path) -> None:
     """Raise DependencyError or InputError, before any work, unless a picture can be written."""
-    try:
+    with importing("--picture needs matplotlib: pip install 'falsework[picture]'"):
         import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise DependencyError("--picture needs matplotlib: pip install 'falsework[picture]'") from error
     if path.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise InputError(f"--picture {path}: give a file that ends in .png, .svg or .pdf")
     if not path.resolve().parent.is_dir():

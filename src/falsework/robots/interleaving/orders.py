@@ -332,12 +332,9 @@ class NextSteps:
         if key not in self._rules:
             releases = action < self.parts and state[action] == HELD
             legal = releases or action in self.legal(state)
-            self._rules[key] = legal and (action < self.parts or self.is_removable(state, edge))
+            stays = action < self.parts
+            self._rules[key] = legal and (stays or self.graph.exits.allows(action - self.parts, state, edge.way))
         return self._rules[key]
-
-    def is_removable(self, state: States, edge: Edge) -> bool:
-        """Return whether the way of a removal is a free one."""
-        return self.graph.exits.allows(edge.action - self.parts, state, edge.way)
 
     def _is_free(self, partial: Partial, unit: Unit, leg: Leg) -> bool:
         """Return whether a motion keeps clear of other robots at rest and of parts that it was not planned around."""
@@ -347,7 +344,7 @@ class NextSteps:
                 if (self.work.wait(leg, rest) if wait is None else wait) != NO_WAIT:
                     return False
         # A part is not withdrawn past one that had left before: free exits may be so narrow that it would jam.
-        return not self.work.blocked(leg, partial.present & ~(1 << unit.part))
+        return not self.work.meets(leg, partial.present & ~(1 << unit.part)) < np.inf
 
 
 def grippers_allow(node: Node, edge: Edge) -> bool:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from falsework.robots.kernels.coordination import Swept, conflicts
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment
-from falsework.robots.keyframes.trajectory_assembly import timed_leg
+from falsework.robots.keyframes.trajectory_assembly import timed_legs
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.loads import Load, LoadKey
@@ -185,7 +185,7 @@ class Work:
         """
         cell = self.graph.cell
         if segment not in self.timed:
-            self.timed[segment] = timed_leg(cell.robots[robot].model, segment, cell.speed)
+            (self.timed[segment],) = timed_legs([cell.robots[robot].model], [segment], cell.speed)
         trajectory = self.timed[segment]
         if trajectory is None:
             return None
@@ -193,13 +193,8 @@ class Work:
         absent = bits(~node.present) | (0 if load is None else 1 << load.part)
         margin = cell.margins.line if segment.kind == "line" else cell.margins.free
         rest = self.rest(robot, segment.path[-1], load if on_way else None)
-        leg = Leg(segment, ArmSweep(swept, ends, margin, False), trajectory.seconds, rest, absent)
-        self.prove(leg, robot, rests)
-        return leg
-
-    def prove(self, leg: Leg, robot: int, rests: Sequence[ArmSweep]) -> None:
-        """Note that a motion of an arm keeps clear of the other arms at rest."""
-        leg.waits.update({rest: NO_WAIT for other, rest in enumerate(rests) if other != robot})
+        clear = {other: NO_WAIT for k, other in enumerate(rests) if k != robot}
+        return Leg(segment, ArmSweep(swept, ends, margin, False), trajectory.seconds, rest, absent, clear)
 
     def rest(self, robot: int, values: Array, load: Load | None = None) -> ArmSweep:
         """Return the body of an arm at rest."""
@@ -230,12 +225,11 @@ class Work:
             found = leg.waits[other] = forward, backward
         return found
 
-    def blocked(self, leg: Leg, parts: int) -> bool:
-        """Return whether a motion is in conflict with one of some parts, as bits, absent where it was planned."""
-        return self.meets(leg, parts) < np.inf
-
     def meets(self, leg: Leg, parts: int) -> float:
-        """Return the seconds into a motion at which it is first in conflict as in `blocked`; inf if it never is."""
+        """Return the seconds into a motion at which it first meets one of some parts, as bits; inf if it never does.
+
+        Only parts count that were absent where it was planned.
+        """
         parts &= leg.absent
         found = leg.meetings.get(parts)
         if found is None:

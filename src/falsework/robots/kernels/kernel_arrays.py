@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from falsework.robots.kernels.collision import Bodies, Chain, Obstacles
 from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.model.shapes import Array, Pieces, move
+from falsework.robots.model.shapes import Array, Pieces, move, square_to
 
 GROUP = 6
 """Obstacles per bounding box in the broad phase."""
@@ -29,10 +29,7 @@ def turns(model: RobotModel) -> Array:
     """
     found = np.tile(np.eye(4), (model.joints, 1, 1))
     for j, axis in enumerate(model.axes):
-        helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
-        first = np.cross(helper, axis)
-        first /= np.linalg.norm(first)
-        found[j, :3, :3] = np.stack([first, np.cross(axis, first), axis], axis=1)
+        found[j, :3, :3] = np.column_stack([*square_to(axis), axis])
     found.setflags(write=False)
     return found
 

@@ -79,15 +79,13 @@ def _loads(node: Node) -> tuple[int | None, ...]:
     return tuple(None if load is None else load.attached.part for load in node.carried)
 
 
-def timed_leg(model: RobotModel, segment: PathSegment, speed: float) -> Trajectory | None:
-    """Return the time-optimal trajectory of a path at a share of the arm's limits; None for a path of zero length."""
-    return timed_legs([model], [segment], speed)[0]
-
-
 def timed_legs(
     models: Sequence[RobotModel], segments: Sequence[PathSegment], speed: float
 ) -> tuple[Trajectory | None, ...]:
-    """Return the time-optimal trajectories, by one clock, of arms on paths with equal numbers of points."""
+    """Return the time-optimal trajectories, by one clock, of arms on paths with equal numbers of points.
+
+    They keep to a share of the arms' limits; None for paths of zero length.
+    """
     path = np.concatenate([segment.path for segment in segments], axis=1)
     if np.abs(np.diff(path, axis=0)).sum() < STANDSTILL:
         return (None,) * len(segments)

@@ -93,7 +93,7 @@ class WaysInTurn:
         for taken in self._in_turn(node, self._takings(course, node, number)):
             there = taken[-1].node if taken else node
             for moved, gone in self._moves(course, there, number, paths):
-                drops = self._drops(course, moved[-1].node, number)
+                drops = self._drops(course, number)
                 for left in self._in_turn(moved[-1].node, drops):
                     done = [*taken, *moved, *left]
                     for rest in self._chains(course, done[-1].node, number + 1, [*paths, gone]):
@@ -120,7 +120,7 @@ class WaysInTurn:
         missing = [part for part in wanted if part not in node.hands]
         return changes + [partial(self._takes, course, part, course.pose(part, number)) for part in missing]
 
-    def _drops(self, course: _Course, node: Node, number: int) -> list[_Changes]:
+    def _drops(self, course: _Course, number: int) -> list[_Changes]:
         """Return the changes of hands after a move: parts are let go of that do not move on."""
         parts = [part for part in course.loose(number) if part not in course.loose(number + 1)]
         return [partial(self._leaves, course, part, course.pose(part, number + 1)) for part in parts]

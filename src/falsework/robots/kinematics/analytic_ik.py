@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.robots.model.shapes import Array, inverse_pose
+from falsework.robots.model.shapes import Array, inverse_pose, square_to
 
 Owner = NDArray[np.int64]
 
@@ -222,10 +222,7 @@ def _two_bars(
     w: Array, start: Array, elbow: Array, end: Array, target: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return second and third angles, two each, that bring two links to a point; shape (..., 3) to (..., 2)."""
-    helper = np.eye(3)[int(np.argmin(np.abs(w[1])))]
-    e = np.cross(helper, w[1])
-    e /= np.linalg.norm(e)
-    flat = np.stack([e, np.cross(w[1], e)])
+    flat = square_to(w[1])
     a, b = flat @ (elbow - start), flat @ (end - elbow)
     t = (target - start) @ flat.T
     la, lb = np.hypot(*a), np.hypot(*b)
@@ -249,7 +246,6 @@ def _turn_between(axis: Array, before: Array, after: Array) -> Array:
 
 def _pair(turn: Array, axis: Array) -> tuple[Array, Array]:
     """Return a vector orthogonal to an axis, and its image under rotations about the axis, shape (..., 3)."""
-    helper = np.cross(np.eye(3)[int(np.argmin(np.abs(axis)))], axis)
-    helper /= np.linalg.norm(helper)
+    helper = square_to(axis)[0]
     image = turn @ helper
     return np.broadcast_to(helper, image.shape), image

@@ -15,12 +15,12 @@ from scipy.spatial import ConvexHull
 
 from falsework.assembly.groups import groups_of
 from falsework.assembly.model import Assembly
-from falsework.errors import DependencyError
 from falsework.geometry.clearance.moves import PathMove, apply
 from falsework.geometry.mesh.bodies import merge_equal
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.robots.model.cell import Placement
 from falsework.robots.model.shapes import Array, Pieces, hull, move, move_pieces
+from falsework.utils.lazy import importing
 
 MAX_PIECES = 32
 """Largest number of pieces per part; beyond it the cover stays looser than the tolerance."""
@@ -104,10 +104,8 @@ def convex_pieces(mesh: TriangleMesh, tolerance: float = 0.05, pieces: int = MAX
     corners, solid = hull(mesh.vertices), mesh.volume
     if float(ConvexHull(corners).volume) <= solid * (1 + tolerance):
         return (corners,)
-    try:
+    with importing("parts that are not convex need manifold3d: pip install 'falsework[robots]'"):
         import manifold3d
-    except ImportError:
-        raise DependencyError("parts that are not convex need manifold3d: pip install 'falsework[robots]'") from None
     kernel: Any = manifold3d
     points, faces = merge_equal(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64))
     whole = kernel.Manifold(kernel.Mesh64(points, faces.astype(np.uint64)))

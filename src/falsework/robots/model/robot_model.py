@@ -69,6 +69,11 @@ class RobotModel:
         """Number of joints."""
         return len(self.lower)
 
+    @property
+    def units(self) -> Array:
+        """Factors from degrees and metres, in which people give joint values, to rad and metres, shape (joints,)."""
+        return np.where(self.prismatic, 1.0, np.pi / 180)
+
     @cached_property
     def reach(self) -> float:
         """Bound on the distance of the flange from the origin of the first joint axis, metres."""

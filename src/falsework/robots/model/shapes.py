@@ -113,6 +113,28 @@ def inverse_pose(given: Array) -> Array:
     return made
 
 
+def square_to(axis: Array) -> Array:
+    """Return two unit vectors that make a right-handed frame with a unit vector after them, shape (2, 3)."""
+    first = np.cross(np.eye(3)[int(np.argmin(np.abs(axis)))], axis)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(axis, first)])
+
+
+def wxyz_of(rotation: Array) -> tuple[float, float, float, float]:
+    """Return the unit quaternion, w first, of a rotation matrix of shape (3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return float(w), float(x), float(y), float(z)
+
+
+def principal_axes(inertia: Array) -> tuple[Array, Array]:
+    """Return principal moments, shape (3,), and the rotation whose columns are their axes, shape (3, 3)."""
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    return moments, axes
+
+
 def _frozen(array: Array) -> Array:
     array = np.ascontiguousarray(array)
     array.setflags(write=False)

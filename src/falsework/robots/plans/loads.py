@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from falsework.assembly.state import HELD, INSTALLED, REMOVED
-from falsework.robots.model.shapes import Array
+from falsework.robots.model.cell import CellRobot
+from falsework.robots.model.shapes import Array, inverse_pose
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.problem.task import Direction
@@ -31,6 +32,14 @@ class Load:
     def lies(self) -> bool:
         """Whether the part is not in the gripper."""
         return self.grip is None
+
+    def at(self, robot: CellRobot, values: Array) -> Array:
+        """Return the displacement of the part when its robot has joint values of shape (joints,), shape (4, 4)."""
+        from falsework.robots.kinematics.forward import tool_pose  # loads compiled code
+
+        if self.grip is None:
+            return self.pose
+        return tool_pose(robot, values) @ inverse_pose(tool_pose(robot, self.grip)) @ self.pose
 
     @property
     def key(self) -> LoadKey:

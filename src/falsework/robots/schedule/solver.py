@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from falsework.assembly.load import AnyStructure, as_assembly
-from falsework.errors import DependencyError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import MotionNode, Precedence, TemporalPlanGraph
 from falsework.robots.schedule.conflicts import Choice, Itineraries, choices, fixed_precedences
+from falsework.utils.lazy import importing
 
 _TICKS = 10_000
 """Time units of the solver per second."""
@@ -50,12 +50,10 @@ def schedule_plan(
 
 def import_ortools():
     """Return the CP-SAT module of OR-Tools; DependencyError without it."""
-    try:
+    with importing(
+        "scheduling arms that move at the same time needs OR-Tools; install it: pip install 'falsework[schedule]'"
+    ):
         from ortools.sat.python import cp_model
-    except ImportError:
-        raise DependencyError(
-            "scheduling arms that move at the same time needs OR-Tools; install it: pip install 'falsework[schedule]'"
-        ) from None
     return cp_model
 
 

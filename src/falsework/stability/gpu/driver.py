@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from falsework.errors import DependencyError, InputError, SolverError
+from falsework.errors import InputError, SolverError
 from falsework.utils.cache.folder import read_cache, write_cache
+from falsework.utils.lazy import importing
 
 SOURCES = [
     f"{name}.cuh"
@@ -45,14 +46,10 @@ class CudaDriver:
     """Largest number of threads of a block."""
 
     def __init__(self, defines: dict[str, int], device: str) -> None:
-        try:
+        with importing("the GPU solver needs torch; pip install 'falsework[gpu]'"):
             import torch
-        except ImportError as error:
-            raise DependencyError("the GPU solver needs torch; pip install 'falsework[gpu]'") from error
-        try:
+        with importing("the GPU solver needs cuda-bindings; pip install 'falsework[gpu]'"):
             self._cuda = _bindings("driver")
-        except ImportError as error:
-            raise DependencyError("the GPU solver needs cuda-bindings; pip install 'falsework[gpu]'") from error
         if not torch.cuda.is_available():
             raise InputError("no CUDA device was found; use solver='cpu'")
         self.device = torch.device(device)

@@ -16,7 +16,8 @@ from falsework.errors import InputError
 from falsework.robots.cells.cell_file import builtin_cells, load_faulty_cell
 from falsework.robots.cells.urdf_meshes import hull_mesh
 from falsework.robots.cells.validate import check_cell, no_parts
-from falsework.robots.kinematics.forward import link_poses, tool_pose
+from falsework.robots.cells.visuals import arm_frames
+from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.motion.collision_world import CollisionWorld, Scene
@@ -113,11 +114,7 @@ class CellModel:
     def frames(self, configurations: Sequence[Array]) -> list[Array]:
         """Return for each robot the poses of its links and its flange, shape (joints + 2, 4, 4)."""
         assert self.cell is not None
-        found = []
-        for robot, values in zip(self.cell.robots, configurations, strict=True):
-            poses = link_poses(robot.model, np.asarray(values), robot.base)
-            found.append(np.concatenate([poses, (poses[-1] @ robot.model.flange)[None]]))
-        return found
+        return [arm_frames(robot, values) for robot, values in zip(self.cell.robots, configurations, strict=True)]
 
     def pairs(self, configurations: Sequence[Array]) -> list[NearPair]:
         """Return the bodies that are too near each other, the deepest overlap first."""

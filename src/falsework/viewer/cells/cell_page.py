@@ -113,7 +113,7 @@ class CellPage(ServedPage):
         """
         with self._lock:
             self.configurations[robot] = np.array(values, dtype=float)
-            shown = values / _units(self._robots[robot])
+            shown = values / self._robots[robot].model.units
             with self.quiet():
                 for slider, value in zip(self.sliders[robot], shown.tolist(), strict=True):
                     slider.value = float(np.clip(value, slider.min, slider.max))
@@ -155,7 +155,7 @@ class CellPage(ServedPage):
         gui = self.server.gui
         self.configurations = []
         for number, robot in enumerate(self._robots):
-            units, model = _units(robot), robot.model
+            units, model = robot.model.units, robot.model
             values = np.array(
                 [kept.get((robot.name, joint), home) for joint, home in zip(model.joint_names, robot.home, strict=True)]
             )
@@ -195,7 +195,7 @@ class CellPage(ServedPage):
             if mine != self._latest[robot] or robot >= len(self.sliders):
                 return  # a later value of a slider waits for its turn, or the arm is no longer there
             shown = np.array([slider.value for slider in self.sliders[robot]], dtype=float)
-            self.configurations[robot] = shown * _units(self._robots[robot])
+            self.configurations[robot] = shown * self._robots[robot].model.units
             self.refresh()
 
     def propose(self, robot: int) -> None:
@@ -252,11 +252,6 @@ class CellPage(ServedPage):
 def _with_homes(cell: Cell, homes: Iterable[Array]) -> Cell:
     robots = (replace(robot, home=home) for robot, home in zip(cell.robots, homes, strict=True))
     return replace(cell, robots=tuple(robots))
-
-
-def _units(robot: CellRobot) -> Array:
-    """Return the factors from the units of sliders, degrees and metres, to those of joints, shape (joints,)."""
-    return np.where(robot.model.prismatic, 1.0, np.pi / 180)
 
 
 def _block(name: str, content: str) -> str:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.robots.model.shapes import wxyz_of
 from falsework.robots.motion.near_pairs import NearPair
-from falsework.viewer.arms import wxyz_of
 from falsework.viewer.cells.cell_model import COLLIDES, NEAR, CellModel, marks_of
 from falsework.viewer.page.scene import link_node
 from falsework.viewer.palette import bytes_of, rgb, robot_color

@@ -19,12 +19,9 @@ if TYPE_CHECKING:
 class NewPlan:
     """Result of a replanning request."""
 
-    found: bool
     words: str
     """Deciding stage, time taken, when late parts are needed, and differences from the old plan; or the reason for
     none."""
-    seconds: float
-    decided_by: str
     plan: Plan | None = None
 
 
@@ -37,7 +34,7 @@ def new_plan(answer: ReplanResult, assembly: Assembly, seconds: float, old: Plan
     decided = answer.decided_by.value
     if answer.value is None:
         kind = "there is no plan" if answer.outcome.value == "proved_impossible" else "no plan was found"
-        return NewPlan(False, f"{kind} ({seconds:.2f} s, {decided}): {answer.reason}", seconds, decided)
+        return NewPlan(f"{kind} ({seconds:.2f} s, {decided}): {answer.reason}")
     plan = answer.value
     texts = [f"{counted(len(plan) - answer.built, 'step')} in {seconds:.2f} s, decided by {decided}."]
     placed = int((plan.actions[: answer.built] >= len(plan.boundary)).sum())
@@ -52,4 +49,4 @@ def new_plan(answer: ReplanResult, assembly: Assembly, seconds: float, old: Plan
         texts.append(f"{text[:1].upper()}{text[1:]}.")
         if plan.source is None:
             plan = replace(plan, source=old.source)
-    return NewPlan(True, " ".join(texts), seconds, decided, plan)
+    return NewPlan(" ".join(texts), plan)

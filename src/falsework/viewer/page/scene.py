@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.mesh.mesh import triangle_normals
+from falsework.geometry.mesh.mesh import joined_faces, unit_normals
+from falsework.robots.model.shapes import wxyz_of
 from falsework.utils.files.printable import printable
 from falsework.utils.quantity import format_quantity
 from falsework.viewer.appearance import Appearance, bounds_of, diagonal
-from falsework.viewer.arms import ArmPoses, Arms, Link, wxyz_of
+from falsework.viewer.arms import ArmPoses, Arms, Link
 from falsework.viewer.arrows import KINDS, Arrows, scale_arrow
 from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, bytes_of, rgb
 from falsework.viewer.section import Plane, cut
@@ -172,14 +173,14 @@ class ViserScene:
         if not moved:
             self._hide("/motion")
             return
-        vertices = [self.place(moved[part]) for part in sorted(moved)]
-        first = np.cumsum([0, *(len(some) for some in vertices)])
-        faces = [self._faces[part] + start for part, start in zip(sorted(moved), first, strict=False)]
-        points = np.concatenate(vertices).astype(np.float32)
+        parts = sorted(moved)
+        points, faces = joined_faces(
+            [self.place(moved[part]).astype(np.float32) for part in parts], [self._faces[part] for part in parts]
+        )
         key = color.encode() + points.tobytes()
         if self._fresh("/motion", key):
             node = self._scene.add_mesh_simple(
-                "/motion", points, np.concatenate(faces), color=rgb(color), opacity=0.35, side="double",
+                "/motion", points, faces, color=rgb(color), opacity=0.35, side="double",
                 flat_shading=True, cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
             self._keep("/motion", key, node)
@@ -236,9 +237,7 @@ class ViserScene:
         if not self._fresh(name, key):
             return 0
         shapes = [self._shape(part) for part in parts]
-        first = np.cumsum([0, *(len(vertices) for vertices, _, _ in shapes)])
-        vertices = np.concatenate([vertices for vertices, _, _ in shapes])
-        faces = np.concatenate([faces + start for (_, faces, _), start in zip(shapes, first, strict=False)])
+        vertices, faces = joined_faces([points for points, _, _ in shapes], [faces for _, faces, _ in shapes])
         missing, pale, standing = name == "/parts/missing", name == "/parts/pale", name.startswith("/parts/standing")
         digits = MISSING if missing else INSTALLED if standing or pale else f"#{name[-6:]}"
         node = self._scene.add_mesh_simple(
@@ -352,10 +351,8 @@ def sharp_edges(vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> NDA
     """
     points, same = np.unique(np.round(vertices, 5), axis=0, return_inverse=True)
     corners = same.reshape(-1)[faces.astype(np.int64)]
-    triangles = points[corners].astype(float)
-    normals = triangle_normals(triangles)
-    lengths = np.linalg.norm(normals, axis=1)
-    corners, normals = corners[lengths > 0], normals[lengths > 0] / lengths[lengths > 0, None]
+    normals, solid = unit_normals(points[corners].astype(float))
+    corners = corners[solid]
     pairs = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     owner = np.tile(np.arange(len(corners)), 3)
     ends, index = np.unique(np.sort(pairs, axis=1), axis=0, return_inverse=True)

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, States
-from falsework.errors import DependencyError, InputError
+from falsework.errors import InputError
 from falsework.geometry.clearance.moves import apply
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
+from falsework.utils.lazy import importing
 from falsework.viewer.appearance import TRAVEL, Appearance, appearance_at, bounds_of, diagonal
 from falsework.viewer.arms import Arms, appearance_with_arms, bounds_with_arms, solids_of_arms
 from falsework.viewer.arrows import Arrows, arrows_of_step
@@ -32,7 +33,7 @@ CELL = Camera(width=480, height=300, zoom=0.97)
 """Camera for each state of a contact sheet."""
 WHOLE = Camera(width=1200, height=800, zoom=0.94)
 """Camera for a single state."""
-FRAME = Camera(width=480, height=320, zoom=0.94)
+FRAME = Camera(width=480, height=320, zoom=0.94, samples=2)
 """Camera for the picture of an environment."""
 _LINE = 26
 """Pixels for a line of text."""
@@ -64,7 +65,6 @@ def draw(
     arrows: Sequence[Arrows] = (),
     extra: Sequence[ColoredSolid] = (),
     outline: Image | None = None,
-    samples: int = 3,
 ) -> Image:
     """Return the picture of one state.
 
@@ -73,28 +73,27 @@ def draw(
         arrows: drawn over the parts, which become pale if any of them lie inside.
         extra: other meshes, such as arms.
         outline: of all parts, as `outline_of` returns it, for the same camera and bounds.
-        samples: pixels are averaged over `samples` squared.
     """
     solids = [*solids_of(assembly, appearance), *extra]
     box = bounds_of(assembly) if bounds is None else bounds
-    image = render(solids, camera, box, samples=samples)
+    image = render(solids, camera, box)
     if outline is not None:
         image = np.minimum(image, outline)
     if not any(len(some) for some in arrows):
         return image
     thickness = _ARROW * diagonal(assembly)
     inside = [solid for some in arrows for solid in some.solids(thickness)]
-    over = render(inside, camera, box, floor=False, samples=samples)
+    over = render(inside, camera, box, floor=False)
     there = (over < 0.999).any(axis=2, keepdims=True)
     pale = any(some.inside and len(some) for some in arrows)
     return np.where(there, over, 0.55 * image + 0.45 if pale else image)
 
 
-def outline_of(timeline: Timeline, camera: Camera, bounds: NDArray[np.float64], samples: int = 3) -> Image:
+def outline_of(timeline: Timeline, camera: Camera, bounds: NDArray[np.float64]) -> Image:
     """Return the pale picture of all parts that are in place at some time, which shows those that are not yet there."""
     there = np.where((timeline.states != REMOVED).any(axis=0), 1, REMOVED).astype(np.uint8)
     whole = appearance_at(timeline, timeline.begin, state=there, travelling=False)
-    return 1 - PALE * (1 - render(solids_of(timeline.assembly, whole), camera, bounds, floor=False, samples=samples))
+    return 1 - PALE * (1 - render(solids_of(timeline.assembly, whole), camera, bounds, floor=False))
 
 
 def _scene(
@@ -126,8 +125,6 @@ def contact_sheet(
         proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
             above.
     """
-    if frames < 1 or columns < 1:
-        raise InputError(f"a sheet of {frames} pictures in {columns} columns shows nothing; give at least 1 of each")
     chosen = list(interesting(timeline, frames) if places is None else places)
     check_places(timeline, chosen)
     pillow = import_pillow()
@@ -178,7 +175,6 @@ def one_state(
     marks: Mapping[int, str] | None = None,
     travelling: bool = True,
     outline: Image | None = None,
-    samples: int = 3,
 ) -> Pixels:
     """Return the picture of one place of a timeline, with its action and the legend.
 
@@ -193,7 +189,6 @@ def one_state(
         marks: colours of parts that stand out, such as those that slide.
         travelling: whether to show the parts that come next on their way.
         outline: as for `draw`.
-        samples: pixels are averaged over `samples` squared.
     """
     pillow = import_pillow()
     appearance, extra = _scene(
@@ -213,9 +208,7 @@ def one_state(
         points = np.concatenate([box, *tips])
         box = np.stack([points.min(axis=0), points.max(axis=0)])
         box[0, 2] = bounds_of(timeline.assembly)[0, 2]
-    drawn = draw(
-        timeline.assembly, appearance, camera, bounds=box, arrows=arrows, extra=extra, outline=outline, samples=samples
-    )
+    drawn = draw(timeline.assembly, appearance, camera, bounds=box, arrows=arrows, extra=extra, outline=outline)
     entries = list(legend(timeline) if key is None else key)
     if action_probabilities is not None:
         entries = entries[:1] + legend_of_shares(share_of)
@@ -238,7 +231,7 @@ def state_frame(assembly: Assembly, state: States, robots: int, words: str) -> P
     # Every frame of a film has the same size, so the legend has all robots.
     key = [(robot_color(k), f"held by {timeline.robot_name(k)}") for k in range(min(robots, len(ROBOTS)))]
     key = legend(timeline)[:2] + key
-    return one_state(timeline, 0, FRAME, key=key, bounds=box, words=words or assembly.name, samples=2)
+    return one_state(timeline, 0, FRAME, key=key, bounds=box, words=words or assembly.name)
 
 
 def legend(
@@ -315,12 +308,10 @@ def check_suffix(path: Path | str, *suffixes: str) -> None:
 
 def import_pillow() -> Any:
     """Return the package that writes pictures."""
-    try:
+    with importing("pictures need Pillow; install it with pip install 'falsework[picture]'"):
         import PIL.Image
         import PIL.ImageDraw
         import PIL.ImageFont
-    except ImportError:
-        raise DependencyError("pictures need Pillow; install it with pip install 'falsework[picture]'") from None
     return PIL
 
 

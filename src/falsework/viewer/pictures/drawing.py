@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.geometry.mesh.mesh import triangle_normals
+from falsework.geometry.mesh.mesh import unit_normals
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.palette import INK
-from falsework.viewer.pictures.contact_sheet import caption, check_places, in_rows, legend
+from falsework.viewer.pictures.contact_sheet import caption, in_rows, legend
 from falsework.viewer.proof import StateProof
 from falsework.viewer.timeline import Timeline
 
@@ -81,9 +81,6 @@ def drawing(
         proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
             above.
     """
-    check_places(timeline, places)
-    if columns < 1:
-        raise InputError(f"{columns} columns show nothing; give at least 1")
     assembly = timeline.assembly
     axis = flat_axis(assembly)
     if axis is None:
@@ -161,9 +158,7 @@ def drawing(
 
 def _is_prism(triangles: Array, axis: int) -> bool:
     """Return whether every face of a mesh is parallel or square to an axis."""
-    normals = triangle_normals(triangles)
-    lengths = np.linalg.norm(normals, axis=1)
-    along = np.abs(normals[lengths > 0, axis]) / lengths[lengths > 0]
+    along = np.abs(unit_normals(triangles)[0][:, axis])
     return bool(((along < _FLAT) | (along > 1 - _FLAT)).all())
 
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from falsework.errors import DependencyError, InputError
+from falsework.errors import InputError
 from falsework.utils.files.output_file import write_whole
+from falsework.utils.lazy import importing
 from falsework.viewer.pictures.contact_sheet import check_suffix, import_pillow
 
 if TYPE_CHECKING:
@@ -71,10 +72,8 @@ def figure_class(what: str) -> Any:
     Args:
         what: needs it, in the plural.
     """
-    try:
+    with importing(f"{what} need matplotlib; pip install 'falsework[picture]'"):
         from matplotlib.figure import Figure
-    except ImportError:
-        raise DependencyError(f"{what} need matplotlib; pip install 'falsework[picture]'") from None
     return Figure
 
 

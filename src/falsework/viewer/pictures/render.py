@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.geometry.mesh.mesh import triangle_normals
+from falsework.geometry.mesh.mesh import unit_normals
 from falsework.viewer.pictures.raster import average, depth_buffer, lay_over, shade
 
 Image = NDArray[np.float64]
@@ -42,6 +42,8 @@ class Camera:
     height: int = 480
     zoom: float = 1.0
     """1 fits the box into the picture."""
+    samples: int = 3
+    """Pixels are averaged over so many squared."""
 
     def __post_init__(self) -> None:
         if not np.isfinite([self.azimuth, self.elevation]).all():
@@ -85,25 +87,22 @@ class ColoredSolid:
     """Below 1 solids behind show through; of several such solids behind each other only the nearest shows."""
 
 
-def render(
-    solids: Sequence[ColoredSolid], camera: Camera, bounds: Array, *, floor: bool = True, samples: int = 3
-) -> Image:
+def render(solids: Sequence[ColoredSolid], camera: Camera, bounds: Array, *, floor: bool = True) -> Image:
     """Return the picture of some solids.
 
     Args:
         bounds: lower and upper corner of the box that the picture shows, shape (2, 3), metres; the same for several
             pictures keeps their scale.
-        samples: pixels are averaged over `samples` squared.
     """
     opaque = [solid for solid in solids if solid.opacity >= 1]
     ghosts = [solid for solid in solids if 0 < solid.opacity < 1]
-    eye = _Eye(camera, np.asarray(bounds, dtype=float), samples)
+    eye = _Eye(camera, np.asarray(bounds, dtype=float))
     image, depth = eye.draw(_Surface.from_solids(opaque), floor=floor)
     if ghosts:
         veil, _ = eye.draw(_Surface.from_solids(ghosts), floor=False, behind=depth)
         lay_over(image, veil)
     mean = np.zeros((camera.height, camera.width, 3))
-    average(image, samples, mean)
+    average(image, camera.samples, mean)
     return mean
 
 
@@ -126,21 +125,19 @@ class _Surface:
             return cls(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0, dtype=np.int64), np.ones((1, 4)))
         triangles = np.concatenate([np.asarray(solid.vertices, dtype=float)[solid.faces] for solid in solids])
         owner = np.repeat(np.arange(len(solids)), [len(solid.faces) for solid in solids])
-        normals = triangle_normals(triangles)
-        lengths = np.linalg.norm(normals, axis=1)
-        proper = lengths > 0
+        normals, proper = unit_normals(triangles)
         colors = np.array([(*solid.color, solid.opacity) for solid in solids], dtype=float)
-        return cls(triangles[proper], normals[proper] / lengths[proper, None], owner[proper], colors)
+        return cls(triangles[proper], normals, owner[proper], colors)
 
 
 class _Eye:
     """Renderer of surfaces for one camera, with light and shadows."""
 
-    def __init__(self, camera: Camera, bounds: Array, samples: int) -> None:
+    def __init__(self, camera: Camera, bounds: Array) -> None:
         self._view = camera.axes
-        self._size = camera.width * samples, camera.height * samples
+        self._size = camera.width * camera.samples, camera.height * camera.samples
         scale, self._center = camera.fit(bounds)
-        self._scale = scale * samples
+        self._scale = scale * camera.samples
         self._bounds = bounds
         self._light = _unit(0.55 * self._view[2] - 0.55 * self._view[0] + np.array([0.0, 0.0, 0.95]))
         side = _unit(np.cross(self._light, [0.0, 0.0, 1.0]))

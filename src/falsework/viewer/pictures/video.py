@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.errors import DependencyError, InputError
+from falsework.errors import InputError
 from falsework.robots.cells.visuals import PLAIN
 from falsework.utils.files.output_file import write_whole
+from falsework.utils.lazy import importing
 from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import TINT, Arms, bounds_with_arms
 from falsework.viewer.arrows import arrows_of_step
@@ -36,8 +37,6 @@ from falsework.viewer.timeline import Timeline
 HOLD = 1.0
 """Seconds that the first and the last picture stay."""
 KINDS = (".mp4", ".gif")
-FILM = Camera(width=800, height=560, zoom=0.95)
-"""Camera of videos by default."""
 
 
 def frames_of(
@@ -45,11 +44,10 @@ def frames_of(
     *,
     seconds: float,
     rate: float,
+    camera: Camera,
     speed: float = 1.0,
-    camera: Camera = FILM,
     arms: Arms | None = None,
     proofs: Mapping[int, StateProof] | None = None,
-    samples: int = 2,
 ) -> Iterator[Pixels]:
     """Yield pictures of a video, one after the other.
 
@@ -58,10 +56,9 @@ def frames_of(
         speed: seconds of a robot plan that pass in a second.
         proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
             above.
-        samples: as for `render`.
     """
     box = bounds_with_motions(timeline) if arms is None else bounds_with_arms(arms, bounds_of(timeline.assembly))
-    outline = outline_of(timeline, camera, box, samples)
+    outline = outline_of(timeline, camera, box)
     sliding = any(proof.slides for proof in (proofs or {}).values())
     still = max(round(HOLD * rate), 1)
     moments = _moments(timeline, arms, seconds, rate, speed)
@@ -83,7 +80,6 @@ def frames_of(
             time=time,
             marks=marks,
             outline=outline,
-            samples=samples,
         )
         if chart is not None and time is not None:
             picture = np.concatenate([picture, chart.marked(time)])
@@ -128,10 +124,10 @@ def write_film(
     path: Path | str,
     timeline: Timeline,
     *,
-    seconds: float = 0.5,
-    rate: float = 12.0,
-    speed: float = 1.0,
-    camera: Camera = FILM,
+    seconds: float,
+    rate: float,
+    speed: float,
+    camera: Camera,
     arms: Arms | None = None,
     proofs: Mapping[int, StateProof] | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -198,12 +194,8 @@ def _gif_colors() -> NDArray[np.uint8]:
 
 
 def _write_mp4(path: Path, pictures: Iterator[Pixels], rate: float) -> int:
-    try:
+    with importing("MP4 needs imageio-ffmpeg; install it with pip install 'falsework[picture]', or write a .gif"):
         import imageio_ffmpeg
-    except ImportError:
-        raise DependencyError(
-            "MP4 needs imageio-ffmpeg; install it with pip install 'falsework[picture]', or write a .gif"
-        ) from None
     count = 0
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / "video.mp4"

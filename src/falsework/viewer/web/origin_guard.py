@@ -16,6 +16,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from falsework.errors import DependencyError
+from falsework.utils.lazy import importing
 from falsework.viewer.web.content_policy import content_policy
 from falsework.viewer.web.links import Unit, target_of
 
@@ -28,10 +29,8 @@ _SERVING = threading.Lock()
 
 def import_viser() -> Any:
     """Return the package that serves the page."""
-    try:
+    with importing("the page needs viser; install it with pip install 'falsework[viewer]'"):
         import viser
-    except ImportError:
-        raise DependencyError("the page needs viser; install it with pip install 'falsework[viewer]'") from None
     return viser
 
 
