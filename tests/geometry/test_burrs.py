@@ -41,6 +41,7 @@ Place = tuple[int, int, int]
 STEPS: list[Place] = [tuple(step) for step in np.concatenate([np.eye(3, dtype=int), -np.eye(3, dtype=int)]).tolist()]
 
 
+@cache
 def placed(number: int, slot: int) -> set[Cells]:
     """Cells that a stick can fill in one of the six slots: two along each axis, beside each other along the next."""
     cut = {cube for bit, cube in enumerate(CUBES) if number - 1 >> bit & 1}

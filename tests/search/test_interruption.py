@@ -35,8 +35,8 @@ def burr(pieces: int = 7) -> Assembly:
 
 @cache
 def burr_with_ways() -> Assembly:
-    """The burr with its table of straight ways."""
-    assembly = burr()
+    """Six pieces of the burr with their table of straight ways."""
+    assembly = burr(6)
     assembly.straight_ways.prepare()
     return assembly
 
@@ -74,7 +74,7 @@ def sets() -> Callable[[], Any]:
 
     def ask() -> None:
         for parts in clearance.sets(~assembly.boundary, 3):
-            clearance.leave_together(parts, np.ones((1, 7), dtype=np.uint8), apart=True)
+            clearance.leave_together(parts, np.ones((1, assembly.part_count), dtype=np.uint8), apart=True)
 
     return ask
 
@@ -149,7 +149,7 @@ def test_the_keyboard_ends_a_search_that_has_one_strategy(moves: int) -> None:
 
     given: Any = {"settings": PlannerSettings(directions=(Direction.DISASSEMBLY,)), "stability": SETTINGS}
     with interrupted_by(interrupt, large=moves > 1):
-        found = find_plans(assembly, robots=6, moves=99, start=np.full(7, 2), **given)
+        found = find_plans(assembly, robots=6, moves=99, start=np.full(assembly.part_count, 2), **given)
     assert asked == moves
     assert found.result.interrupted
     assert not found.deadline_passed
