@@ -175,7 +175,7 @@ def default_target_widths(parts: int, device: str, minutes: float) -> tuple[int,
     if parts <= 20:
         return default_widths(parts, device)
     if device == "cuda":
-        return (16,) * 1152
+        return (32,) * 192
     # A search of 37 parts takes two seconds on one core, and that grows with more than the square of their number.
     return (128,) * min(max(round(6 * minutes * (37 / parts) ** 3), 12), 120)
 

@@ -31,7 +31,7 @@ FORMAT = "falsework.searched/1"
 
 _ARRAYS = frozenset({"train", "test", "more"})
 
-_BATCH_GPU, _BATCH_CPU = 192, 4
+_BATCH_GPU, _BATCH_CPU = 64, 4
 """Further searches that run side by side, on a GPU and on a processor; the time is looked at between them."""
 _ROUNDS = 8
 """Times that a pair is drawn for each target, at most, to find enough of them."""
