@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -284,6 +285,15 @@ def test_one_robot_cannot_take_an_arch_apart(small_arch: Assembly, arch_oracle: 
     verdicts = arch_oracle.verdicts(planning.result.rejected, require_certificate=True)
     assert verdicts.unstable.all()
     assert verdicts.velocity is not None
+
+
+def test_where_histories_decide_the_direction_that_can_prove_that_there_is_no_plan_is_last() -> None:
+    settings, ways = StabilitySettings(criterion="contact"), list[Direction]()
+    found = find_plans(
+        "arch:blocks=5", robots=1, stability=settings, progress=lambda event: ways.append(event.direction)
+    )
+    assert found.result.outcome is Outcome.PROVED_IMPOSSIBLE
+    assert [way for way, _ in groupby(ways)] == [Direction.ASSEMBLY, Direction.DISASSEMBLY]
 
 
 def test_half_a_job(small_arch: Assembly, arch_oracle: StabilityOracle) -> None:

@@ -231,8 +231,7 @@ class Planner:
             setattr(self, name, int(number))
         self._turns = {name: Turn(**turn) for name, turn in header["turns"].items()}
         self._counters = SearchCounters(**header["counters"])
-        self._seconds = float(header["seconds"])
-        self.states = arrays["states"]
+        self._seconds, self.states = float(header["seconds"]), arrays["states"]
         rows = arrays["routes"].reshape(-1, self.task.steps + 1, self.task.part_count)
         self.routes = [Route.from_states(states) for states in rows]
         task = self.task.postpone(self._trial)
@@ -343,7 +342,8 @@ class Planner:
     def _portfolio(self) -> Portfolio:
         how = {"edges": self._edge_guide is not None, "wide": self._wide}
         found = Portfolio.from_settings(self.settings, self._stage, self.task, **how)
-        return found if self.tests.replayer is None or self._stage == "alternatives" else found.assembly_first()
+        beams = self._stage != "alternatives" and not (self.regrasps or self.together)
+        return found.assembly_first() if beams and self.tests.replayer is not None else found
 
     def _finish(self) -> None:
         self._drop_beams()

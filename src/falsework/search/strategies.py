@@ -132,7 +132,7 @@ class Portfolio:
         return ahead or turn.owed >= self.patience * self.narrowest * 2.0**round
 
     def assembly_first(self) -> Portfolio:
-        """Return the strategies where contact histories decide: searches in the order of disassembly come last.
+        """Return the strategies where contact histories decide: beams in the order of disassembly come last.
 
         Those judge states from rest, which is stricter than as they are built, and replay complete plans only. But they
         may prove that there is no plan.
