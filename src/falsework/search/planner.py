@@ -340,8 +340,8 @@ class Planner:
 
     @property
     def _portfolio(self) -> Portfolio:
-        how = {"edges": self._edge_guide is not None, "wide": self._wide}
-        found = Portfolio.from_settings(self.settings, self._stage, self.task, **how)
+        edges = self._edge_guide is not None
+        found = Portfolio.from_settings(self.settings, self._stage, self.task, edges=edges, wide=self._wide)
         beams = self._stage != "alternatives" and not (self.regrasps or self.together)
         return found.assembly_first() if beams and self.tests.replayer is not None else found
 

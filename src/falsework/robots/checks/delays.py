@@ -269,12 +269,13 @@ class _DelayChecker:
                 # The parts touch, and leave each other, or pass, as the check of single motions has them do.
                 bare = [self._path(replace(segment, load=None)) for segment in (overlap.one, overlap.other)]
                 pairs = [(paths[0], bare[1]), (bare[0], paths[1])]
-            ranges = (
-                _positions(paths[0], overlap.one, overlap.one_range),
-                _positions(paths[1], overlap.other, overlap.other_range),
-            )
-            given = () if overlap.as_one else ranges
-            found = next(filter(None, (self.prover.meeting(*pair, *given) for pair in pairs)), None)
+            ranges: tuple[tuple[float, float], ...] = ()
+            if not overlap.as_one:
+                ranges = (
+                    _positions(paths[0], overlap.one, overlap.one_range),
+                    _positions(paths[1], overlap.other, overlap.other_range),
+                )
+            found = next(filter(None, (self.prover.meeting(*pair, *ranges) for pair in pairs)), None)
             if found is not None:
                 self._say(found, overlap.one, paths[0], self._where(overlap.other, paths[1].seconds(found.other)))
 

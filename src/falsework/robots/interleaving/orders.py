@@ -344,7 +344,7 @@ class NextSteps:
                 if (self.work.wait(leg, rest) if wait is None else wait) != NO_WAIT:
                     return False
         # A part is not withdrawn past one that had left before: free exits may be so narrow that it would jam.
-        return not self.work.meets(leg, partial.present & ~(1 << unit.part)) < np.inf
+        return self.work.meets(leg, partial.present & ~(1 << unit.part)) == np.inf
 
 
 def grippers_allow(node: Node, edge: Edge) -> bool:
