@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from curved_pairs import pair_on
 from numpy.typing import NDArray
 from settling import replay_by_discrete_elements, settle
 
@@ -17,10 +18,11 @@ import falsework.stability.judges
 from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, Verdict, find_plans, load_structure
 from falsework.assembly import complete_state, library
 from falsework.errors import InputError, StateError
+from falsework.geometry import TriangleMesh
 from falsework.stability import HoldSettings
 from falsework.stability.holds import HoldMode, Press
 from falsework.stability.judges import discrete_elements
-from falsework.stability.judges.discrete_elements import BuildJudge, DiscreteElementSettings
+from falsework.stability.judges.discrete_elements import Build, BuildJudge, DiscreteElementSettings
 from falsework.stability.judges.judgement import Judgement
 from falsework.stability.stiffness import normal_stiffness
 
@@ -133,6 +135,50 @@ def test_parts_come_in_unstressed(scenes: Any) -> None:
     assert replay.part[4] == 1
     assert replay.moved[4] == pytest.approx(sinks, rel=1e-2)
     assert settle(assembly, steps[4], SOFT_CONTACTS).moved[0] > 1.5 * sinks
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_what_rests_in_a_curved_bed_stays_as_it_is(scenes: Any, first: int) -> None:
+    """Two bodies in two troughs of one bed: what is done to one moves nothing of the other."""
+    angle = np.radians(np.linspace(-40, 40, 41))
+    edge = np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=1)
+    across = np.stack([edge, edge + [0, 0.5, 0]], axis=1).reshape(-1, 3)
+    a, b = (np.arange(40) * 2)[:, None], (np.arange(40) * 2 + 2)[:, None]
+    facets = np.vstack([np.hstack([a, b, b + 1]), np.hstack([a, b + 1, a + 1])])
+    pairs = [pair_on("circle", across + [3 * x, 0, 0], facets, np.array([0, 0, 0.3])) for x in range(2)]
+    bodies = [TriangleMesh.from_arrays(f"body-{x}", pair.vertices[0], pair.faces) for x, pair in enumerate(pairs)]
+    beds = [TriangleMesh.from_arrays(f"bed-{x}", pair.vertices[1], pair.faces) for x, pair in enumerate(pairs)]
+    assembly = Assembly.from_meshes([*bodies, *beds], boundary=[2, 3], friction=0.6)
+    assert assembly.contacts.curved is not None
+    steps = np.array([[0, 0, 2, 2], [2, 0, 2, 2], [1, 0, 2, 2], [1, 2, 2, 2], [1, 1, 2, 2], [1, 0, 2, 2]])
+    if first:
+        steps[:, :2] = steps[:, 1::-1].copy()
+    found = replay_by_discrete_elements(assembly, steps, SOFT_CONTACTS)
+    assert found.stands.tolist() == [STANDS] * len(steps)
+    assert found.part[[2, 4]].tolist() == [first, 1 - first]
+    assert found.moved[[0, 1, 3, 5]].tolist() == [0.0] * 4
+
+
+def test_a_part_under_hybrid_control_moves_along_the_force_alone(scenes: Any) -> None:
+    """A held slab is pressed askew onto ground that is rough enough: all of its points go the way of the force.
+
+    Its contact resists differently along every axis.
+    """
+    slab, block = scenes.box([0, 0, 0], [3, 1, 0.2], "slab"), scenes.box([5, 0, 0], [6, 1, 1], "block")
+    assembly = scenes.make([slab, block, scenes.box([-1, -1, -1], [7, 2, 0], "ground")], [2], friction=3.0)
+    force = np.array([0.5, -0.2, -1.0])
+    build = Build(assembly, STIFF_CONTACTS, HoldSettings(mode=HoldMode.HYBRID))
+    for state, press in (([2, 0, 2], {}), ([2, 2, 2], {}), ([2, 1, 2], {0: np.append(force, np.zeros(3)) * 1e4})):
+        assert build.step(np.array(state, np.uint8), press)[0] == STANDS
+    contacts = assembly.contacts
+    newton = build.unstressed(np.ones((len(contacts.points), 3)))
+    stiffness = -newton.friction[:, 0] / newton.gap
+    for point in np.flatnonzero((contacts.parts[contacts.contact_of_point] == [0, 2]).all(axis=1)):
+        normal, *_ = frame = contacts.frames[contacts.contact_of_point[point]]
+        slide = -build.forces.friction[point] / (STIFF_CONTACTS.tangential * stiffness[point])
+        moved = np.append(build.forces.gap[point], slide) @ frame
+        assert normal @ moved != 0.0
+        assert moved / np.linalg.norm(moved) == pytest.approx(-np.sign(moved[2]) * force / np.linalg.norm(force))
 
 
 def test_a_part_that_is_held_again_stays_pressed(scenes: Any) -> None:

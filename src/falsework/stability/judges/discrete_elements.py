@@ -30,6 +30,7 @@ from falsework.assembly.loads import GRAVITY
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States, as_states
 from falsework.errors import InputError
+from falsework.geometry.contact.contacts import Contacts
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, Press
 from falsework.stability.judges.judgement import Judgement
 from falsework.stability.judges.relaxation import FALLS, OPEN, JudgedHolds, Model, relax
@@ -114,8 +115,9 @@ class Build:
         self._weight = float(GRAVITY * assembly.mass.mass[loose if loose.any() else slice(None)].mean())
         boxes = np.array([np.ptp(mesh.bounds, axis=0) for mesh in assembly.meshes])
         self._size = float(np.median(boxes.max(axis=1)))
-        self._model = self._scaled(boxes)
-        self._ends = self._model.parts[assembly.contacts.contact_of_point]
+        contacts = assembly.contacts.flat()  # curved contacts are one contact a point from here on
+        self._model = self._scaled(boxes, contacts)
+        self._ends = self._model.parts[contacts.contact_of_point]
         self.forces = self.unstressed()
 
     def unstressed(self, forces: Array | None = None) -> ContactForces:
@@ -161,10 +163,9 @@ class Build:
         ramp = settings.ramp * slower
         return relax(self._model, state, now.gap, now.friction, now.grip, *law, ramp, settings.steps + ramp, *ends)
 
-    def _scaled(self, boxes: Array) -> Model:
+    def _scaled(self, boxes: Array, contacts: Contacts) -> Model:
         """Return the structure in units of size and weight of a typical part; boxes have shape (parts, 3)."""
-        assembly, size, weight = self._assembly, self._size, self._weight
-        contacts, mass = assembly.contacts.flat(), assembly.mass
+        assembly, mass, size, weight = self._assembly, self._assembly.mass, self._size, self._weight
         owner, count = contacts.contact_of_point, np.diff(contacts.start)
         middle = np.zeros((len(contacts), 3))
         np.add.at(middle, owner, contacts.points)

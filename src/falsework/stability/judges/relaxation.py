@@ -110,6 +110,8 @@ def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps, f
     for body in range(bodies):
         if inertia[body, 0] == 0.0:
             return FALLS, np.inf, free[body]
+        if across[body] == np.inf and line[body].any():
+            inertia[body, :3] = inertia[body, :3].max()  # under one mass a part moves along the force on it
     slow = _slow_ramp(inertia, hold, turn, ramp)
     ramp, steps = slow, steps + slow - ramp
     weight, applied, radius = model.weight[free], model.applied[free] + grip.wrench[free], model.radius[free]
