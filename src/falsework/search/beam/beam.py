@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, Mask, States, held_count
+from falsework.assembly.state import HELD, Mask, States, held_count, state_of_key
 from falsework.errors import InputError
 from falsework.search.beam.failed_moves import FailedMoves
 from falsework.search.beam.frontier import Level, PackedLevel, expand, pack
@@ -21,7 +21,7 @@ from falsework.search.beam.scores import Scores
 from falsework.search.beam.selection import Clustering, Selector
 from falsework.search.beam.settings import BeamSettings
 from falsework.search.problem.guide import Guide
-from falsework.search.problem.hashing import StateHash
+from falsework.search.problem.hashing import StateHash, StateIndex
 from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import REPORTED_STATES, Outcome, Route, SearchCounters, beam_failure
@@ -80,6 +80,7 @@ class BeamSearch(Search):
         self._failures = None if task.neighbours is None else FailedMoves(task.neighbours)
         self.cluster: Clustering = k_means
         self._hash = StateHash.for_parts(task.part_count)
+        self._forbidden: StateIndex | None = None
         self._candidates = 0
         self._before = SearchCounters()
         self._undecided = self._sliding = 0
@@ -112,8 +113,8 @@ class BeamSearch(Search):
         settings, level = self.settings, self.levels[-1]
         frontier = expand(self.task, settings.direction, level.states, self._hash)
         refuted = frontier.without(*self.conflicts.barred(level.states)) if settings.lookahead > 0 else False
-        if self.judge.forbidden:  # of those that need no verdict
-            refuted |= frontier.without_states(self.judge.forbidden)
+        if self._forbidden is not None:  # of those that need no verdict
+            refuted |= frontier.without_states(self._forbidden, self._hash)
         scores = Scores(frontier, level.score, self._guided(frontier.level, frontier.legal))
         rng = np.random.default_rng((settings.seed, settings.number, len(self.levels)))
         how = self.cluster if settings.diversity == "k-means" else None, settings.pool, rng
@@ -156,6 +157,7 @@ class BeamSearch(Search):
         """See `Search.forbid`."""
         keys = {state.tobytes() for state in states}
         self.judge.forbidden |= keys
+        self._forbidden = StateIndex(np.array([state_of_key(key) for key in self.judge.forbidden]), self._hash)
         self._go_back(keys)
 
     def go_back(self, state: States) -> None:

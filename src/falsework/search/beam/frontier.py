@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States, held_count
-from falsework.search.problem.hashing import StateHash, chunks, merge
+from falsework.search.problem.hashing import StateHash, StateIndex, chunks, merge
 from falsework.search.problem.task import Direction, Task
 
 Rows = NDArray[np.int64]
@@ -111,11 +111,14 @@ class Frontier:
         self.moves[rows, actions] = False
         return bool(left_out)
 
-    def without_states(self, keys: set[bytes]) -> bool:
-        """Leave some states that need no verdict out, given as bytes; return whether there were any."""
+    def without_states(self, states: StateIndex, state_hash: StateHash) -> bool:
+        """Leave some states that need no verdict out; return whether there were any."""
         free = self.candidates()
         free = free[self.free(free)]
-        out = free[[state.tobytes() in keys for state in self.states(free)]]
+        row, part = self.parent(free), self.part(free)
+        value = self.task.moved_value(self.action(free), self.direction)
+        hashes = state_hash.after(state_hash(self.level)[row], part, self.level[row, part], value)
+        out = free[states.find_hashed(hashes, lambda some: self.states(free[some])) >= 0]
         return bool(len(out)) and self.without(self.parent(out), self.action(out))
 
     def parent(self, rows: Rows) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ from falsework.errors import InputError
 from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.contact.history import ReplaySettings
-from falsework.stability.contact.varied_replay import DRAWS, FEW_DRAWS, AllVariations, in_pieces
+from falsework.stability.contact.varied_replay import DRAWS, FEW_DRAWS, AllVariations, RouteReplay
 from falsework.stability.holds import HoldLoad, Press
 
 if TYPE_CHECKING:
@@ -43,12 +43,13 @@ class Acceptance:
             from falsework.stability.judges.discrete_elements import BuildJudge
 
             self._judge = BuildJudge(replayer.assembly, replayer.settings.holds)
-        self._replayer, self._plain = replayer, replayer
-        self._variations = None
+        self._replayer, self._plain, self._variations = replayer, None, None
+        self._loads: list[tuple[HoldLoad, ...]] = []
+        """What robots bear in the states of the last route, as far as it was tested."""
         if replayer is not None and replayer.varies and (robust or replayer.settings.reserve > 1.0):
             self._variations = AllVariations(replayer, DRAWS if robust else FEW_DRAWS)
-        if replayer is not None and replayer.settings.reserve != 1.0:
-            self._plain = replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings())
+        if replayer is not None:
+            self._plain = RouteReplay(replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings()))
 
     @property
     def varies(self) -> bool:
@@ -62,14 +63,13 @@ class Acceptance:
             states: in assembly order, shape (steps + 1, parts).
             found: replay with the reserve, which stands.
         """
-        plain = self._plain
-        if plain is None or self._replayer is None:
+        if self._plain is None:
             return found
-        presses = _of_all(found.presses, states)
-        loads: list[tuple[HoldLoad, ...]] = []
-        row, done = None, 0
+        presses, plain, row = _of_all(found.presses, states), self._plain.replayer, None
+        done = self._plain.begin(states, presses)
+        loads = self._loads = self._loads[:done]
         try:
-            for first, histories in in_pieces(plain, states, presses):
+            for first, histories in self._plain.pieces(states):
                 some, known = states[first : first + len(histories)], done - first
                 row = plain.first_tipping(some, histories, known)
                 if row is not None:

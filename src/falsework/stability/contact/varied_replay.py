@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import itemgetter
 from threading import Event
-from typing import Protocol, TypeAlias
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -157,30 +157,52 @@ def in_pieces(
         history = piece.histories[-1]
 
 
-_Route: TypeAlias = "list[tuple[bytes, tuple[Press, ...]]]"
-"""States in assembly order, each with the presses of the step to it."""
+class RouteReplay:
+    """Replay of routes of one structure; each begins with what it has in common with the last."""
 
+    def __init__(self, replayer: AnyReplayer, change: Change | None = None) -> None:
+        """Begin without a route.
 
-def _route_of(states: States, presses: Presses) -> _Route:
-    return [(state.tobytes(), tuple(some)) for state, some in zip(states, presses, strict=True)]
-
-
-class _ChangedReplay:
-    """Replay of routes under a change of settings; each begins with what it has in common with the last."""
-
-    def __init__(self, replayer: AnyReplayer, change: Change) -> None:
-        self.change = change
-        self._replayer = replayer.vary(*changed(change, replayer.settings))
-        self._route: _Route = []
-        self._inexact: Presses = []
+        Args:
+            replayer: under changed settings.
+            change: these, if presses have an error too.
+        """
+        self.replayer, self.change = replayer, change
+        self._route: list[tuple[bytes, tuple[Press, ...]]] = []
+        self._presses: Presses = []
         self._known: list[tuple[int, History]] = []
-        """Numbers of some states of the route that come to rest, in order, with their histories."""
+        """Numbers of some states of the route that come to rest, in order, with their histories; one for each part of
+        it at most."""
 
-    def begin(self, route: _Route) -> None:
-        """Go on with a route."""
+    def begin(self, states: States, presses: Presses) -> int:
+        """Go on with a route, of the same length as the last; return from which state on it is replayed.
+
+        Args:
+            states: in assembly order, shape (states, parts).
+            presses: of the steps that lead to each state, one entry a state.
+        """
+        route = [(state.tobytes(), tuple(some)) for state, some in zip(states, presses, strict=True)]
         shared = [*(old == new for old, new in zip(self._route, route, strict=False)), False].index(False)
         self._route, self._known = route, [known for known in self._known if known[0] < shared]
-        self._inexact = inexact(self.change, [presses for _, presses in route])
+        self._presses = presses if self.change is None else inexact(self.change, presses)
+        return self._known[-1][0] + 1 if self._known else 0
+
+    def pieces(self, states: States) -> Iterator[tuple[int, Sequence[History]]]:
+        """Yield histories as `in_pieces` does, up to some state of the route; each piece is known once the next begins.
+
+        Args:
+            states: of the route up to there.
+        """
+        known = self._known[-1] if self._known else None
+        if known is not None and known[0] >= len(states) - 1:
+            return
+        length = part_length(len(self._route))
+        for first, histories in in_pieces(self.replayer, states, self._presses[: len(states)], known):
+            yield first, histories
+            last = first + len(histories) - 1
+            if self._known and self._known[-1][0] // length == last // length:
+                self._known.pop()
+            self._known.append((last, replace(histories[-1], track=None)))
 
     def falls_at(self, states: States, over: Event) -> int | None:
         """Return the first state of the route up to some state that does not come to rest; None if all do.
@@ -189,33 +211,30 @@ class _ChangedReplay:
             states: of the route up to there.
             over: whether the answer does not matter any more.
         """
-        last, history = self._known[-1] if self._known else (-1, None)
-        if last >= len(states) - 1:
-            return None
-        known = None if history is None else (last, history)
-        for first, histories in in_pieces(self._replayer, states, self._inexact[: len(states)], known):
-            last, history = first + len(histories) - 1, histories[-1]
+        last = self._known[-1][0] if self._known else -1
+        for first, histories in self.pieces(states):
+            last = first + len(histories) - 1
             if over.is_set():
                 break
-        if history is not None:
-            self._known.append((last, replace(history, track=None)))
-        return None if last == len(states) - 1 else last + 1
+        return None if last >= len(states) - 1 else last + 1
 
 
-def _falls(replays: Sequence[_ChangedReplay], states: States) -> Iterator[tuple[_ChangedReplay, int | None]]:
-    """Yield each replay and the first state of its route that falls; as many run at a time as there are cores.
+def part_length(count: int) -> int:
+    """Return the states in each of `PARTS` parts of a route of some states."""
+    return max(-(-count // PARTS), 2 * PIECE)  # a round of replays has a cost of its own
+
+
+def _falls(replays: Sequence[RouteReplay], states: States) -> list[int | None]:
+    """Return the first state of their route that falls, for each replay; as many run at a time as there are cores.
 
     Args:
         replays: under each change, all of the same route.
         states: of the route up to some state.
     """
     over = Event()
-    workers = core_count()
-    with ThreadPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(core_count()) as pool:
         try:
-            for first in range(0, len(replays), workers):
-                some = replays[first : first + workers]
-                yield from zip(some, pool.map(lambda one: one.falls_at(states, over), some), strict=True)
+            return list(pool.map(lambda one: one.falls_at(states, over), replays))
         finally:
             over.set()
 
@@ -296,11 +315,12 @@ def replay_varied(
         draws: number of random initial friction states.
     """
     given: Presses = [()] * len(states) if presses is None else presses
-    replays = [_ChangedReplay(replayer, change) for change in variations(replayer.settings, draws, given)]
-    route = _route_of(states, given)
+    changes = variations(replayer.settings, draws, given)
+    replays = [RouteReplay(replayer.vary(*changed(change, replayer.settings)), change) for change in changes]
     for one in replays:
-        one.begin(route)
-    return [Variation(one.change.name, row is None, row) for one, row in _falls(replays, states)]
+        one.begin(states, given)
+    rows = zip(changes, _falls(replays, states), strict=True)
+    return [Variation(change.name, row is None, row) for change, row in rows]
 
 
 class AllVariations:
@@ -314,7 +334,7 @@ class AllVariations:
             draws: number of random initial friction states.
         """
         self._replayer, self._draws = replayer, draws
-        self._replays: dict[Change, _ChangedReplay] = {}
+        self._replays: dict[Change, RouteReplay] = {}
         replayer.also_under(())
 
     def falls_at(self, states: States, presses: Presses) -> int | None:
@@ -329,15 +349,14 @@ class AllVariations:
         """
         known, settings = self._replayer.changes, self._replayer.settings
         changes = [change for change in variations(settings, self._draws, presses) if change not in known]
-        route = _route_of(states, presses)
         for change in changes:
             if change not in self._replays:
-                self._replays[change] = _ChangedReplay(self._replayer, change)
-            self._replays[change].begin(route)
-        replays = [self._replays[change] for change in changes]
-        length = max(-(-len(states) // PARTS), 2 * PIECE)  # a round of replays has a cost of its own
+                self._replays[change] = RouteReplay(self._replayer.vary(*changed(change, settings)), change)
+            self._replays[change].begin(states, presses)
+        replays, length = [self._replays[change] for change in changes], part_length(len(states))
         for end in range(length, len(states) + length, length):
-            fallen = [(row, one.change) for one, row in _falls(replays, states[:end]) if row is not None]
+            rows = zip(_falls(replays, states[:end]), changes, strict=True)
+            fallen = [(row, change) for row, change in rows if row is not None]
             if fallen:
                 row, change = min(fallen, key=itemgetter(0))
                 self._replayer.also_under((*known, change))
