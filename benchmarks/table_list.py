@@ -80,7 +80,7 @@ def counted(path: str) -> Callable[[Runs], str]:
     """Return a column with the runs in which a build by discrete elements stands to its end, of those with a plan."""
 
     def write(runs: Runs) -> str:
-        planned = [run for run in runs if run["ended"] == "found"]
+        planned = [run for run in runs if run["states"]]
         whole = sum(run[path]["stands"] == run["states"] for run in planned)
         return f"{whole} of {len(planned)}"
 
@@ -229,13 +229,27 @@ TABLES = {
         STRUCTURE,
         (
             ("states", "{states}"),
-            ("replay", "{replay.stands}"),
             ("discrete elements, step by step", "{built.stands}"),
+            ("each state from no stress", "{settled.stands}"),
             ("from the proven forces", "{proven.stands}"),
             ("replays under changed settings", "{varied_stands} of {varied}"),
         ),
         benchmark="judges plans",
-        where=lambda record: not record.get("robust") and record["varied_stands"] < record["varied"],
+        where=lambda record: (
+            not record.get("robust") and min(record["built"]["stands"], record["settled"]["stands"]) < record["states"]
+        ),
+    ),
+    "builds": Table(
+        "judges",
+        (("robots", "{robots}"),),
+        (
+            ("structures", lambda runs: str(len(runs))),
+            ("built, contacts as of the criterion", counted("alike")),
+            ("stiffer", counted("stiff")),
+            ("soft", counted("soft")),
+        ),
+        benchmark="judges builds",
+        where=lambda record: not record.get("judge"),
     ),
     "holds": Table(
         "holds",
@@ -243,10 +257,10 @@ TABLES = {
         (
             ("CPU time, s", "{processor_seconds}"),
             ("presses", "{presses}"),
+            ("stands under all changes", lambda runs: "yes" if all(run["varied"] for run in runs) else "no"),
             ("states built", "{built} of {states}"),
         ),
         benchmark="holds modes",
-        where=lambda record: record["presses"] > 0,
     ),
     "shells": Table(
         "judges",
