@@ -424,6 +424,24 @@ def test_a_build_by_other_robots_is_refused(scenes: Any, holds: dict[str, float]
     assert proof.residual == np.inf
 
 
+@pytest.mark.parametrize("stiffness", [1e8, np.inf])
+@pytest.mark.parametrize("before", [0, 1])
+def test_a_certificate_may_not_push_a_part_as_a_robot_takes_it(scenes: Any, stiffness: float, before: int) -> None:
+    """Neither one that it places, nor one that stands; nor may it lift the ground."""
+    tower, of = scenes.tower(2), settings(HoldSettings(stiffness=stiffness))
+    states = np.array([[1, before, 2], [1, 2, 2]], np.uint8)
+    steps = list(Replayer(tower, of).certificates(states, [(), ()]))
+    assert last_proof(tower, of.claim, states, steps).residual <= of.tolerance
+    pushed, lifted = (steps[1].displacement.copy() for _ in range(2))
+    pushed[0, :2, 2] -= 1e-6, 2e-6  # both joints are alike, so that the lower block stays in equilibrium
+    lifted[0, 2, 2] += 1e-6
+    last = last_proof(tower, of.claim, states, [steps[0], steps[1]._replace(displacement=pushed)])
+    assert last.residual == np.inf
+    assert "block-1" in last.reason
+    last = last_proof(tower, of.claim, states, [steps[0], steps[1]._replace(displacement=lifted)])
+    assert last.forces == pytest.approx(last_proof(tower, of.claim, states, steps).forces)
+
+
 def test_a_moment_beyond_the_limit_is_refused(pressed: Any) -> None:
     assembly, of, steps = pressed
     borne = np.linalg.norm(last_proof(assembly, of.claim, BESIDE, steps).wrenches[PRESSER, 3:])
