@@ -72,6 +72,15 @@ def corner_down(scenes: Any) -> TriangleMesh:
     return TriangleMesh.from_arrays("cube", mesh.vertices - [0.0, 0.0, mesh.vertices[:, 2].min()], mesh.faces)
 
 
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("thick", [1e-4, 5e-4])
+def test_a_thin_plate_tips_away_from_a_wall_that_it_touches(scenes: Any, thick: float, scale: float) -> None:
+    """The wall is so much stiffer than the plate is heavy that it bears the foot by almost no motion."""
+    corners = [([0, 0, 0], [thick, 1, 2]), ([-3, -1, -1], [3, 2, 0]), ([-1, 0, 0], [0, 1, 2])]
+    boxes = [box(scenes, scale * np.array(low), scale * np.array(high)) for low, high in corners]
+    assert verdict_of(scenes.make(boxes, [1, 2], friction=0.5)) is Verdict.TIPS
+
+
 @pytest.mark.parametrize("friction", [0.0, 0.6])
 def test_a_cube_tips_over_an_edge_and_a_corner_but_not_on_a_face(scenes: Any, friction: float) -> None:
     assert verdict_of(on_ground(scenes, box(scenes, [0, 0, 0], [1, 1, 1]), friction=friction)) is Verdict.STABLE

@@ -20,7 +20,9 @@ Array = NDArray[np.float64]
 ROUNDING = 1e-9
 """Largest distance of a force from its cone, as a share of the force and of the structure's weight; such a force
 is moved into the cone before the residual is computed."""
-
+CLOSES = 1e-12
+"""Least share of a motion by which it closes an open point, above rounding: stiff contacts bear light parts by far less
+than `ROUNDING` of what these move."""
 
 _size = lru_cache(maxsize=4)(structure_size)
 
@@ -110,7 +112,7 @@ def closing_points(assembly: Assembly, springs: Springs, motion: Array, relative
     limit = MOVEMENT * _size(assembly)
     return (
         springs.open
-        & (relative[..., 0] < -ROUNDING * moved[:, None])
+        & (relative[..., 0] < -CLOSES * moved[:, None])
         & (springs.gap * moved[:, None] <= -relative[..., 0] * limit)
     )
 
