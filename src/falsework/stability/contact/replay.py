@@ -176,7 +176,8 @@ class Replayer:
                 near = near + self._touches @ near
             local = np.where((state == INSTALLED) & (near == 0), HELD, state).astype(np.uint8)
             forces = (history.springs * self.problem.force_scale[:, None])[None]
-            springs = springs_at(self.assembly, local[None], forces, self.settings.claim)
+            strength = self.problem.strength.at(history.torn, history.age, self.assembly.joints)
+            springs = springs_at(self.assembly, local[None], forces, self.settings.claim, strength)
             if self._second_order.growing_motion(local, history.displacement, springs) is not None:
                 return row
         return None
