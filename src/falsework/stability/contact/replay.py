@@ -285,7 +285,7 @@ class Replayer:
         noise = np.zeros((self.problem.points, 2))
         if replay.friction_noise:
             rng = np.random.default_rng(replay.seed)
-            mass = self.assembly.mass.mass[~self.assembly.boundary]
+            mass = self.assembly.mass.mass[~self.assembly.immovable]
             typical = self.problem.friction * self.settings.gravity * (mass.mean() if len(mass) else 0.0) / 8
             angle = rng.uniform(0, 2 * np.pi, self.problem.points)
             size = replay.friction_noise * typical * rng.uniform(0, 1, self.problem.points)
