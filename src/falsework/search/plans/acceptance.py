@@ -42,7 +42,7 @@ class Acceptance:
         if judge and replayer is not None:
             from falsework.stability.judges.discrete_elements import BuildJudge
 
-            self._judge = BuildJudge(replayer.assembly, replayer.settings.holds)
+            self._judge = BuildJudge(replayer.assembly, replayer.settings.holds, replayer.settings.gravity)
         self._replayer, self._plain = replayer, replayer
         self._variations = None
         if replayer is not None and replayer.varies and (robust or replayer.settings.reserve > 1.0):
