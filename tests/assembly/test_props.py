@@ -47,6 +47,14 @@ def test_a_prop_carries_an_overhang(overhang: Assembly, criterion: Criterion) ->
     assert bare.verdict.tolist() == [-1, 1]
 
 
+def test_no_robot_bears_what_a_prop_does(overhang: Assembly) -> None:
+    propped = with_props(overhang, [Prop(1, (3.5, 0.5, 2.0), 0.0)])
+    one, other = StabilityOracle(propped).margins([[1, 1, 2, 2], [2, 1, 2, 2]], ("held",))
+    assert one.stands
+    assert one.held == ()
+    assert [load.part for load in other.held] == [0]
+
+
 def test_a_prop_pushes_and_does_not_pull(overhang: Assembly) -> None:
     """Under the light end of a plank whose heavy end hangs over, it does nothing."""
     wall = box("wall", (3, 0, 0), (4, 1, 2))

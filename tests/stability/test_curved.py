@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, verify_certificates
 from falsework.assembly import Loads
+from falsework.stability.second_order.growth import growth_of_motion
 from falsework.stability.settings import EQUILIBRIUM
 
 CRITERIA = ("equilibrium", "contact")
@@ -182,3 +184,17 @@ def test_points_of_curved_contacts_are_corners_of_facets_with_their_normals(pair
     assert apart.areas.sum() == pytest.approx(contacts.areas.sum())
     back = contacts.take(np.arange(len(contacts))[::-1]).take(np.arange(len(contacts))[::-1])
     assert (back.point_frames == contacts.point_frames).all()
+
+
+def test_what_tips_in_a_trough_does_not_depend_on_how_its_points_are_grouped(pairs: Any) -> None:
+    """A thin sector in a smooth trough falls over sideways; points with frames of their own, or each a contact."""
+    angle = np.radians(np.linspace(-65, 65, 41))
+    edge = np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=1)
+    points = np.stack([edge, edge + [0, 1e-4, 0]], axis=1).reshape(-1, 3)
+    curved = pairs.pair_on("circle", points, grid(40, 1), np.array([0, 0, 0.3])).assembly(0.0)
+    verdicts = StabilityOracle(curved).verdicts(STATE, require_certificate=True)
+    assert verdicts.tips[0]
+    assert curved.contacts.curved is not None
+    proof = STATE, verdicts.displacement, verdicts.velocity, StabilitySettings().claim
+    grown = [growth_of_motion(some, *proof) for some in (curved, replace(curved, contacts=curved.contacts.flat()))]
+    assert grown[0] == pytest.approx(grown[1], rel=1e-9)

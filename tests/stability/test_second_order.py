@@ -18,7 +18,7 @@ from falsework import (
     find_plans,
     verify_certificates,
 )
-from falsework.assembly import complete_state, library
+from falsework.assembly import Joints, complete_state, library
 from falsework.geometry import TriangleMesh
 from falsework.search.plans.plan_check import validate_plan
 from falsework.stability import Proof, Verdicts
@@ -70,6 +70,28 @@ def corner_down(scenes: Any) -> TriangleMesh:
     turn = scenes.about_y(-np.arctan(np.sqrt(2.0))) @ scenes.about_z(-DIAMOND)
     mesh = box(scenes, [0, 0, 0], [1, 1, 1], turn=turn)
     return TriangleMesh.from_arrays("cube", mesh.vertices - [0.0, 0.0, mesh.vertices[:, 2].min()], mesh.faces)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("thick", [1e-4, 5e-4])
+def test_a_thin_plate_tips_away_from_a_wall_that_it_touches(scenes: Any, thick: float, scale: float) -> None:
+    """The wall is so much stiffer than the plate is heavy that it bears the foot by almost no motion."""
+    corners = [([0, 0, 0], [thick, 1, 2]), ([-3, -1, -1], [3, 2, 0]), ([-1, 0, 0], [0, 1, 2])]
+    boxes = [box(scenes, scale * np.array(low), scale * np.array(high)) for low, high in corners]
+    assert verdict_of(scenes.make(boxes, [1, 2], friction=0.5)) is Verdict.TIPS
+
+
+@pytest.mark.parametrize(("sets", "tips"), [([], None), ([((0, 0), (3, 0), (4, 1))], 2)])
+def test_glue_that_has_not_set_keeps_nothing_from_tipping(scenes: Any, sets: Any, tips: int | None) -> None:
+    corners = [([0, 0, 0], [5e-4, 1, 2]), ([-3, -1, -1], [3, 2, 0]), ([-1, 0, 0], [0, 1, 2])]
+    plate = scenes.make([box(scenes, *ends) for ends in corners], [1, 2])
+    glued = (plate.contacts.parts == (0, 2)).all(axis=1)
+    strong = np.where(glued, 1e5, 0.0)
+    plate = plate.replace(joints=Joints.from_arrays(plate.contacts, tension=strong, cohesion=strong, setting=sets))
+    states, replayer = np.array([[0, 2, 2], [2, 2, 2], [1, 2, 2]], np.uint8), Replayer(plate)
+    replay = replayer.replay(states)
+    assert replay.good
+    assert replayer.first_tipping(states, replay.histories) == tips
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.6])

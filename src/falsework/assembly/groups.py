@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.part_numbers import part_id
+from falsework.assembly.props import with_props
 from falsework.assembly.state import INSTALLED, REMOVED, States
 from falsework.errors import AssemblyError, StateError
 from falsework.geometry.mesh.mesh import TriangleMesh, joined_faces
@@ -74,7 +75,9 @@ class JoinedAssembly(Assembly):
     def replace(self, **changes: Any) -> Assembly:
         """Return the same groups of a structure that is changed before they are joined; see `Assembly.replace`."""
         assert self.groups is not None
-        return join_parts(self.groups.loose.replace(**changes), self.groups.names)
+        friction = changes.pop("friction", None)
+        loose = self.groups.loose.replace(friction=self.friction if friction is None else friction, **changes)
+        return with_props(join_parts(loose, self.groups.names), self.props)
 
 
 def groups_of(assembly: Assembly) -> Groups | None:

@@ -291,7 +291,7 @@ class CheckPlan(JudgingCommand):
         from falsework.search.plans.plan_report import describe_place
         from falsework.stability.judges.discrete_elements import BuildJudge
 
-        judge = BuildJudge(assembly, plan.claim.holds)
+        judge = BuildJudge(assembly, plan.claim.holds, plan.claim.gravity)
         judgement = judge.judge(plan.states, plan.presses_before)
         output.record({"judgement": judgement.to_dict()})
         if judgement.falls_at is not None:

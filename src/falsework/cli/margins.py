@@ -88,6 +88,7 @@ class FindMargins(Command):
         plan, states = chosen.plan, chosen.states
         criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
         settings = StabilitySettings(criterion=criterion, cone=self.cone)
+        settings = settings if plan is None else replace(settings, gravity=plan.claim.gravity)
         if self.out is not None:
             self._refuse_out(plan, settings)
         extra = [kind for kind in ("polygon", "settlement") if getattr(self, kind)]

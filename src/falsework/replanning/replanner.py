@@ -261,7 +261,7 @@ def replan(
 
 def settings_of(plan: Plan) -> StabilitySettings:
     """Return the settings of stability under which a plan was made."""
-    return StabilitySettings(**vars(plan.claim))
+    return StabilitySettings.from_claim(plan.claim)
 
 
 def _subject(subject: AnyStructure | Plan, structure: AnyStructure | None) -> tuple[Plan | None, Assembly]:

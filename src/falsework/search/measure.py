@@ -30,7 +30,7 @@ def margins(
         subject: a plan, for all its states; or a state, shape (parts,), or states, shape (states, parts). The complete
             structure if not given.
         kinds: margins to measure; by default all but the polygon of tilts and the settlement of supports.
-        stability: criterion; that of the plan if not given.
+        stability: criterion and gravity; those of the plan if not given.
         deadline: seconds for each state after which searches return what they have proven.
 
     Returns:
@@ -45,7 +45,7 @@ def margins(
     if isinstance(subject, Plan):
         check_identity(subject, assembly)
         if stability is None:
-            settings = StabilitySettings(criterion=subject.claim.criterion, cone=subject.claim.cone)
+            settings = StabilitySettings.from_claim(subject.claim)
         subject = subject.states
     oracle = StabilityOracle(assembly, settings)
     return oracle.margins(complete_state(assembly.boundary) if subject is None else subject, kinds, deadline=deadline)

@@ -98,6 +98,11 @@ class StabilitySettings(StabilityBounds):
         if self.solver not in get_args(SolverName):
             raise InputError(f"unknown solver {self.solver!r}; choose {', '.join(get_args(SolverName))}")
 
+    @classmethod
+    def from_claim(cls, claim: StabilityCriterion) -> StabilitySettings:
+        """Return the settings under which a claim is made."""
+        return cls(**vars(claim))
+
     @property
     def friction_cone(self) -> Cone:
         """The friction cone in force."""

@@ -74,7 +74,7 @@ def strength_of(assembly: Assembly, gravity: float = 9.81, reserve: float = 1.0)
         return _within_both(Strength(friction / reserve, none, none, none == 0, none > 0), assembly.contacts)
     given = assembly.joints
     friction = np.where(np.isnan(given.friction), friction, given.friction)
-    most = StabilityBounds.force_bound * gravity * assembly.mass.mass[~assembly.boundary].sum() / max(count, 1)
+    most = StabilityBounds.force_bound * gravity * assembly.mass.mass[~assembly.immovable].sum() / max(count, 1)
     end = np.divide(given.cohesion, friction, out=np.full(count, np.nan), where=friction > 0)
     pull = np.minimum(np.fmin(given.tension, end), most)
     stick = given.cohesion - friction * pull

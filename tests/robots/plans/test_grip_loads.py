@@ -48,6 +48,13 @@ def test_forces_grow_with_the_cube_of_the_scale(robot_plan: RobotPlan, column: A
         np.testing.assert_allclose(grown.force_n, 2**3 * 2 * plain.force_n, rtol=1e-3)
 
 
+def test_forces_are_those_under_the_gravity_of_the_plan(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> None:
+    claim = replace(robot_plan.plan.claim, gravity=1.62)
+    plan = replace(robot_plan, plan=replace(robot_plan.plan, claim=claim))
+    for plain, light in zip(grip_loads(robot_plan, column, cell), grip_loads(plan, column, cell), strict=True):
+        np.testing.assert_allclose(light.force_n, 1.62 / GRAVITY * plain.force_n, rtol=1e-3)
+
+
 def test_a_gripper_that_is_too_weak_is_named(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> None:
     loads = grip_loads(robot_plan, column, cell)
     found = heaviest(loads, loads[0].robot)

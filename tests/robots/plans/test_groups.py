@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from falsework import Assembly, Outcome, check, load_structure, make_task, plan_robots
+from falsework.assembly import complete_state, prop_places, with_props
 from falsework.assembly.groups import groups_of, join_parts
 from falsework.assembly.library import shelf as built_in_shelf
 from falsework.errors import AssemblyError, StateError
@@ -17,6 +18,7 @@ from falsework.robots import Cell
 from falsework.robots.planning.hybrid_result import HybridResult
 from falsework.robots.plans.loose_plan import loose_plan
 from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
+from falsework.search.margins.demands import Demands, MarginOracle
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_source import structure_of_plan
 from tests.robots.plans.conftest import boxes, make_cell
@@ -94,6 +96,18 @@ def test_a_group_that_falls_apart_in_the_air_is_no_plan(strong: Cell) -> None:
     assert report.states is not None
     assert not report.good
     assert "do not leave together" in report.states.reason
+
+
+def test_groups_keep_margins_and_what_is_changed_after_they_were_joined(shelf: Assembly) -> None:
+    """Loads of a margin are of the joined parts; friction and props outlast another change."""
+    joined = join_parts(shelf, [("top-3", "top-2")])
+    state = complete_state(joined.boundary)[None]
+    for demands, kept in ((Demands(tilt=0.02), True), (Demands(horizontal=0.02), True), (Demands(tilt=1.0), False)):
+        assert MarginOracle(joined, demands=demands).keeps(state).tolist() == [kept]
+    assert joined.at_friction(0.4).replace(name="other").friction == 0.4
+    propped = with_props(joined, prop_places(joined))
+    assert propped.props
+    assert propped.replace(density=700.0).props == propped.props
 
 
 def test_states_of_parts_and_groups(shelf: Assembly) -> None:

@@ -31,6 +31,7 @@ from falsework.assembly.props import keep_props
 from falsework.errors import AssemblyError, InputError, PlanError
 from falsework.interop.tracks import tracks_of
 from falsework.search.beam.state_search import StateSearch
+from falsework.search.margins.demands import Demands, MarginOracle
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import load_plan, plan_from_dict, plan_to_dict, save_plan
 from falsework.search.plans.plan_model import plan_schema
@@ -171,6 +172,24 @@ def test_a_plan_has_only_the_props_that_it_uses(propped_arch: Assembly) -> None:
     assert not plan.allow_regrasp
     assert plan.identity == arch.identity
     assert np.array_equal(plan.states, plain.states)
+
+
+def test_a_plan_without_some_props_keeps_what_was_found_of_it(propped_arch: Assembly) -> None:
+    """Here of a route that uses none: that it stands under changed settings, and the margins that it was to keep."""
+    demands = Demands(friction=1.05)
+    arch = keep_props(propped_arch, [])
+    plain = find_plans(arch, robots=2, forces=False).plans[0]
+    assert plain.replay is not None
+    assert plain.replay.varied
+    away = np.zeros((len(plain.states), len(propped_arch.props)), dtype=np.uint8)
+    route = Route.from_states(np.concatenate([plain.route.states, away], axis=1))
+    task = make_task(propped_arch, 2, allow_regrasp=True, props=1)
+    oracle = MarginOracle(propped_arch, demands=demands)
+    plan = prove_route(route, propped_arch, task, oracle, replay=plain.replay)
+    assert plan.replay is not None
+    assert plan.replay.varied
+    assert plan.margins is not None
+    assert plan.margins.demands == demands
 
 
 def test_files_of_props(propped: Plan, tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ import pytest
 from msgspec import structs
 from numpy.typing import NDArray
 
-from falsework import Assembly, StabilityOracle, StabilitySettings
-from falsework.assembly import complete_state
+from falsework import Assembly, StabilityOracle, StabilitySettings, find_plans
+from falsework.assembly import Joints, Loads, complete_state
 from falsework.errors import InputError
 from falsework.stability import HoldSettings
 from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate, StepProof
@@ -121,7 +121,52 @@ def test_a_hold_that_takes_over_from_what_is_removed_settles_too(scenes: Any) ->
     assert all(proof.residual <= 1e-4 for proof in proofs_of(tower, states, replay.presses, holds))
 
 
+@pytest.mark.parametrize("sets", [False, True])
+def test_a_hold_from_which_a_glued_block_is_taken_springs_back(scenes: Any, sets: bool) -> None:
+    """By `W / k`, too, where the glue is of a kind that sets, and has."""
+    boxes = [scenes.box([0, 0, k], [1, 1, k + 1]) for k in (1, 2)]
+    boxes += [scenes.box([5, 0, k], [6, 1, k + 1]) for k in (0, 1)]  # to wait for the glue
+    chain, stiffness = scenes.make([*boxes, scenes.box([-1, -1, -1], [7, 2, 0])], [4]), 1e8
+    weight, setting = weight_of(chain, 0), [((0, 0), (2, 1))] if sets else []
+    glue = Joints.from_arrays(chain.contacts, tension=5 * weight, cohesion=5 * weight, setting=setting)
+    chain, holds = chain.replace(joints=glue), HoldSettings(stiffness=stiffness)
+    route = [[0, 2, 0, 0], [2, 2, 0, 0], [2, 2, 2, 0], [2, 2, 1, 0], [2, 2, 1, 2], [1, 2, 1, 2], [0, 2, 1, 2]]
+    states = np.array([[*state, 2] for state in route], np.uint8)
+    replay = Replayer(chain, settings(holds)).replay(states)
+    assert replay.good
+    risen = replay.histories[-1].displacement[1, 2] - replay.histories[-2].displacement[1, 2]
+    np.testing.assert_allclose(risen, weight / stiffness, rtol=1e-3)
+    assert all(proof.residual <= 1e-4 for proof in proofs_of(chain, states, replay.presses, settings(holds)))
+
+
+@pytest.mark.parametrize("holds", [HoldSettings(), HoldSettings(stiffness=1e8)])
+def test_what_gives_way_comes_to_rest_anew_as_the_glue_sets(scenes: Any, holds: HoldSettings) -> None:
+    """A bracket on ductile glue that is pulled to its limit, while blocks are only held elsewhere."""
+    walls = [scenes.box([-1, 0, -1], [0, 1, 0.25]), scenes.box([-1, 0, 0.25], [0, 1, 2])]
+    boxes = [scenes.box([0, 0, 0], [1, 1, 0.5]), scenes.box([5, 0, 0], [6, 1, 1]), scenes.box([4, -1, -1], [7, 2, 0])]
+    yard = scenes.make([*boxes, *walls], [2, 3, 4])
+    weight = weight_of(yard, 0)
+    sets = [((0, 0), (1, 0.1), (5, 0.5), (20, 1))]
+    glue = Joints.from_arrays(yard.contacts, tension=30 * weight, cohesion=20 * weight, ductile=True, setting=sets)
+    yard = yard.replace(joints=glue)
+    states = np.array([[*state, 2, 2, 2] for state in ([0, 0], [2, 0], [2, 0], [1, 0], [1, 2], [1, 2])], np.uint8)
+    replay = Replayer(yard, settings(holds)).replay(states)
+    assert replay.good
+    assert all(proof.residual <= 1e-4 for proof in proofs_of(yard, states, replay.presses, settings(holds)))
+
+
 # Limits
+
+
+def test_a_robot_does_not_hold_a_part_whose_load_is_beyond_its_force(scenes: Any) -> None:
+    """Neither a replay nor a search places it, since no proof of that would be accepted."""
+    tower, load = scenes.tower(2), np.zeros((3, 6))
+    load[1, 2] = -60 * weight_of(tower, 1)
+    loaded = tower.replace(loads=Loads.from_arrays(3, wrench=load))
+    replay = Replayer(loaded).replay(np.array([[0, 0, 2], [2, 0, 2], [1, 0, 2], [1, 2, 2]], np.uint8))
+    assert replay.stands.tolist() == [RESTS, RESTS, RESTS, OVERLOADS]
+    assert replay.part[-1] == 1
+    assert not find_plans(loaded, robots=1).found
 
 
 @pytest.mark.parametrize(("weights", "stands"), [(1.9, OVERLOADS), (2.1, RESTS)])
@@ -377,6 +422,24 @@ def test_a_build_by_other_robots_is_refused(scenes: Any, holds: dict[str, float]
     proof = last_proof(tower, replace(of.claim, holds=HoldSettings(**other)), ON_HELD, steps)  # type: ignore[arg-type]
     assert proof.reason.startswith(reason)
     assert proof.residual == np.inf
+
+
+@pytest.mark.parametrize("stiffness", [1e8, np.inf])
+@pytest.mark.parametrize("before", [0, 1])
+def test_a_certificate_may_not_push_a_part_as_a_robot_takes_it(scenes: Any, stiffness: float, before: int) -> None:
+    """Neither one that it places, nor one that stands; nor may it lift the ground."""
+    tower, of = scenes.tower(2), settings(HoldSettings(stiffness=stiffness))
+    states = np.array([[1, before, 2], [1, 2, 2]], np.uint8)
+    steps = list(Replayer(tower, of).certificates(states, [(), ()]))
+    assert last_proof(tower, of.claim, states, steps).residual <= of.tolerance
+    pushed, lifted = (steps[1].displacement.copy() for _ in range(2))
+    pushed[0, :2, 2] -= 1e-6, 2e-6  # both joints are alike, so that the lower block stays in equilibrium
+    lifted[0, 2, 2] += 1e-6
+    last = last_proof(tower, of.claim, states, [steps[0], steps[1]._replace(displacement=pushed)])
+    assert last.residual == np.inf
+    assert "block-1" in last.reason
+    last = last_proof(tower, of.claim, states, [steps[0], steps[1]._replace(displacement=lifted)])
+    assert last.forces == pytest.approx(last_proof(tower, of.claim, states, steps).forces)
 
 
 def test_a_moment_beyond_the_limit_is_refused(pressed: Any) -> None:

@@ -16,10 +16,11 @@ from settling import replay_by_discrete_elements, settle
 
 import falsework.stability.judges
 from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, Verdict, find_plans, load_structure
-from falsework.assembly import complete_state, library
+from falsework.assembly import Loads, complete_state, library
 from falsework.errors import InputError, StateError
 from falsework.geometry import TriangleMesh
 from falsework.stability import HoldSettings
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.holds import HoldMode, Press
 from falsework.stability.judges import discrete_elements
 from falsework.stability.judges.discrete_elements import Build, BuildJudge, DiscreteElementSettings
@@ -402,6 +403,16 @@ def test_a_judge_names_what_falls(scenes: Any) -> None:
     assert judgement == Judgement(2, 3, falls_at=2, part=1)
     assert not judgement.stands
     assert judgement.to_dict() == {"built": 2, "of": 3, "falls_at": 2, "part": 1, "undecided": []}
+
+
+@pytest.mark.parametrize(("gravity", "stands"), [(9.81, True), (1.62, False)])
+def test_a_judge_knows_the_gravity(scenes: Any, gravity: float, stands: bool) -> None:
+    """A force that friction bears on the earth pushes the block away on the moon."""
+    tower, load = scenes.tower(1, friction=0.5), np.zeros((2, 6))
+    load[0, 0] = 0.2 * 9.81 * tower.mass.mass[0]
+    loaded = tower.replace(loads=Loads.from_arrays(2, wrench=load))
+    assert BuildJudge(loaded, gravity=gravity).judge([[2, 2], [1, 2]], [()] * 2).stands == stands
+    assert Replayer(loaded, StabilitySettings(gravity=gravity)).replay([[2, 2], [1, 2]]).good == stands
 
 
 def test_the_judges_share_nothing_with_the_solvers() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import falsework as fw
 from falsework import StabilityOracle, StabilitySettings, load_structure, verify_certificates
 from falsework.assembly import Joints, Loads, complete_state
 from falsework.errors import InputError
@@ -159,6 +160,14 @@ def test_a_robot_bears_what_its_part_weighs_and_what_leans_on_it(scenes: Any) ->
     np.testing.assert_allclose(alone.force, [0, 0, weight], atol=1e-9 * weight)
     np.testing.assert_allclose(under.force, [0, 0, 2 * weight], atol=1e-3 * weight)
     assert under.moment_nm < 1e-3 * weight
+
+
+def test_margins_of_a_plan_are_those_under_its_gravity(scenes: Any) -> None:
+    tower, pushes = scenes.tower(2), []
+    for gravity in (9.81, 1.62):
+        plan = fw.find_plans(tower, robots=1, stability=StabilitySettings(gravity=gravity)).plans[0]
+        pushes.append(fw.margins(tower, plan, ["push"])[-1].push)
+    assert pushes[1].value == pytest.approx(1.62 / 9.81 * pushes[0].value, rel=1e-2)
 
 
 def test_a_held_block_carries_a_moment(scenes: Any) -> None:

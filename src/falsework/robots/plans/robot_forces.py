@@ -5,7 +5,7 @@ Robots press in assembly, while another robot lets go of its part. All exports r
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -219,11 +219,10 @@ def grip_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[GripLoad
 
 def _borne(plan: Plan, assembly: Assembly) -> list[dict[int, Array]]:
     """Return for each stable state the wrench that a robot bears on each held part, about its centre of mass, (6,)."""
-    states, settings = plan.states, StabilitySettings(criterion=plan.claim.criterion)
+    states, settings = plan.states, StabilitySettings.from_claim(plan.claim)
     if settings.criterion == "equilibrium":
         found = StabilityOracle(assembly, settings).margins(states, ("held",))
         return [{load.part: np.concatenate([load.force, load.moment]) for load in state.held} for state in found]
-    settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
     verifier, borne = BuildVerifier(assembly, settings.claim), [dict[int, Array]() for _ in states]
     steps = Replayer(assembly, settings).certificates(states, plan.presses_before)
     for row, (state, step) in enumerate(zip(states, steps, strict=False)):

@@ -272,6 +272,5 @@ def _check_range(name: str, value: float, place: str) -> None:
 
 def _accelerated(assembly: Assembly, vector: NDArray[np.float64]) -> Assembly:
     own = assembly.loads or Loads.from_arrays(assembly.part_count)
-    return assembly.replace(
-        loads=Loads.from_arrays(assembly.part_count, wrench=own.wrench, acceleration=own.acceleration + vector)
-    )
+    loads = Loads.from_arrays(assembly.part_count, wrench=own.wrench, acceleration=own.acceleration + vector)
+    return replace(assembly, loads=loads)  # in this form also where parts are joined

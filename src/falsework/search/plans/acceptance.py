@@ -42,7 +42,7 @@ class Acceptance:
         if judge and replayer is not None:
             from falsework.stability.judges.discrete_elements import BuildJudge
 
-            self._judge = BuildJudge(replayer.assembly, replayer.settings.holds)
+            self._judge = BuildJudge(replayer.assembly, replayer.settings.holds, replayer.settings.gravity)
         self._replayer, self._plain, self._variations = replayer, None, None
         self._loads: list[tuple[HoldLoad, ...]] = []
         """What robots bear in the states of the last route, as far as it was tested."""

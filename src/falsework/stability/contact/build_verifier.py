@@ -89,17 +89,19 @@ class BuildVerifier:
         there, was = law.geometry.present(state), law.geometry.present(before)
         if self._before is not None:
             self._age = np.where(there & was, self._age + 1, 0)
-        steps = certificate.displacement * (state != REMOVED)[None, :, None]
+        steps = certificate.displacement * ((state != REMOVED) & ~assembly.immovable)[None, :, None]
         sound = bool(np.isfinite(steps).all())
         steps = steps if sound else np.zeros_like(steps)
         torn = certificate.torn if len(certificate.torn) else np.zeros(law.points, dtype=bool)
         strength = law.whole.at(torn, self._age, assembly.joints)
         springs, forces = (np.where((there & was)[:, None], kept, 0.0) for kept in (self._springs, self._forces))
+        held = np.flatnonzero((state == HELD) & ~assembly.immovable)
+        taken = held[before[held] != HELD]  # it came with its robot, or its robot takes it as it is
+        self._borne[taken] = -(law.geometry.wrenches_on(taken, law.forces(springs, strength)) + self._loads[taken])
         points = law.points_of(steps, there)
         springs[points], forces[points], whole = law.follow(springs[points], steps, points, strength.take(points), torn)
         moved = np.where(((before != REMOVED) & (state != REMOVED))[:, None], self._moved, 0.0) + steps.sum(axis=0)
         residual = self._residual.step(state, forces)
-        held = np.flatnonzero((state == HELD) & ~assembly.immovable)
         borne = np.zeros_like(moved)
         borne[held] = -(law.geometry.wrenches_on(held, forces) + self._loads[held])
         farthest = float(np.abs(moved[:, :3]).max(initial=0.0))
@@ -145,8 +147,6 @@ class BuildVerifier:
                     f"the robot that holds {name} bears {format_quantity(float(force), 'force', 4)} and "
                     f"{format_quantity(float(moment), 'moment', 4)}, more than it can"
                 )
-            if not held[part]:
-                continue  # it came with its robot, or its robot takes it as it is
             turned = np.concatenate([step[part, :3], inertia[part] @ step[part, 3:] / mass[part]])
             off, strayed = self._off(added.get(part), turned, borne[part] - self._borne[part], gyration[part])
             if strayed:
@@ -197,6 +197,10 @@ class _Law:
         """Return the largest compression of a contact point at spring forces of shape (points, 3), m, shape ()."""
         return (springs[:, 0] / self._stiffness[:, 0]).max(initial=0.0)
 
+    def forces(self, springs: Array, strength: Strength) -> Array:
+        """Return the contact forces at spring forces, shapes (points, 3)."""
+        return into_cone(springs[None], strength, self._cone)[0][0]
+
     def points_of(self, steps: Array, there: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Return the contact points whose springs may change in increments of shape (increments, parts, 6).
 
@@ -224,6 +228,6 @@ class _Law:
         for step in steps:
             trial = springs - self._stiffness[points] * (motion @ step.ravel()).reshape(-1, 3)
             broken = broken or bool((tears & (trial[:, 0] < -TEARS * strength.pull)).any())
-            force = into_cone(trial[None], strength, self._cone)[0][0]
+            force = self.forces(trial, strength)
             springs = np.column_stack([trial[:, 0], force[:, 1:]])
         return springs, force, not broken

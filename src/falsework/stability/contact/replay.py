@@ -176,7 +176,8 @@ class Replayer:
                 near = near + self._touches @ near
             local = np.where((state == INSTALLED) & (near == 0), HELD, state).astype(np.uint8)
             forces = (history.springs * self.problem.force_scale[:, None])[None]
-            springs = springs_at(self.assembly, local[None], forces, self.settings.claim)
+            strength = self.problem.strength.at(history.torn, history.age, self.assembly.joints)
+            springs = springs_at(self.assembly, local[None], forces, self.settings.claim, strength)
             if self._second_order.growing_motion(local, history.displacement, springs) is not None:
                 return row
         return None
@@ -284,7 +285,7 @@ class Replayer:
         noise = np.zeros((self.problem.points, 2))
         if replay.friction_noise:
             rng = np.random.default_rng(replay.seed)
-            mass = self.assembly.mass.mass[~self.assembly.boundary]
+            mass = self.assembly.mass.mass[~self.assembly.immovable]
             typical = self.problem.friction * self.settings.gravity * (mass.mean() if len(mass) else 0.0) / 8
             angle = rng.uniform(0, 2 * np.pi, self.problem.points)
             size = replay.friction_noise * typical * rng.uniform(0, 1, self.problem.points)

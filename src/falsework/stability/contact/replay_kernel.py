@@ -132,24 +132,44 @@ def place_new(structure, before, state, noise, history):
 
 
 @njit(cache=True)
-def lose_carriers(structure, before, state, history, lost):
-    """Write the whitened wrenches by which parts that a step removes carry parts that stay held, shape (parts, 6).
+def lose_carriers(structure, before, state, was, history, lost):
+    """Write by how much less contacts carry parts that stay held, whitened wrenches of shape (parts, 6).
 
-    The history is that of the state before; other arguments as in `place_new`.
+    They do where a step removes a part, or where a joint that gives way has set further.
+
+    Args:
+        was: the history of the state before.
+        history: the same springs with the strength that contact points have now.
     """
-    removes, whole = False, np.empty(6)
+    sets, whole = len(history.set_share) > 0, np.empty(6)
+    kept = np.minimum(before, state)
     for part in range(len(state)):
-        removes = removes or (before[part] != 0 and state[part] == 0)
+        sets = sets or (before[part] != 0 and state[part] == 0)
         for r in range(6):
             lost[part, r] = 0.0
-    if not removes:
-        return
-    for part in range(len(state)):
+    for part in range(len(state) if sets else 0):
         if before[part] == 2 and state[part] == 2 and structure.elimination.position[part] >= 0:
-            hold_wrench(structure, before, part, history, whole)
-            hold_wrench(structure, state, part, history, lost[part])
+            hold_wrench(structure, before, part, was, whole)
+            hold_wrench(structure, kept, part, history, lost[part])
             for r in range(6):
                 lost[part, r] -= whole[r]
+
+
+@njit(cache=True)
+def gains_strength(structure, kept, was, history):
+    """Return whether a contact point that gives way between parts that stay has set further, and so bears more.
+
+    Args:
+        kept: 0 for parts that do not stay, shape (parts,).
+        was, history: as in `lose_carriers`.
+    """
+    for q in range(len(structure.pair_parts) if len(history.set_share) else 0):
+        if kept[structure.pair_parts[q, 0]] != 0 and kept[structure.pair_parts[q, 1]] != 0:
+            for j in range(structure.pair_start[q], structure.pair_start[q + 1]):
+                weak = history.springs[j, 0] < -was.set_share[j] * structure.pull[j]
+                if weak and not history.torn[j] and history.set_share[j] > was.set_share[j]:
+                    return True
+    return False
 
 
 @njit(cache=True)
@@ -163,14 +183,13 @@ def settle_step(law, before, state, press_part, press_wrench, lost, options, inc
         before, state: shape (parts,).
         press_part, press_wrench: held parts that robots press, and the whitened wrenches that they add, shapes (n,)
             and (n, 6).
-        lost: whitened wrenches by which what the step removes carried held parts, shape (parts, 6).
+        lost: whitened wrenches by which contacts carry held parts less, see `lose_carriers`.
         increments: in how many the missing wrenches are transferred; all of gravity where the history is empty.
         history: `HistoryArrays`.
         track: out: displacement in each increment, m and rad, shape (increments, parts, 6); zero before.
 
     Returns:
-        `RESTS`, `MOVES_AWAY`, `OVERLOADS` or `OPEN`; residual; iterations; the part that moved most, or whose robot
-        bears too much, and the largest movement in m.
+        `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations; the part that moved most, and its movement in m.
     """
     structure, work = law.structure, contact.work
     moving, origin, near = np.empty_like(state), np.empty_like(state), np.empty_like(state)
@@ -245,10 +264,6 @@ def settle_step(law, before, state, press_part, press_wrench, lost, options, inc
                 part, movement = i, moved
     if result == RESTS and moves_far(law, contact, pairs, movement):
         result = MOVES_AWAY
-    if result == RESTS:
-        strained = overloaded(law, state, history)
-        if strained >= 0:
-            result, part = OVERLOADS, strained
     return result, residual, spent, part, movement
 
 
@@ -284,9 +299,10 @@ def replay_range(
                 for k in range(3):
                     springs[i, j, k] = springs[i - 1, j, k]
                 torn[i, j] = torn[i - 1, j]
-            lose_carriers(law.structure, states[i - 1], states[i], history, lost)
+            was = HistoryArrays(displacement[i], springs[i], torn[i], set_share[i - 1])
+            lose_carriers(law.structure, states[i - 1], states[i], was, history, lost)
+            settles = gains_strength(law.structure, np.minimum(states[i - 1], states[i]), was, history)
             place_new(law.structure, states[i - 1], states[i], noise, history)
-            settles = False
             for p in range(states.shape[1]):
                 # Holding a part changes nothing; releasing or removing one does.
                 settles = settles or (states[i, p] != states[i - 1, p] and states[i, p] != 2)
@@ -297,8 +313,11 @@ def replay_range(
                 law, states[max(i - 1, 0)], states[i], press_part[first:last], press_wrench[first:last], lost, options,
                 increments, contact, history, track[i],
             )  # fmt: skip
-            if result[i] != RESTS:
-                return i
         elif i > 0:
             part[i], movement[i] = part[i - 1], movement[i - 1]
+        strained = overloaded(law, states[i], history) if result[i] == RESTS else -1
+        if strained >= 0:  # by its own load, perhaps, as soon as the part is held
+            result[i], part[i] = OVERLOADS, strained
+        if result[i] != RESTS:
+            return i
     return len(states)

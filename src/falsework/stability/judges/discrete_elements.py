@@ -97,6 +97,7 @@ class Build:
         assembly: Assembly,
         settings: DiscreteElementSettings = DiscreteElementSettings(),
         holds: HoldSettings = HoldSettings(),
+        gravity: float = GRAVITY,
     ) -> None:
         """Lay out the structure.
 
@@ -104,15 +105,16 @@ class Build:
             settings: springs of contacts, damping and step limit.
             holds: stiffness and mode of the robots; the stiffness with which one presses is at most `PRESS_STIFFNESS`.
                 Their limits are not checked.
+            gravity: m/s2.
 
         Raises:
             InputError: a structure with joints.
         """
         if assembly.joints is not None:
             raise InputError("the discrete-element method does not support joints; replay by the contact law instead")
-        self._assembly, self._settings, self._holds = assembly, settings, holds
+        self._assembly, self._settings, self._holds, self._gravity = assembly, settings, holds, gravity
         loose = ~assembly.boundary
-        self._weight = float(GRAVITY * assembly.mass.mass[loose if loose.any() else slice(None)].mean())
+        self._weight = float(gravity * assembly.mass.mass[loose if loose.any() else slice(None)].mean())
         boxes = np.array([np.ptp(mesh.bounds, axis=0) for mesh in assembly.meshes])
         self._size = float(np.median(boxes.max(axis=1)))
         contacts = assembly.contacts.flat()  # curved contacts are one contact a point from here on
@@ -177,9 +179,9 @@ class Build:
             arm_a=(middle - mass.center[contacts.parts[:, 0]]) / size,
             arm_b=(middle - mass.center[contacts.parts[:, 1]]) / size,
             local=np.einsum("pij,pj->pi", contacts.frames[owner], contacts.points - middle[owner]) / size,
-            stiffness=self._settings.stiffness * normal_stiffness(assembly) * size / weight,
-            weight=np.ascontiguousarray(GRAVITY * mass.mass / weight),
-            applied=assembly.applied_wrench(GRAVITY) / (weight * np.repeat([1.0, size], 3)),
+            stiffness=self._settings.stiffness * normal_stiffness(assembly, self._gravity) * size / weight,
+            weight=np.ascontiguousarray(self._gravity * mass.mass / weight),
+            applied=assembly.applied_wrench(self._gravity) / (weight * np.repeat([1.0, size], 3)),
             radius=np.linalg.norm(boxes, axis=1) / (2 * size),
             gyration=mass.inertia / (mass.mass[:, None, None] * size**2),
             friction=float(assembly.friction),
@@ -189,9 +191,9 @@ class Build:
 class BuildJudge:
     """Judge of plans, which builds each from where it differs from the one before."""
 
-    def __init__(self, assembly: Assembly, holds: HoldSettings = HoldSettings()) -> None:
-        """Lay out the structure, with stiffness and mode of the robots; see `Build`."""
-        self._assembly, self._build = assembly, Build(assembly, holds=holds)
+    def __init__(self, assembly: Assembly, holds: HoldSettings = HoldSettings(), gravity: float = GRAVITY) -> None:
+        """Lay out the structure, with stiffness and mode of the robots, under a gravity; see `Build`."""
+        self._assembly, self._build = assembly, Build(assembly, holds=holds, gravity=gravity)
         self._steps: list[tuple[bytes, tuple[Press, ...]]] = []
         self._answers: list[tuple[int, float, int]] = []
         self._kept: dict[int, ContactForces] = {}

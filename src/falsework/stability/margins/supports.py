@@ -32,7 +32,7 @@ def held_loads(prober: Prober, state: States, start: Answer) -> tuple[HeldLoad, 
         state: shape (parts,).
         start: the stable answer for the unmodified state.
     """
-    held = np.flatnonzero((state == HELD) & ~prober.assembly.boundary)
+    held = np.flatnonzero((state == HELD) & ~prober.assembly.immovable)
     net = prober.problem.gravity_wrench + prober.contact_wrench(state, prober.forces(state, start))
     return tuple(HeldLoad(int(part), *(triple(-net[part, rows]) for rows in (slice(3), slice(3, 6)))) for part in held)
 

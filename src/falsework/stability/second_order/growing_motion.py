@@ -50,7 +50,7 @@ class SecondOrder:
         self.firm: set[bytes] = set()
         """States with a rest position from which no motion was found to grow."""
         geometry = self._geometry = geometry_of(assembly.contacts, assembly.mass)
-        self._axes = assembly.contacts.frames[assembly.contacts.contact_of_point]
+        self._axes = assembly.contacts.point_frames
         points, parts = len(self._axes), assembly.part_count
         self._friction = strength_of(assembly, claim.gravity, claim.reserve).friction
         self._motion = geometry.motion.data.reshape(points, 3, 12)

@@ -50,7 +50,7 @@ def growth_of_motion(
         springs = springs_of_displacement(assembly, states, np.where(free, displacement, 0.0), claim)
     motion = np.where(free, motion, 0.0)
     geometry, mass, contacts = geometry_of(assembly.contacts, assembly.mass), assembly.mass, assembly.contacts
-    axes = contacts.frames[contacts.contact_of_point]
+    axes = contacts.point_frames
     relative = geometry.relative(motion)
     normal = np.where(springs.closed, relative[..., 0], 0.0)
     normal += np.where(closing_points(assembly, springs, motion, relative), relative[..., 0], 0.0)

@@ -20,7 +20,9 @@ Array = NDArray[np.float64]
 ROUNDING = 1e-9
 """Largest distance of a force from its cone, as a share of the force and of the structure's weight; such a force
 is moved into the cone before the residual is computed."""
-
+CLOSES = 1e-12
+"""Least share of a motion by which it closes an open point, above rounding: stiff contacts bear light parts by far less
+than `ROUNDING` of what these move."""
 
 _size = lru_cache(maxsize=4)(structure_size)
 
@@ -68,16 +70,19 @@ def springs_of_displacement(
     return springs_at(assembly, states, -both * relative, claim)
 
 
-def springs_at(assembly: Assembly, states: States, springs: Array, claim: StabilityCriterion) -> Springs:
+def springs_at(
+    assembly: Assembly, states: States, springs: Array, claim: StabilityCriterion, strength: Strength | None = None
+) -> Springs:
     """Return the contact points of states whose spring forces are known, with or without history.
 
     Args:
         states: shape (batch, parts).
         springs: spring forces `(n, t1, t2)` in N, negative normal ones where points are open, shape (batch, points, 3).
         claim: cone, gravity, tolerance, stiffness ratio and reserve.
+        strength: of the contact points, where joints have torn or not set yet.
     """
     geometry, stiffness = geometry_of(assembly.contacts, assembly.mass), normal_stiffness(assembly, claim.gravity)
-    strength = strength_of(assembly, claim.gravity, claim.reserve)
+    strength = strength or strength_of(assembly, claim.gravity, claim.reserve)
     normal, tangent = springs[..., 0], springs[..., 1:]
     whole = ~strength.tears | (normal >= -TEARS * strength.pull)
     forces, outside = into_cone(springs, strength, claim.cone)
@@ -110,7 +115,7 @@ def closing_points(assembly: Assembly, springs: Springs, motion: Array, relative
     limit = MOVEMENT * _size(assembly)
     return (
         springs.open
-        & (relative[..., 0] < -ROUNDING * moved[:, None])
+        & (relative[..., 0] < -CLOSES * moved[:, None])
         & (springs.gap * moved[:, None] <= -relative[..., 0] * limit)
     )
 
