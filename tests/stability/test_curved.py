@@ -195,6 +195,8 @@ def test_what_tips_in_a_trough_does_not_depend_on_how_its_points_are_grouped(pai
     verdicts = StabilityOracle(curved).verdicts(STATE, require_certificate=True)
     assert verdicts.tips[0]
     assert curved.contacts.curved is not None
+    assert verdicts.displacement is not None
+    assert verdicts.velocity is not None
     proof = STATE, verdicts.displacement, verdicts.velocity, StabilitySettings().claim
     grown = [growth_of_motion(some, *proof) for some in (curved, replace(curved, contacts=curved.contacts.flat()))]
     assert grown[0] == pytest.approx(grown[1], rel=1e-9)

@@ -77,7 +77,7 @@ def corner_down(scenes: Any) -> TriangleMesh:
 def test_a_thin_plate_tips_away_from_a_wall_that_it_touches(scenes: Any, thick: float, scale: float) -> None:
     """The wall is so much stiffer than the plate is heavy that it bears the foot by almost no motion."""
     corners = [([0, 0, 0], [thick, 1, 2]), ([-3, -1, -1], [3, 2, 0]), ([-1, 0, 0], [0, 1, 2])]
-    boxes = [box(scenes, scale * np.array(low), scale * np.array(high)) for low, high in corners]
+    boxes = [box(scenes, [scale * x for x in low], [scale * x for x in high]) for low, high in corners]
     assert verdict_of(scenes.make(boxes, [1, 2], friction=0.5)) is Verdict.TIPS
 
 
