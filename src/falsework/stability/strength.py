@@ -51,9 +51,13 @@ class Strength(NamedTuple):
 
     def at(self, torn: NDArray[np.bool_], age: NDArray[np.int32], joints: Joints | None) -> Strength:
         """Return the strength where points have torn, or joints not yet set at their age in steps, shape (points,)."""
-        share = np.where(torn, 0.0, 1.0)
-        if joints is not None and joints.setting:
-            share = share * joints.set_share(age[None])[0]
+        if joints is None or not joints.setting:
+            return self.reached(torn, np.zeros(0))
+        return self.reached(torn, joints.set_share(age[None])[0])
+
+    def reached(self, torn: NDArray[np.bool_], set_share: Array) -> Strength:
+        """Return the strength where points have torn, or reached a share of theirs, shape (points,), or (0,) if all."""
+        share = np.where(torn, 0.0, set_share if len(set_share) else 1.0)
         return self._replace(pull=share * self.pull, stick=share * self.stick)
 
 

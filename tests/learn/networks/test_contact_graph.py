@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from falsework import Assembly, load_structure
+from falsework.assembly import Joints
 from falsework.geometry import TriangleMesh
 from falsework.learn import PolicySettings, make_policy, transfer
 from falsework.learn.networks.contact_graph import MOST_NEIGHBOURS, ContactGraph
@@ -34,6 +35,19 @@ def test_features_are_finite_and_of_moderate_size(name: str) -> None:
         assert np.abs(array).max() < 10
     assert not graph.pair[~graph.taken].any()
     np.testing.assert_allclose(graph.pair[~graph.boundary, :, 0].sum(axis=1), 1.0, rtol=1e-5, err_msg="shares of area")
+
+
+def test_a_pair_has_the_friction_of_its_joint() -> None:
+    """Joints have one coefficient a point, or none; with that of the structure everywhere, they change nothing."""
+    dome = load_structure("dome:rings=2,blocks=5")
+    plain = ContactGraph.from_assembly(dome)
+    for friction in (np.nan, dome.friction):
+        same = dome.replace(joints=Joints.from_arrays(dome.contacts, friction=friction))
+        np.testing.assert_array_equal(ContactGraph.from_assembly(same).pair, plain.pair)
+    rough = dome.replace(joints=Joints.from_arrays(dome.contacts, friction=0.9))
+    np.testing.assert_array_equal(
+        ContactGraph.from_assembly(rough).pair, ContactGraph.from_assembly(dome.replace(friction=0.9)).pair
+    )
 
 
 @pytest.mark.parametrize("angle", [0.3, np.pi / 2, 4.0])

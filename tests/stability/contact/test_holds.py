@@ -269,6 +269,19 @@ def test_robots_that_may_not_press_do_not(scenes: Any, holds: HoldSettings) -> N
     assert not holds.presses
 
 
+@pytest.mark.parametrize("mode", [HoldMode.FORCE, HoldMode.HYBRID])
+def test_robots_press_what_glue_does_not_hold_yet(scenes: Any, mode: HoldMode) -> None:
+    """With as much force as on a dry joint."""
+    dry, states = beside_wall(scenes), np.array([[0, 0, 2], [2, 0, 2], [2, 2, 2], [1, 2, 2]], np.uint8)
+    strong = 50 * weight_of(dry, PLATE)
+    glue = Joints.from_arrays(dry.contacts, tension=strong, cohesion=strong, setting=[((0, 0), (5, 0), (6, 1))])
+    of = settings(HoldSettings(mode=mode))
+    found = [Replayer(assembly, of).replay(states) for assembly in (dry, dry.replace(joints=glue))]
+    assert all(replay.good for replay in found)
+    (one,), (other,) = (replay.presses[-1] for replay in found)
+    np.testing.assert_allclose(other.wrench, one.wrench, rtol=1e-6, atol=1e-6 * one.force)
+
+
 def test_robots_that_are_too_weak_do_not_find_a_press(scenes: Any) -> None:
     assembly = beside_wall(scenes, friction=0.5)
     weak = settings(HoldSettings(stiffness=1e4, force=1.9 * weight_of(assembly, PLATE)))  # two weights are needed

@@ -405,6 +405,26 @@ def test_a_judge_names_what_falls(scenes: Any) -> None:
     assert judgement.to_dict() == {"built": 2, "of": 3, "falls_at": 2, "part": 1, "undecided": []}
 
 
+@pytest.mark.parametrize("off", [-0.02, 0.02])
+@pytest.mark.parametrize(("lean", "slope"), [(0.0, 0.3), (0.1, 0.3), (0.2, 0.1)])
+def test_a_block_between_inclined_surfaces_slides_past_what_is_left_of_friction(
+    scenes: Any, lean: float, slope: float, off: float
+) -> None:
+    """At the angle of friction less that of the surfaces, as in the criterion."""
+    found = scenes.slope(slope, friction=np.tan(slope + lean + off))
+    inclined = replace(found.contacts, lean=np.full(len(found.contacts.points), lean))
+    found = replace(found, contacts=inclined)
+    assert BuildJudge(found).judge([[2, 2], [1, 2]], [()] * 2).stands == (off > 0)
+    assert Replayer(found).replay([[2, 2], [1, 2]]).good == (off > 0)
+
+
+def test_what_touches_surfaces_too_inclined_to_bear_falls(scenes: Any) -> None:
+    found = scenes.slope(0.0, friction=0.3)
+    found = replace(found, contacts=replace(found.contacts, lean=np.full(len(found.contacts.points), 0.4)))
+    judgement = BuildJudge(found).judge([[2, 2], [1, 2]], [()] * 2)
+    assert judgement.falls_at == 1
+
+
 @pytest.mark.parametrize(("gravity", "stands"), [(9.81, True), (1.62, False)])
 def test_a_judge_knows_the_gravity(scenes: Any, gravity: float, stands: bool) -> None:
     """A force that friction bears on the earth pushes the block away on the moon."""

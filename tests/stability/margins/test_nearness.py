@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -36,3 +37,18 @@ def test_a_block_near_an_edge_is_near_tipping(scenes: Any, out: float) -> None:
     assembly = scenes.make([upper, cube], [1], friction=0.5)
     half = (1 - out) / 2  # of the joint, whose middle is half of the overhang from that of the block
     assert nearness(assembly)[0] == pytest.approx((out / 2) / half, rel=1e-2)
+
+
+def test_it_does_not_depend_on_the_tangents_of_a_curved_contact(scenes: Any) -> None:
+    """Each of its points has a frame of its own, whose tangents may lie anywhere."""
+    assembly, state = scenes.slope(0.3, friction=0.5), np.array([1, 2], np.uint8)
+    settings = StabilitySettings(criterion="equilibrium", cone="quadratic")
+    verdicts = StabilityOracle(assembly, settings).verdicts(state, require_certificate=True)
+    assert verdicts.forces is not None
+    forces, contacts = verdicts.forces[0], assembly.contacts
+    turn = np.array([scenes.about_z(angle)[:2, :2] for angle in range(len(forces))])
+    frames = contacts.point_frames.copy()
+    frames[:, 1:] = turn @ frames[:, 1:]
+    other = replace(assembly, contacts=replace(contacts, curved=frames))
+    turned = np.column_stack([forces[:, 0], (turn @ forces[:, 1:, None])[:, :, 0]])
+    np.testing.assert_allclose(nearness_to_limit(other, state, turned), nearness_to_limit(assembly, state, forces))

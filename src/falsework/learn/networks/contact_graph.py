@@ -148,7 +148,10 @@ class _Pairs:
         centre /= points[:, None]
         away = ((contacts.points - centre[owner]) ** 2).sum(axis=1)
         radius = np.bincount(owner, away, len(contacts)) / points
-        friction = np.full(len(contacts), assembly.friction) if assembly.joints is None else assembly.joints.friction
+        friction = np.full(len(contacts), assembly.friction)
+        if assembly.joints is not None:
+            own = assembly.joints.friction[contacts.start[:-1]]  # the same at all points of a contact
+            friction = np.where(np.isnan(own), friction, own)
 
         ends = np.concatenate([contacts.parts, contacts.parts[:, ::-1]]).astype(np.int64)
         unique, back = np.unique(ends, axis=0, return_inverse=True)

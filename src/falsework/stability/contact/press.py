@@ -60,7 +60,7 @@ class PressPlanner:
         if not count:
             return
         index, forces = index[:count], forces[:, :count]
-        scale, strength = problem.force_scale[index], problem.strength.take(index)
+        scale, strength = problem.force_scale[index], problem.strength.reached(torn, set_share).take(index)
         forces[0, :, 0] += strength.pull / scale
         compliance = 1.0 / contact.normal[index]
         # What a rigid hold would bear keeps soft arms where they are, and is the least that a press may be.

@@ -1,12 +1,13 @@
 """Discrete-element method with explicit dynamic relaxation, as an independent stability check.
 
 Rigid parts touch at the contact points of the structure through normal springs without tension and tangential springs
-with Coulomb friction, whose force is incremental and so depends on the slip history (Cundall and Strack 1979). Local
-damping dissipates energy until the parts come to rest or move away (Cundall 1987). Displacements are small: lever arms
-and contact frames are those of the undeformed structure. Masses are scaled by the springs, not by the parts: every
-degree of freedom gets half the row sum of its stiffness, so that a unit time step is stable for all of them and
-rest is reached within a few thousand steps. A state at rest is in equilibrium under its true weight; a state that does
-not come to rest moves on until it has collapsed.
+with Coulomb friction, whose force is incremental and so depends on the slip history (Cundall and Strack 1979). Where
+the two surfaces are inclined to each other, friction must bear the force on either. Local damping dissipates energy
+until the parts come to rest or move away (Cundall 1987). Displacements are small: lever arms and contact frames are
+those of the undeformed structure. Masses are scaled by the springs, not by the parts: every degree of freedom gets half
+the row sum of its stiffness, so that a unit time step is stable for all of them and rest is reached within a few
+thousand steps. A state at rest is in equilibrium under its true weight; a state that does not come to rest moves on
+until it has collapsed.
 
 A robot that holds a part is a spring too, of the stiffness that it has, and bears what balances the part when it takes
 it. Where it presses, a wrench is added slowly to what it bears. A rigid hold fixes its part.
@@ -128,7 +129,9 @@ class Build:
         force = np.zeros((points, 3)) if forces is None else forces / self._weight
         nothing = np.zeros(parts)
         grip = JudgedHolds(nothing, np.ones(parts, bool), np.zeros((parts, 6)), np.zeros((parts, 3)), nothing.copy())
-        return ContactForces(-force[:, 0] / self._model.stiffness, force[:, 1:].copy(), grip)
+        stiffness = self._model.stiffness
+        gap = np.divide(-force[:, 0], stiffness, out=np.zeros(points), where=stiffness > 0.0)
+        return ContactForces(gap, force[:, 1:].copy(), grip)
 
     def step(self, state: States, press: dict[int, Array]) -> tuple[int, float, int]:
         """Build the next state, with the wrenches in N and N m that robots add on the way, by part.
@@ -172,6 +175,7 @@ class Build:
         middle = np.zeros((len(contacts), 3))
         np.add.at(middle, owner, contacts.points)
         middle /= np.maximum(count, 1)[:, None]
+        stiffness = self._settings.stiffness * normal_stiffness(assembly, self._gravity) * size / weight
         return Model(
             parts=np.ascontiguousarray(contacts.parts, np.int32),
             start=np.ascontiguousarray(contacts.start, np.int32),
@@ -179,12 +183,12 @@ class Build:
             arm_a=(middle - mass.center[contacts.parts[:, 0]]) / size,
             arm_b=(middle - mass.center[contacts.parts[:, 1]]) / size,
             local=np.einsum("pij,pj->pi", contacts.frames[owner], contacts.points - middle[owner]) / size,
-            stiffness=self._settings.stiffness * normal_stiffness(assembly, self._gravity) * size / weight,
+            stiffness=np.where(contacts.idle(assembly.friction), 0.0, stiffness),
             weight=np.ascontiguousarray(self._gravity * mass.mass / weight),
             applied=assembly.applied_wrench(self._gravity) / (weight * np.repeat([1.0, size], 3)),
             radius=np.linalg.norm(boxes, axis=1) / (2 * size),
             gyration=mass.inertia / (mass.mass[:, None, None] * size**2),
-            friction=float(assembly.friction),
+            friction=np.tan(np.maximum(np.arctan(assembly.friction) - contacts.point_lean, 0.0)),
         )
 
 

@@ -45,7 +45,8 @@ class Model(NamedTuple):
     """Shape (parts,)."""
     gyration: Array
     """Inertia by mass, about the centre of mass, shape (parts, 3, 3)."""
-    friction: float
+    friction: Array
+    """Coefficient of friction of each contact point, shape (points,)."""
 
 
 class JudgedHolds(NamedTuple):
@@ -99,7 +100,7 @@ def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps, f
             index[first[k] + j] = begin + j
     side_a, side_b = slot[model.parts[active, 0]], slot[model.parts[active, 1]]
     frames, arm_a, arm_b = model.frames[active], model.arm_a[active], model.arm_b[active]
-    local, stiff = model.local[index], model.stiffness[index]
+    local, stiff, rough = model.local[index], model.stiffness[index], model.friction[index]
     open_, slide = gap[index], friction[index]
     hold, turn, line, across = grip.stiffness[free], model.gyration[free], grip.line[free], grip.across[free]
     stiffest = hold.copy()
@@ -127,7 +128,7 @@ def relax(model, state, gap, friction, grip, tangential, damping, ramp, steps, f
         for k in range(len(active)):
             _contact(
                 motion[side_a[k]], motion[side_b[k]], load[side_a[k]], load[side_b[k]], frames[k], arm_a[k], arm_b[k],
-                local, stiff, open_, slide, first[k], first[k + 1], tangential, model.friction,
+                local, stiff, open_, slide, first[k], first[k + 1], tangential, rough,
             )  # fmt: skip
         for body in range(bodies):
             if hold[body] > 0.0:
@@ -284,7 +285,7 @@ def _contact(va, vb, load_a, load_b, f, ra, rb, local, stiff, gap, slide, begin,
         spring = tangential * stiff[j]
         t1 = slide[j, 0] - spring * (v1 + w2 * p0 - w0 * p2)
         t2 = slide[j, 1] - spring * (v2 + w0 * p1 - w1 * p0)
-        limit = mu * normal
+        limit = mu[j] * normal
         square = t1 * t1 + t2 * t2
         if square > limit * limit:
             cut = limit / np.sqrt(square)

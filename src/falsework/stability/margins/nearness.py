@@ -27,7 +27,8 @@ def nearness_to_limit(assembly: Assembly, state: States, forces: Array) -> Array
     contacts = assembly.contacts
     owner, count = contacts.contact_of_point, len(contacts)
     normal = np.bincount(owner, forces[:, 0], count)
-    tangent = np.hypot(np.bincount(owner, forces[:, 1], count), np.bincount(owner, forces[:, 2], count))
+    rubs = np.einsum("pi,pij->pj", forces[:, 1:], contacts.point_frames[:, 1:])  # points may have frames of their own
+    tangent = np.linalg.norm([np.bincount(owner, column, count) for column in rubs.T], axis=0)
     strength = strength_of(assembly)
     grip = np.bincount(owner, strength.friction * (forces[:, 0] + strength.pull) + strength.stick, count)
     bears = np.abs(normal) > 1e-9 * max(float(np.abs(normal).max(initial=0.0)), 1e-300)
