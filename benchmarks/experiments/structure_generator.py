@@ -18,6 +18,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments import families
+from experiments.variants import variant
 from shells import FAMILIES as SHELLS
 
 from falsework import Assembly, StabilityOracle, StabilitySettings, load_structure
@@ -32,6 +33,8 @@ _LEAST, _MOST = 3, 150
 _ROBOTS = (0.15, 0.45, 0.2, 0.2)
 """Frequencies of structures built by one, two, three and four robots."""
 _FRICTION = (0.4, 0.9)
+VARIANTS = 500_000, 1_000_000
+"""Numbers between which structures are variants of those that their families make."""
 
 
 def _size(draw: Draw, least: int, most: int) -> int:
@@ -95,11 +98,14 @@ FAMILIES: dict[str, Callable[[Draw], Assembly]] = {
     **{family.__name__: family for family in (families.opening, families.chimney, families.voronoi, families.pile)},
     **{name: SHELLS[name] for name in ("barrel", "arcade", "groin")},
     **{family.__name__: family for family in (families.frame, families.sail)},
+    **{family.__name__: family for family in (families.tower, families.cells, families.flat)},
 }
 """By name; what is drawn depends on the place in this list, so new ones come last."""
 UNSEEN = ("groin",)
 """Families that no training sees."""
-TRAINED = tuple(name for name in FAMILIES if name not in UNSEEN)
+HELD_OUT = ("tower", "cells", "flat")
+"""Families to choose by how a policy is trained: no training sees them, and they are no test."""
+TRAINED = tuple(name for name in FAMILIES if name not in (*UNSEEN, *HELD_OUT))
 """Families to train on."""
 
 
@@ -136,7 +142,10 @@ def generated(number: int, choice: tuple[str, ...] = TRAINED) -> GeneratedTask:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ContactWarning)
             try:
-                assembly = FAMILIES[family](draw).at_friction(float(draw.uniform(*_FRICTION)))
+                assembly = FAMILIES[family](draw)
+                if VARIANTS[0] <= number < VARIANTS[1]:
+                    assembly = variant(assembly, draw)
+                assembly = assembly.at_friction(float(draw.uniform(*_FRICTION)))
             except InputError:
                 continue
         if _LEAST <= int((~assembly.boundary).sum()) <= _MOST and stands(assembly, criterion):
