@@ -11,9 +11,10 @@
 that training is done. Once some training is done, the processes roll the policy out: what succeeds becomes data, and
 states from which it fails come first. `data` does the first half alone. `reinforce` goes on with reinforcement: the
 processes roll out on structures of the data, from states of a wide search of their own, and first on those where
-rollouts fail. Half of the GPUs evaluate the network for them, a process for each of the others learns.
-`evaluate` tests on structures that are not trained on, and stops in time; repeat it until no case is left. `guide`
-searches for plans with the policy as a guide, and without. `card` summarises both by groups.
+rollouts fail; in a folder with data and a run but no checkpoint, they begin with the weights of the run. Half of the
+GPUs evaluate the network for them, a process for each of the others learns. `evaluate` tests on structures that are not
+trained on, and stops in time; repeat it until no case is left. `guide` searches for plans with the policy as a guide,
+and without. `card` summarises both by groups.
 
 The folder holds `data-*.npz`, `validation.npz`, a run that other commands take (`run.json`, `weights.safetensors`), a
 checkpoint, `log.jsonl`, `evaluation.jsonl` and `guides.jsonl`; in `starts`, states of wide searches.
@@ -50,7 +51,7 @@ from experiments.labelled_states import (
     save_labelled,
 )
 from experiments.structure_batches import StructureBatches
-from experiments.structure_generator import TRAINED, VARIANTS, generated, named
+from experiments.structure_generator import TRAINED, generated, named
 from record import report, spread, write_to
 
 from falsework import Assembly, load_policy, load_structure
@@ -75,8 +76,6 @@ VALIDATE = 30.0
 """Seconds for greedy success on validation structures, at most."""
 SAVE_EVERY, RESERVE = 120.0, 40.0
 """Seconds between two times that all data are written, and for the last time at the end of a call."""
-QUICK = LabelSettings(width=8, searches=1, around=2, most=128, seconds=5.0)
-"""Effort for structures of reinforcement, which searches for states to start from by itself."""
 IMPROVE_AFTER = 0.3
 """Share of the training after which the policy is rolled out."""
 
@@ -99,12 +98,6 @@ class Options:
     """Structures to generate; from then on, or later in training, known ones are improved."""
     families: tuple[str, ...] = TRAINED
     """For `data`: families of the structures to generate."""
-    variants: bool = False
-    """For `data` and `make`: after each structure, one that is made of another one at random."""
-    quick: bool = False
-    """For `data`: fewer labels, for `reinforce` alone."""
-    entropy_left: float = GeneralPpoSettings.entropy_left
-    """For `reinforce`: share of the first weight of the entropy at the end."""
     cases: tuple[str, ...] = ()
     """For `evaluate` and `guide`: groups, or beginnings of the names of cases; all if not given."""
     layers: int = 0
@@ -187,8 +180,7 @@ class Generator:
         known = {*self.library.structures, *self.library.validation, *self.library.failed}
         valid = iter(range(VALIDATION, VALIDATION + VALIDATED))
         for place, number in enumerate(range(self.options.structures)):
-            wanted = [number, *([VARIANTS[0] + number] if self.options.variants else [])]
-            wanted += [] if place % 6 else islice(valid, 1)
+            wanted = [number] if place % 6 else [number, *islice(valid, 1)]
             yield from (one for one in wanted if one not in known)
 
     def _submit(self) -> None:
@@ -206,7 +198,7 @@ class Generator:
         if number is None:
             return
         folder = self.options.folder if self.improving else None
-        asked = number, self.options.families, known, folder, QUICK if self.options.quick else LabelSettings()
+        asked = number, self.options.families, known, folder
         self._pool.apply_async(case_label, asked, callback=self._done, error_callback=self._failed)
 
     def _done(self, answer: tuple[int, LabelledStructure | None]) -> None:
@@ -243,14 +235,13 @@ def case_label(
     families: tuple[str, ...] = TRAINED,
     known: LabelledStructure | None = None,
     folder: Path | None = None,
-    settings: LabelSettings = LabelSettings(),
 ) -> tuple[int, Any]:
     """Label one structure; with more robots, up to four, where those drawn do not suffice."""
     try:
         drawn = generated(number, (known.family,) if known else families)
     except InputError:
         return number, None
-    found = None
+    settings, found = LabelSettings(), None
     for robots in range(known.robots if known else drawn.robots, 5):
         policy = None
         if folder is not None and (folder / "run.json").exists():
@@ -351,9 +342,7 @@ def _reinforce(rank: int, learners: int, options: Options, meeting: str) -> None
     group = ProcessGroup.from_torch()
     library = Library.load(options.folder)
     training = continued(options, device)
-    settings = GeneralPpoSettings(
-        entropy_left=options.entropy_left, **({"tokens": options.tokens} if options.tokens else {})
-    )
+    settings = GeneralPpoSettings(**({"tokens": options.tokens} if options.tokens else {}))
     known, processes = list(library.structures.values()), max(options.processes // learners, 1)
     learner = GeneralPpo(
         training, known, settings, assembly_of, processes=processes, evaluated_on=evaluated_on, seed=rank

@@ -220,11 +220,18 @@ def flat(draw: Draw) -> Assembly:
         low = focus + course * height
         joints = spread * np.linspace(-1, 1, int(draw.integers(3, 12)) + 1)
         for left, right in pairwise(joints):
-            corners = [(t * z, 0.0, z) for t, z in ((left, low), (right, low), (right, low + height), (left, low + height))]
+            corners = [
+                (t * z, 0.0, z) for t, z in ((left, low), (right, low), (right, low + height), (left, low + height))
+            ]
             solids.append(prism("voussoir", corners, (0.0, depth, 0.0)))
     for side in (-1.0, 1.0):
         far = side * (spread * top + 0.3)
-        corners = [(side * spread * focus, 0.0, focus), (far, 0.0, focus), (far, 0.0, top), (side * spread * top, 0.0, top)]
+        corners = [
+            (side * spread * focus, 0.0, focus),
+            (far, 0.0, focus),
+            (far, 0.0, top),
+            (side * spread * top, 0.0, top),
+        ]
         solids.append(prism("pier", corners, (0.0, depth, 0.0), fixed=True))
     blocks = gather(solids)
     return Assembly.from_meshes(list(blocks.meshes), boundary=blocks.boundary)

@@ -25,7 +25,7 @@ from falsework.learn.algorithms.ppo_loss import ppo_loss
 from falsework.learn.algorithms.rollout_storage import Transitions
 
 _FINAL = 0.05
-"""Learning rate at the end, as a share of the first one."""
+"""Learning rate and weight of the entropy at the end, as a share of the first ones."""
 _SEND_EVERY = 1.0
 """Seconds between two times that the processes get new weights."""
 _WAIT = 0.02
@@ -49,9 +49,7 @@ class GeneralPpoSettings(BatchSettings):
     average: float = 0.998
     """Decay of the moving average of the weights."""
     entropy: float = 0.01
-    """First weight of the entropy of the policy, which falls linearly."""
-    entropy_left: float = 0.05
-    """Share of that weight at the end."""
+    """First weight of the entropy of the policy, which falls like the learning rate."""
 
     def __post_init__(self) -> None:
         self.check("rollouts", "passes")
@@ -131,7 +129,7 @@ class GeneralPpo:
                 self._keep(one, counts)
             if group is not None:
                 place = progress[0] + (progress[1] - progress[0]) * spent / seconds
-                sums += self._step(group, place)
+                sums += self._step(group, 1.0 - (1.0 - _FINAL) * place)
                 counts["updates"] += 1
         self.training.optimizer.check()
         _, _, counts["entropy"], counts["divergence"], _ = sums.tolist()
@@ -193,12 +191,12 @@ class GeneralPpo:
         batches = np.array([len(waiting) // self.settings.mix for waiting in self._waiting], dtype=float)
         return int(self._rng.choice(len(batches), p=batches / batches.sum())) if batches.any() else None
 
-    def _step(self, group: int, progress: float) -> torch.Tensor:
+    def _step(self, group: int, share: float) -> torch.Tensor:
         """Take one step on pieces of a size, and return the statistics of the loss.
 
         Args:
             group: the size.
-            progress: of the reinforcement.
+            share: of the first learning rate and weight of the entropy.
         """
         settings, training, waiting = self.settings, self.training, self._waiting[group]
         self._rng.shuffle(waiting)  # type: ignore[arg-type]
@@ -222,9 +220,9 @@ class GeneralPpo:
             value.flatten().float(),
             moves,
             weight=weight,
-            entropy_weight=(1.0 - (1.0 - settings.entropy_left) * progress) * settings.entropy * weight,
+            entropy_weight=share * settings.entropy * weight,
         )
-        rate = (1.0 - (1.0 - _FINAL) * progress) * settings.learning_rate
+        rate = share * settings.learning_rate
         training.optimizer.step(loss.total, learning_rate=rate, average=settings.average)
         return loss.statistics
 

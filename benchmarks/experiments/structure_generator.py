@@ -18,7 +18,6 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from experiments import families
-from experiments.variants import variant
 from shells import FAMILIES as SHELLS
 
 from falsework import Assembly, StabilityOracle, StabilitySettings, load_structure
@@ -33,8 +32,6 @@ _LEAST, _MOST = 3, 150
 _ROBOTS = (0.15, 0.45, 0.2, 0.2)
 """Frequencies of structures built by one, two, three and four robots."""
 _FRICTION = (0.4, 0.9)
-VARIANTS = 500_000, 1_000_000
-"""Numbers between which structures are variants of those that their families make."""
 
 
 def _size(draw: Draw, least: int, most: int) -> int:
@@ -142,10 +139,7 @@ def generated(number: int, choice: tuple[str, ...] = TRAINED) -> GeneratedTask:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ContactWarning)
             try:
-                assembly = FAMILIES[family](draw)
-                if VARIANTS[0] <= number < VARIANTS[1]:
-                    assembly = variant(assembly, draw)
-                assembly = assembly.at_friction(float(draw.uniform(*_FRICTION)))
+                assembly = FAMILIES[family](draw).at_friction(float(draw.uniform(*_FRICTION)))
             except InputError:
                 continue
         if _LEAST <= int((~assembly.boundary).sum()) <= _MOST and stands(assembly, criterion):
