@@ -11,9 +11,10 @@
 that training is done. Once some training is done, the processes roll the policy out: what succeeds becomes data, and
 states from which it fails come first. `data` does the first half alone. `reinforce` goes on with reinforcement: the
 processes roll out on structures of the data, from states of a wide search of their own, and first on those where
-rollouts fail. Half of the GPUs evaluate the network for them, a process for each of the others learns.
-`evaluate` tests on structures that are not trained on, and stops in time; repeat it until no case is left. `guide`
-searches for plans with the policy as a guide, and without. `card` summarises both by groups.
+rollouts fail; in a folder with data and a run but no checkpoint, they begin with the weights of the run. Half of the
+GPUs evaluate the network for them, a process for each of the others learns. `evaluate` tests on structures that are not
+trained on, and stops in time; repeat it until no case is left. `guide` searches for plans with the policy as a guide,
+and without. `card` summarises both by groups.
 
 The folder holds `data-*.npz`, `validation.npz`, a run that other commands take (`run.json`, `weights.safetensors`), a
 checkpoint, `log.jsonl`, `evaluation.jsonl` and `guides.jsonl`; in `starts`, states of wide searches.

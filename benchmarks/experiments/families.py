@@ -1,5 +1,7 @@
 """Families beside the built-in ones: walls with an opening, chimneys, Voronoi walls, piles, frames and sail vaults.
 
+Three more are to validate on: towers of bars, heaps of Voronoi cells, and flat arches.
+
 Each draws its own parameters and returns an assembly with fixed parts. Whether it stands is for the caller to check.
 """
 
@@ -11,10 +13,12 @@ from itertools import pairwise
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from falsework import Assembly
 from falsework.assembly.library.blocks import Solid, box, gather, ground, loft, prism
 from falsework.errors import InputError
+from falsework.geometry import TriangleMesh
 
 Draw = np.random.Generator
 _SLIVER = 0.2
@@ -165,6 +169,83 @@ def sail(draw: Draw) -> Assembly:
             solids.append(loft("support" if fixed else "block", inner, outer, fixed=fixed))
     blocks = gather(solids)
     return Assembly.from_meshes(list(blocks.meshes), boundary=blocks.boundary)
+
+
+def tower(draw: Draw) -> Assembly:
+    """Tower of layers of bars side by side, each across the one below, some of whose bars are not there."""
+    layers, each = int(draw.integers(3, 16)), int(draw.integers(2, 5))
+    width, height, gap = draw.uniform(0.05, 0.1), draw.uniform(0.03, 0.08), draw.uniform(0, 0.03)
+    length, missing = each * (width + gap), draw.uniform(0, 0.5)
+    solids = []
+    for layer in range(layers):
+        there = draw.random(each) >= missing
+        there[draw.integers(each)] = True
+        for place in np.flatnonzero(there) * (width + gap):
+            low = np.array([0.0, place, layer * height]), np.array([length, place + width, (layer + 1) * height])
+            turned = [corner[[1, 0, 2]] if layer % 2 else corner for corner in low]
+            solids.append(box("bar", *turned))
+    return _on_ground(solids, height)
+
+
+def cells(draw: Draw) -> Assembly:
+    """Heap that narrows upwards, cut into convex Voronoi cells, which are flat by a factor."""
+    size, flat, narrow = draw.uniform(0.3, 1.0, size=3), draw.uniform(1.0, 3.0), draw.uniform(0.0, 0.5, size=2)
+    count = round(float(np.exp(draw.uniform(np.log(6), np.log(50)))))
+    sides = [(0.0, 0.0, -1.0, 0.0), (0.0, 0.0, 1.0, -size[2])]
+    for axis, sign in ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0)):
+        normal = np.array([*(sign * np.eye(2)[axis]), narrow[axis] * size[axis] / (2 * size[2])])
+        sides.append((*normal, -size[axis] / 2))
+    points = (draw.uniform(size=(8 * count, 3)) - (0.5, 0.5, 0.0)) * size
+    walls = np.array(sides)
+    points = points[(points @ walls[:, :3].T + walls[:, 3] < -0.02 * size.min()).all(axis=1)][:count]
+    stretch = np.array([1.0, 1.0, flat**2])
+    meshes = []
+    for number, point in enumerate(points):
+        others = np.delete(points, number, axis=0)
+        away, middle = (others - point) * stretch, (others + point) / 2
+        planes = np.column_stack([away, -(away * middle).sum(axis=1)])
+        planes /= np.linalg.norm(planes[:, :3], axis=1)[:, None]
+        found = HalfspaceIntersection(np.concatenate([planes, walls]), point).intersections
+        meshes.append(_hull(f"cell-{number}", np.unique(found.round(9), axis=0)))
+    slab = gather([ground(-size[:2] / 2, size[:2] / 2, margin=0.1, depth=0.1)]).meshes
+    return Assembly.from_meshes([*meshes, *slab], boundary=[len(meshes)])
+
+
+def flat(draw: Draw) -> Assembly:
+    """Flat arches one on another, between two fixed piers: all joints of a course point to one place below."""
+    courses, height, depth = int(draw.integers(1, 5)), draw.uniform(0.15, 0.4), draw.uniform(0.2, 0.5)
+    focus, spread = draw.uniform(0.6, 2.0), draw.uniform(0.3, 0.8)
+    solids, top = [], focus + courses * height
+    for course in range(courses):
+        low = focus + course * height
+        joints = spread * np.linspace(-1, 1, int(draw.integers(3, 12)) + 1)
+        for left, right in pairwise(joints):
+            corners = [
+                (t * z, 0.0, z) for t, z in ((left, low), (right, low), (right, low + height), (left, low + height))
+            ]
+            solids.append(prism("voussoir", corners, (0.0, depth, 0.0)))
+    for side in (-1.0, 1.0):
+        far = side * (spread * top + 0.3)
+        corners = [
+            (side * spread * focus, 0.0, focus),
+            (far, 0.0, focus),
+            (far, 0.0, top),
+            (side * spread * top, 0.0, top),
+        ]
+        solids.append(prism("pier", corners, (0.0, depth, 0.0), fixed=True))
+    blocks = gather(solids)
+    return Assembly.from_meshes(list(blocks.meshes), boundary=blocks.boundary)
+
+
+def _hull(name: str, corners: NDArray[np.float64]) -> TriangleMesh:
+    """Return the convex hull of points."""
+    hull = ConvexHull(corners)
+    faces = hull.simplices.copy()
+    a, b, c = (corners[faces[:, k]] for k in range(3))
+    inward = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(axis=1) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    kept, faces = np.unique(faces, return_inverse=True)
+    return TriangleMesh.from_arrays(name, corners[kept], faces.reshape(-1, 3))
 
 
 def _outside(start: float, end: float, hole: tuple[float, float] | None) -> Iterator[tuple[float, float]]:

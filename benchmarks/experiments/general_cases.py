@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 from experiments.inference import RemotePolicy
-from experiments.structure_generator import TRAINED, UNSEEN, named
+from experiments.structure_generator import HELD_OUT, TRAINED, UNSEEN, named
 from states import REAL, find
 
 from falsework import (
@@ -48,6 +48,8 @@ PUBLIC = (
     "topolite-tube-85", "ursula-6", "wall-38", "armadillo-399", "pavilion-vault-387",
 )  # fmt: skip
 """Structures from elsewhere."""
+_EACH = {"unseen member": 2, "unseen family": 16, "validation": 4, "validation family": 12}
+"""Structures of each family, by group."""
 _STATES, _SAMPLES, _WIDTH = 48, 16, 64
 """States tried from, at most; rollouts drawn from each; and width of the search that they come from."""
 _ROWS = 4000
@@ -72,8 +74,10 @@ def _cases() -> dict[str, Case]:
         *((name, "unseen member") for name in TRAINED),
         *((name, "unseen family") for name in UNSEEN),
         *((name, "validation") for name in TRAINED),
+        *((name, "validation family") for name in HELD_OUT),
     ]:
-        first, count = (VALIDATION, 4) if group == "validation" else (TESTED, 2 if family in TRAINED else 16)
+        first = TESTED if group.startswith("unseen") else VALIDATION
+        count = _EACH[group]
         for number in range(first, first + count):
             name = f"{family}-{number}"
             cases[name] = Case(group, name, 0, "contact")

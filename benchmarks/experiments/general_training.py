@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from falsework.learn.algorithms.policy_optimizer import PolicyOptimizer
 from falsework.learn.config.policy import PolicySettings
 from falsework.learn.config.train import TrainSettings, to_dict
 from falsework.learn.networks.local_attention import LocalAttention
-from falsework.learn.training.checkpoint import CheckpointFile, save_run
+from falsework.learn.training.checkpoint import WEIGHTS, CheckpointFile, load_weights, save_run
 from falsework.utils.quantity import check_seed
 
 _FINAL_LEARNING_RATE = 0.02
@@ -59,7 +59,7 @@ class GeneralTraining:
     """Training of a network on batches of many structures, continued from its checkpoint in a folder."""
 
     def __init__(self, folder: Path | str, settings: GeneralSettings, device: torch.device | str = "cpu") -> None:
-        """Begin, or continue where the folder has a checkpoint.
+        """Begin, or continue where the folder has a checkpoint; of a run without one, with its weights.
 
         Args:
             folder: of checkpoint and weights; made if it is not there.
@@ -85,6 +85,10 @@ class GeneralTraining:
                 raise InputError(f"{self._file.path} was trained with other settings; give those, or another folder")
             self.optimizer.load_state_dict({name: tensor.to(self.device) for name, tensor in tensors.items()})
             self.seconds, self.reinforced = float(state["seconds"]), float(state.get("reinforced", 0.0))
+        elif (self.folder / WEIGHTS).exists():
+            kept = nn.ModuleDict({"network": LocalAttention(settings.policy.resolved())})
+            load_weights(kept, self.folder / WEIGHTS)
+            self.optimizer.load_policy(cast(LocalAttention, kept["network"]).to(self.device))
 
     @property
     def steps(self) -> int:

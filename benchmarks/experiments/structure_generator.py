@@ -95,11 +95,14 @@ FAMILIES: dict[str, Callable[[Draw], Assembly]] = {
     **{family.__name__: family for family in (families.opening, families.chimney, families.voronoi, families.pile)},
     **{name: SHELLS[name] for name in ("barrel", "arcade", "groin")},
     **{family.__name__: family for family in (families.frame, families.sail)},
+    **{family.__name__: family for family in (families.tower, families.cells, families.flat)},
 }
 """By name; what is drawn depends on the place in this list, so new ones come last."""
 UNSEEN = ("groin",)
 """Families that no training sees."""
-TRAINED = tuple(name for name in FAMILIES if name not in UNSEEN)
+HELD_OUT = ("tower", "cells", "flat")
+"""Families to choose by how a policy is trained: no training sees them, and they are no test."""
+TRAINED = tuple(name for name in FAMILIES if name not in (*UNSEEN, *HELD_OUT))
 """Families to train on."""
 
 

@@ -13,7 +13,7 @@ from experiments.general_cases import CASES, TESTED, VALIDATION, evaluate_case, 
 from experiments.general_training import GeneralSettings, GeneralTraining
 from experiments.inference import Inference, RemotePolicy
 from experiments.structure_batches import StructureBatches
-from experiments.structure_generator import TRAINED, UNSEEN
+from experiments.structure_generator import HELD_OUT, TRAINED, UNSEEN
 from general import PER_FILE, Library, Options, card, case_label, number_of
 
 from falsework import load_policy, load_structure
@@ -48,6 +48,17 @@ def test_a_library_keeps_its_structures(trained: Path) -> None:
     assert (trained / "data-00.npz").exists()
 
 
+def test_a_run_without_a_checkpoint_lends_its_weights(trained: Path, tmp_path: Path) -> None:
+    for name in ("run.json", "weights.safetensors"):
+        (tmp_path / name).write_bytes((trained / name).read_bytes())
+    again = GeneralTraining(tmp_path, GeneralSettings(SMALL, steps=3, tokens=256))
+    before = GeneralTraining(trained, GeneralSettings(SMALL, steps=3, tokens=256)).averaged()
+    assert again.steps == 0
+    for network in (again.network, again.averaged()):
+        for one, other in zip(network.parameters(), before.parameters(), strict=True):
+            assert one.equal(other)
+
+
 def test_known_structures_are_improved_by_rollouts(trained: Path) -> None:
     known = Library.load(trained).structures[0]
     number, again = case_label(0, known=known, folder=trained)
@@ -58,8 +69,9 @@ def test_known_structures_are_improved_by_rollouts(trained: Path) -> None:
 
 def test_no_case_is_a_structure_of_training() -> None:
     groups = {case.group for case in CASES.values()}
-    assert groups == {"validation", "unseen member", "unseen family", "paper", "public"}
-    assert not set(TRAINED) & set(UNSEEN)
+    assert groups == {"validation", "validation family", "unseen member", "unseen family", "paper", "public"}
+    assert not set(TRAINED) & {*UNSEEN, *HELD_OUT}
+    assert not set(UNSEEN) & set(HELD_OUT)
     for case in CASES.values():
         if case.group.startswith("unseen"):
             assert int(case.structure.rpartition("-")[2]) >= TESTED > VALIDATION

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from experiments.structure_generator import TRAINED, UNSEEN, generated, stands, turned
+from experiments.structure_generator import HELD_OUT, TRAINED, UNSEEN, generated, stands, turned
 
 from falsework import StabilityOracle, load_structure
 from falsework.errors import InputError
@@ -17,7 +17,7 @@ def test_a_number_is_always_the_same_structure() -> None:
     assert one.assembly.identity != generated(3 + len(TRAINED)).assembly.identity
 
 
-@pytest.mark.parametrize("family", [*TRAINED, *UNSEEN])
+@pytest.mark.parametrize("family", [*TRAINED, *UNSEEN, *HELD_OUT])
 def test_every_family_stands_and_keeps_its_size(family: str) -> None:
     made = generated(1, (family,))
     assert made.family == family
