@@ -132,6 +132,11 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
         ("train arch --policy cnn", "unknown policy kind 'cnn'; choose resmlp, transformer, local, gat, mlp, or"),
         ("plna arch", "there is no subcommand 'plna'; perhaps you meant: plan; for all, run falsework --help"),
         ("robot plan", "there is no subcommand 'robot'; perhaps you meant: robots plan; for all"),
+        ("robots plna", "there is no subcommand 'robots plna'; perhaps you meant: robots plan; for all"),
+        ("robots", "there is no subcommand 'robots'; perhaps you meant: robots plan, robots check, robots export; for"),
+        ("robots --json", "there is no subcommand 'robots'; perhaps you meant: robots plan, robots check, robots"),
+        ("--json plan arch", "give a subcommand before --json: structures, doctor,"),
+        ("picture arch --step 3", "step 3 does not exist; there are no steps to show"),
         ("cell check x.toml", "there is no subcommand 'cell check'; perhaps you meant: cell new; for all"),
     ],
 )

@@ -173,12 +173,10 @@ def _parse(arguments: list[str]) -> Command | None:
         _prepare(kind, "without structure" if _HELP_ALL in rest else shown)
         rest = ["--help" if word == _HELP_ALL else word for word in rest]
         about, program = _help_text(kind), f"falsework {named}"
-    elif not arguments or not (arguments[0].startswith("-") or arguments[0] in {name.split()[0] for name in COMMANDS}):
+    elif {*_HELP, _HELP_ALL, _COMPLETION}.isdisjoint(arguments[:2]):
         raise _UsageError(_no_subcommand(arguments))
     else:
         group = [name for name in COMMANDS if " " in name and name.split()[:1] == arguments[:1]]
-        if len(group) == 1 and not {*_HELP, _HELP_ALL}.intersection(arguments[1:2]):
-            raise _UsageError(_no_subcommand(arguments))
         classes = [
             Annotated[kind, tyro.conf.subcommand(name.split()[-1] if group else name, description=_first_line(name))]
             for name, kind in ((name, command_class(name)) for name in group or COMMANDS)
@@ -228,17 +226,17 @@ def _structure_options() -> str:
 
 
 def _no_subcommand(arguments: list[str]) -> str:
-    if not arguments:
-        return f"give a subcommand: {', '.join(COMMANDS)}; for help, run falsework --help"
+    if not arguments or arguments[0].startswith("-"):
+        before = f" before {arguments[0]}" if arguments else ""
+        return f"give a subcommand{before}: {', '.join(COMMANDS)}; for help, run falsework --help"
     from difflib import get_close_matches
 
-    near = [name for name in COMMANDS if name.startswith(f"{arguments[0]} ")]
-    near = (
-        near or get_close_matches(" ".join(arguments[:2]), COMMANDS, 1) or get_close_matches(arguments[0], COMMANDS, 1)
-    )
+    near = get_close_matches(" ".join(arguments[:2]), COMMANDS, 1, 0.8)
+    near = near or [name for name in COMMANDS if name.startswith(f"{arguments[0]} ")]
+    near = near or get_close_matches(arguments[0], COMMANDS, 1)
     meant = f"perhaps you meant: {', '.join(near)}; " if near else ""
-    words = 2 if arguments[0] in _GROUPS else 1
-    return f"there is no subcommand {' '.join(arguments[:words])!r}; {meant}for all, run falsework --help"
+    words = [word for word in arguments[: 2 if arguments[0] in _GROUPS else 1] if not word.startswith("-")]
+    return f"there is no subcommand {' '.join(words)!r}; {meant}for all, run falsework --help"
 
 
 def _markers() -> tuple[Any, ...]:

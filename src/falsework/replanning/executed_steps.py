@@ -23,9 +23,8 @@ class ExecutedSteps:
 
     def __post_init__(self) -> None:
         if not 0 <= self.steps <= len(self.plan):
-            raise PlanError(
-                f"step {self.steps} does not exist; the plan has the steps 1 to {len(self.plan)}, and 0 is the start"
-            )
+            steps = f"the steps 1 to {len(self.plan)}, and 0 is the start" if len(self.plan) else "no steps"
+            raise PlanError(f"step {self.steps} does not exist; the plan has {steps}")
 
     @property
     def state(self) -> States:

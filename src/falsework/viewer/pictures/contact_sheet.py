@@ -274,7 +274,12 @@ def check_places(timeline: Timeline, places: Sequence[int]) -> None:
     """Refuse states that are not there."""
     for position in places:
         if not 0 <= position <= len(timeline):
-            raise InputError(f"step {position} does not exist; the plan has steps 0 (the beginning) to {len(timeline)}")
+            steps = (
+                f"the plan has steps 0 (the beginning) to {len(timeline)}"
+                if len(timeline)
+                else "there are no steps to show"
+            )
+            raise InputError(f"step {position} does not exist; {steps}")
 
 
 def bounds_with_motions(timeline: Timeline) -> NDArray[np.float64]:
