@@ -244,7 +244,7 @@ class RuleJudge:
 @pytest.fixture
 def judged_by(monkeypatch: pytest.MonkeyPatch) -> Callable[[set[tuple[int, ...]]], None]:
     """Set the states in which the judge sees structures fall."""
-    return lambda falls: monkeypatch.setattr(discrete_elements, "BuildJudge", lambda assembly, holds: RuleJudge(falls))
+    return lambda falls: monkeypatch.setattr(discrete_elements, "BuildJudge", lambda *structure: RuleJudge(falls))
 
 
 @pytest.mark.parametrize("direction", list(Direction))
