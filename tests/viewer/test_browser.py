@@ -90,15 +90,15 @@ class Open:
             assert time.monotonic() < end, f"waited in vain: {what}"
             self.tab.wait_for_timeout(50)
 
-    def picture(self) -> np.ndarray:
-        """What the tab shows left of the controls, once it stays as it is."""
+    def picture(self, shows: Callable[[np.ndarray], Any] = lambda seen: True) -> np.ndarray:
+        """What the tab shows left of the controls, once it stays as it is and shows what it should."""
         before, end = None, time.monotonic() + PATIENCE
         while True:
             clip = {"x": 0, "y": 0, "width": 410, "height": 500}
             now = np.asarray(pil.open(io.BytesIO(self.tab.screenshot(clip=clip))).convert("RGB")).astype(int)
-            if before is not None and np.abs(now - before).max() < 40:
+            if before is not None and np.abs(now - before).max() < 40 and shows(now):
                 return now
-            assert time.monotonic() < end, "the picture does not come to rest"
+            assert time.monotonic() < end, "the picture does not come to rest, or does not show what it should"
             before = now
             self.tab.wait_for_timeout(120)
 
@@ -191,28 +191,24 @@ def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     )
     now.slide(held)
     tab.get_by_text(plan[held - 1].words).wait_for()
-    holding = now.picture()
-    assert near(holding, ROBOTS[0]) > near(empty, ROBOTS[0]) + 100
+    now.picture(lambda seen: near(seen, ROBOTS[0]) > near(empty, ROBOTS[0]) + 100)
 
     steps = len(model.timeline)
     now.slide(steps)
-    whole = now.picture()
-    assert (np.abs(whole - empty).max(axis=2) > 40).sum() > 3000
+    whole = now.picture(lambda seen: (np.abs(seen - empty).max(axis=2) > 40).sum() > 3000)
 
     top = int(np.argmax(assembly.mass.center[:, 2]))
     now.click(top)
     now.until(lambda: model.selected == top, "the part is selected")
     tab.get_by_text(f"{assembly.names[top]} (number {top})").wait_for()
     tab.get_by_text(format_quantity(float(assembly.mass.mass[top]), "mass")).wait_for()
-    selected = now.picture()
-    assert (np.abs(selected - whole).max(axis=2) > 25).sum() > 50
+    selected = now.picture(lambda seen: (np.abs(seen - whole).max(axis=2) > 25).sum() > 50)
 
     for name in ("Contact forces", "Friction", "Gravity"):
         tab.get_by_label(name).check()
     tab.get_by_text("stable: contact forces balance").wait_for()
     tab.get_by_text(re.compile(r"contact forces, up to [\d.]+ k?N")).wait_for()
-    forces = now.picture()
-    assert near(forces, "#f08c00") > near(selected, "#f08c00") + 20
+    now.picture(lambda seen: near(seen, "#f08c00") > near(selected, "#f08c00") + 20)
     for name in ("Contact forces", "Friction", "Gravity"):
         tab.get_by_label(name).uncheck()
 
@@ -226,8 +222,7 @@ def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     now.click(top)
     now.until(lambda: model.disruption.missing == {top}, "the part is marked")
     tab.get_by_text(f"Marked missing: {assembly.names[top]}").wait_for()
-    marked = now.picture()
-    assert (np.abs(marked - before).max(axis=2) > 25).sum() > 50
+    marked = now.picture(lambda seen: (np.abs(seen - before).max(axis=2) > 25).sum() > 50)
 
     tab.get_by_role("button", name="Replan").click()
     tab.get_by_text("decided by").wait_for(timeout=1000 * PATIENCE)
@@ -237,8 +232,7 @@ def test_a_day_on_site(opened: Callable[..., Open], arch: Any) -> None:
     tab.get_by_text(f"step 3 of {len(model.timeline)}").wait_for()  # what is built stays, and its numbers go on
     tab.get_by_text(f"{assembly.names[top]} is needed at step").wait_for()
     now.slide(len(model.timeline))
-    rebuilt = now.picture()
-    assert (np.abs(rebuilt - marked).max(axis=2) > 40).sum() > 500
+    now.picture(lambda seen: (np.abs(seen - marked).max(axis=2) > 40).sum() > 500)
 
     tab.get_by_role("button", name="Back to the previous plan").click()
     now.until(lambda: len(model.timeline) == steps, "the old plan is back")
@@ -261,8 +255,7 @@ def test_an_unstable_state(opened: Callable[..., Open]) -> None:
     now.tab.get_by_text("would move").wait_for()
     moving = now.picture()  # without being asked for
     now.tab.get_by_role("checkbox", name="Motion").uncheck()
-    still = now.picture()
-    assert near(moving, "#00c08b", 40) > near(still, "#00c08b", 40) + 100
+    now.picture(lambda seen: near(moving, "#00c08b", 40) > near(seen, "#00c08b", 40) + 100)
     for label in ("Step", "Order", "Steps per second", "Arms", "Presses", "Contact forces", "Section leaves"):
         assert now.tab.get_by_text(label, exact=True).count() == 0, label  # it would do nothing here
     now.tab.get_by_role("tab", name="Disrupt").click()
@@ -284,7 +277,7 @@ def test_playing_probabilities_and_the_graph(opened: Callable[..., Open], arch: 
     coloured = now.picture()
     now.tab.get_by_label("Probabilities of the policy").uncheck()
     now.until(lambda: not model.show_probabilities, "probabilities are off")
-    assert (np.abs(now.picture() - coloured).max(axis=2) > 25).sum() > 100
+    now.picture(lambda seen: (np.abs(seen - coloured).max(axis=2) > 25).sum() > 100)
     now.page.play.speed.value = 8.0
     now.tab.get_by_role("button", name="Play").click()
     now.until(lambda: model.position == 0, "the plan is played to its end")
@@ -407,7 +400,7 @@ def test_a_prop_is_placed_by_a_click(opened: Callable[..., Open]) -> None:
     now.until(lambda: model.disruption.props == {part}, "the prop is marked")
     tab.get_by_text(f"a prop under: {assembly.names[part]}").wait_for()
     tab.get_by_text("stable: contact forces balance").wait_for()
-    assert (np.abs(now.picture() - before).max(axis=2) > 40).sum() > 100
+    now.picture(lambda seen: (np.abs(seen - before).max(axis=2) > 40).sum() > 100)
     tab.get_by_role("button", name="Replan").click()
     tab.get_by_text(f"insert prop-{assembly.names[part]} instead of").wait_for(timeout=1000 * PATIENCE)
     tab.get_by_text(f"step {place + 1} of").wait_for()
@@ -424,14 +417,12 @@ def test_one_sees_into_a_structure(opened: Callable[..., Open], arch: Any) -> No
     whole = now.picture()
     now.choose("Section", "across z")
     now.tab.get_by_text("Section leaves").wait_for()
-    cut = now.picture()
-    assert (np.abs(cut - whole).max(axis=2) > 40).sum() > 1000
+    now.picture(lambda seen: (np.abs(seen - whole).max(axis=2) > 40).sum() > 1000)
     now.choose("Section", "none")
     now.tab.get_by_text("Explode", exact=True).wait_for()
     now.page.look.explode.value = 1.0
     now.until(lambda: now.model.view.explode == 1.0, "the parts are moved apart")
-    apart = now.picture()
-    assert (np.abs(apart - whole).max(axis=2) > 40).sum() > 1000
+    now.picture(lambda seen: (np.abs(seen - whole).max(axis=2) > 40).sum() > 1000)
     assert complaints_of(now) == []
 
 
@@ -451,8 +442,7 @@ def test_bars_of_the_chart_are_clicked_and_arms_hidden(
     now.until(lambda: abs(now.model.seconds - goal) < 0.01, "the second of the bar")
     with_arms = now.picture()
     now.tab.get_by_role("checkbox", name="Arms").uncheck()
-    without = now.picture()
-    assert (np.abs(with_arms - without).max(axis=2) > 40).sum() > 1000
+    now.picture(lambda seen: (np.abs(with_arms - seen).max(axis=2) > 40).sum() > 1000)
     assert complaints_of(now) == []
 
 
