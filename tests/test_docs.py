@@ -204,6 +204,23 @@ def test_links_lead_somewhere() -> None:
                 assert (page.parent / link).exists(), f"{name_of(page)}: {link}"
 
 
+def test_modules_that_pages_name_exist() -> None:
+    folders = ("src", "tests", "bench", "benchmarks", "client", "docs", "examples", "kernels")
+    files = {path.name for folder in folders for path in (REPOSITORY / folder).rglob("*.py")}
+    pages = [REPOSITORY / "docs" / "architecture.md", *(REPOSITORY / "docs" / "decisions").glob("*.md")]
+    named = {(page.name, name) for page in pages for name in re.findall(r"`(?:[\w./-]*/)?(\w+\.py)`", page.read_text())}
+    assert [(page, name) for page, name in sorted(named) if name not in files] == []
+
+
+def test_keys_of_answers_that_pages_list_are_written() -> None:
+    source = "\n".join(path.read_text() for path in (REPOSITORY / "src").rglob("*.py"))
+    words = set(re.findall(r"\w+", source))
+    pages = (REPOSITORY / "docs" / "cli").glob("*.md")
+    rows = [(page.name, row) for page in pages for row in re.findall(r"^\| `(\w+)` \|", page.read_text(), re.M)]
+    assert rows
+    assert [(page, key) for page, key in rows if key not in words] == []
+
+
 DECISIONS = sorted(page for page in (REPOSITORY / "docs" / "decisions").glob("*.md") if page.name != "index.md")
 
 

@@ -221,7 +221,7 @@ def test_the_description_stands_for_its_folder(falsework: Run, stack: Path) -> N
     assert finished.code == 0, finished.error
 
 
-@pytest.mark.parametrize(("name", "hint"), [("folder", "Is a directory"), ("picture.png", "it is no text")])
+@pytest.mark.parametrize(("name", "hint"), [("folder", "is a folder, not a plan"), ("picture.png", "it is no text")])
 def test_no_plan(name: str, hint: str, falsework: Run, tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "picture.png").write_bytes(b"\x89PNG\xff")

@@ -153,7 +153,7 @@ def test_a_replay_says_under_which_settings_it_succeeds(
 
 def test_a_file_that_will_be_replaced_is_announced(falsework: Run, planned: Path) -> None:
     """By whatever command, before its work; bad options have one line alone, and the file stays."""
-    words = f"{planned} exists and is replaced by the result; --out names another file"
+    words = f"{planned} exists and is replaced where there is a result; --out names another file"
     for command in (("plan", "arch:blocks=3"), ("replan", planned, "--step", 2), ("margins", planned)):
         assert words in falsework(*command, "--out", planned).error, command
     kept = planned.read_bytes()

@@ -124,6 +124,8 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
         ("doctor gone.toml", "there is no cell file gone.toml; `falsework cell new` writes one"),
         ("robots plan arch --cell gone.toml", "there is no cell file gone.toml; `falsework cell new` writes one"),
         ("plan arch --friction x", "--friction is 'x'; give a number; for help, see falsework plan --help"),
+        ("plan arch --hold-stiffness 1kN/m", "--hold-stiffness is '1kN/m'; give a number; for help"),
+        ("doctor arch", "there is no folder or file arch, and built-in structures need no doctor; give meshes"),
         ("plan arch --props 1.5", "--props is '1.5'; give a whole number"),
         ("plan arch --robots", "--robots has no value; give one"),
         ("replan --cell dome-37", "STRUCTURE is missing, or an option does not exist; for help"),

@@ -7,6 +7,7 @@ import pytest
 
 from falsework.errors import InputError
 from falsework.viewer import Camera
+from falsework.viewer.pictures.contact_sheet import write_text
 from falsework.viewer.pictures.render import ColoredSolid, render
 
 BOX = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -77,3 +78,17 @@ def test_a_ghost_lets_through_what_is_behind() -> None:
 
 def test_nothing_to_see_is_white() -> None:
     assert (render([], Camera(width=20, height=10), BOUNDS, floor=False) == 1.0).all()
+
+
+def test_letters_beyond_ascii_are_drawn() -> None:
+    """A font draws the same box for each letter that it lacks."""
+    pytest.importorskip("matplotlib", reason="pictures need Matplotlib")
+    images = pytest.importorskip("PIL.Image", reason="pictures need Pillow")
+    pens = pytest.importorskip("PIL.ImageDraw", reason="pictures need Pillow")
+    letters = "äéøñšłжλ"
+    drawn: set[bytes] = set()
+    for letter in letters:
+        canvas = images.new("L", (40, 40))
+        write_text(pens.Draw(canvas), (20, 20), letter, color="white")
+        drawn.add(canvas.tobytes())
+    assert len(drawn) == len(letters)

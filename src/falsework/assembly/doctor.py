@@ -152,7 +152,7 @@ def doctor(
         InputError: no such path, or an unknown unit.
     """
     if not (path := Path(path)).exists():
-        raise InputError(f"there is no {path}; give a folder of meshes or a file with the parts")
+        raise InputError(f"there is no folder or file {path}, and built-in structures need no doctor; give meshes")
     if unit is not None:
         unit_length(unit)
     with warnings.catch_warnings(record=True) as caught:

@@ -133,6 +133,7 @@ def _missing(found: re.Match[str]) -> str:
 _PLAIN_WORDS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"error parsing (\S+): no type matching FLOAT .* from \[(.*?)\].*?(?=;|$)", r"\1 is \2; give a number"),
     (r"error parsing (\S+): no type matching INT .* from \[(.*?)\].*?(?=;|$)", r"\1 is \2; give a whole number"),
+    (r"error parsing (\S+): could not convert string to float: ('.*?')", r"\1 is \2; give a number"),
     (r"error parsing (\S+): invalid literal for int\(\) with base 10: ('.*?')", r"\1 is \2; give a whole number"),
     (r"missing value for argument '(--\S+)'\. Expected 1 values", r"\1 has no value; give one"),
     (r"unrecognized options: (?=[^-])", "too many values: "),

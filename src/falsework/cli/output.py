@@ -104,7 +104,7 @@ class Output:
         """Say once that a file, or files of a folder, will be replaced."""
         if self.replaced is not None:
             path, self.replaced = self.replaced, None
-            kind, fate = "file", "and is replaced by the result"
+            kind, fate = "file", "and is replaced where there is a result"
             if path.is_dir():
                 kind, fate = "folder", "with files: those of the same names are replaced, the others stay"
             self.note(f"falsework: {path} exists {fate}; --out names another {kind}")

@@ -24,7 +24,7 @@ def format_of(path: Path | str) -> str:
     found, suffix = exporter_by_suffix(path), Path(path).suffix.lower()
     if found is None and suffix[1:2].isalpha() and not Path(path).is_dir():
         known = ", ".join(ending for exporter in formats(EXPORTERS).values() for ending in exporter.suffixes)
-        raise InputError(f"no export format ends in {suffix}; write {known}, or choose the format folder")
+        raise InputError(f"no export format ends in {suffix}; write {known}, or a folder, whose name has no ending")
     return found or "folder"
 
 

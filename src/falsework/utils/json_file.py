@@ -41,6 +41,8 @@ def read_json(path: Path | str, kind: str = "JSON file", remedy: str = "write it
         return parse_json(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise PlanError(f"there is no {kind} {path}") from None
+    except IsADirectoryError:
+        raise PlanError(f"{path} is a folder, not a {kind}; name another file") from None
     except OSError as error:
         raise PlanError(f"{path} cannot be read: {error.strerror}; name another file") from None
     except UnicodeDecodeError:

@@ -82,7 +82,7 @@ def test_built_in_cells_can_work(name: str, shared_assembly) -> None:
             r"structure\.position is .*; give a list of length >= 3",
         ),
         (("falsework.cell/1", "falsework.cell/9"), r"format is 'falsework.cell/9'; this version reads"),
-        (('name = "one arm"', "name = "), r"cell\.toml is not valid TOML: .*line 3"),
+        (('name = "one arm"', "name = "), r"cell file cell\.toml is not valid TOML: .*line 3"),
     ],
 )
 def test_wrong_files_say_file_and_key(change: tuple[str, str], message: str) -> None:
@@ -98,6 +98,8 @@ def test_a_cell_needs_robots_and_names() -> None:
     """No robot at all; two of the same name; a name that is no cell; a file that is not there."""
     with pytest.raises(CellError, match=r"robots is missing; write each robot as \[\[robots\]\]"):
         read('name = "empty"')
+    with pytest.raises(CellError, match=r"cell\.toml is not a cell: it has none of the entries format, name"):
+        read("[project]")
     robot = GOOD[GOOD.index("[[robots]]") : GOOD.index("[[obstacles]]")]
     with pytest.raises(CellError, match="two robots are called 'arm'"):
         read(GOOD + robot)

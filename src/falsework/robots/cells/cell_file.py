@@ -117,6 +117,8 @@ def parse_cell(text: str, source: str, folder: Path, *, faults: list[str] | None
     `faults` takes errors of single entries, which are then left out; None raises the first one, as `load_cell` does.
     """
     place, data = Place(source), _toml(source, text)
+    if data and data.keys().isdisjoint(CellFile.__struct_fields__):
+        raise CellError(f"{source} is not a cell: it has none of the entries {', '.join(CellFile.__struct_fields__)}")
     if (form := data.get("format", FORMAT)) != FORMAT:
         raise place.fail("format", f"is {form!r}; this version reads {FORMAT}")
     file = CellFile(robots=[])
@@ -170,7 +172,7 @@ def _toml(source: str, text: str) -> dict[str, Any]:
     except RecursionError:
         raise CellError(f"{source} is nested too deeply; write it with tables") from None
     except ValueError as error:  # of its syntax, or a number with thousands of digits
-        raise CellError(f"{source} is not valid TOML: {' '.join(str(error).split())}") from error
+        raise CellError(f"cell file {source} is not valid TOML: {' '.join(str(error).split())}") from error
 
 
 def _gripper(name: str, values: Any, place: Place) -> Gripper:

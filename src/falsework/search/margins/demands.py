@@ -61,7 +61,7 @@ class Demands(FileModel, frozen=True):
     """Error of placement in m; states are stable in each of some random placements with contacts found anew."""
 
     @classmethod
-    def from_text(cls, text: str, option: str = "--margin") -> Demands:
+    def from_text(cls, text: str) -> Demands:
         """Read demands such as `friction=1.25,tilt=2deg,push=20N,placement=1mm`.
 
         Raises:
@@ -72,11 +72,11 @@ class Demands(FileModel, frozen=True):
             name, equals, quantity = (piece.strip() for piece in item.partition("="))
             if not equals or name not in _KINDS:
                 wrong = f"there is no margin {name!r}" if equals else f"{item.strip()!r} is no margin with its quantity"
-                raise InputError(f"{option}: {wrong}; give {', '.join(f'{key}=...' for key in _KINDS)}")
+                raise InputError(f"--margin: {wrong}; give {', '.join(f'{key}=...' for key in _KINDS)}")
             if name in given:
-                raise InputError(f"{option} {text}: {name} is given twice; give it once")
-            given[name] = parse_quantity(quantity, _KINDS[name], f"{option} {name}")
-            _check_range(name, given[name], f"{option} {name}")
+                raise InputError(f"--margin {text}: {name} is given twice; give it once")
+            given[name] = parse_quantity(quantity, _KINDS[name], f"--margin {name}")
+            _check_range(name, given[name], f"--margin {name}")
         return cls(**given)
 
     def to_dict(self) -> dict[str, float]:

@@ -330,10 +330,19 @@ def write_text(
     across: float = np.inf,
 ) -> None:
     """Write a line of text, its middle or another anchor of Pillow at a position, smaller if it is too wide; pixels."""
-    fonts = import_pillow().ImageFont
-    while size > _SMALLEST and pen.textlength(text, font=fonts.load_default(size)) > across:
+    while size > _SMALLEST and pen.textlength(text, font=_font(text, size)) > across:
         size -= 1
-    pen.text(position, text, fill=color, font=fonts.load_default(size), anchor=anchor)
+    pen.text(position, text, fill=color, font=_font(text, size), anchor=anchor)
+
+
+def _font(text: str, size: int) -> Any:
+    """Return the font of Pillow, or that of Matplotlib for a text with letters beyond ASCII, which the first lacks."""
+    fonts = import_pillow().ImageFont
+    if text.isascii():
+        return fonts.load_default(size)
+    with importing("pictures need Matplotlib; install it with pip install 'falsework[picture]'"):
+        import matplotlib
+    return fonts.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)
 
 
 def in_rows(lengths: Sequence[float], across: float) -> list[list[int]]:
@@ -347,8 +356,7 @@ def in_rows(lengths: Sequence[float], across: float) -> list[list[int]]:
 
 
 def _lengths(entries: Sequence[tuple[str, str]]) -> list[float]:
-    font = import_pillow().ImageFont.load_default(14)
-    return [font.getlength(words) + 42 for _, words in entries]
+    return [_font(words, 14).getlength(words) + 42 for _, words in entries]
 
 
 def legend_height(entries: Sequence[tuple[str, str]], across: int) -> int:
