@@ -210,9 +210,9 @@ class MakeReplan(Command):
 
     def _stability(self, plan: Plan | None) -> StabilitySettings:
         """Return the settings that are given, else those of the plan."""
-        from falsework.replanning.replanner import settings_of
+        from falsework.stability.settings import StabilitySettings
 
-        own = None if plan is None else settings_of(plan)
+        own = None if plan is None else StabilitySettings.from_claim(plan.claim)
         if own is None or self.holds != HoldOptions() or self.criterion not in (None, own.criterion):
             criterion = self.criterion or ("contact" if own is None else own.criterion)
             return self.holds.settings(criterion, solver=self.solver)

@@ -239,7 +239,7 @@ def replan(
     if plan is not None:
         options = {"robots": plan.robots, **options, "plan": plan}
     request = Request(state, step=step, **options)
-    stability = stability or (PLANS if plan is None else settings_of(plan))
+    stability = stability or (PLANS if plan is None else StabilitySettings.from_claim(plan.claim))
     request.task(assembly)  # bad input is refused before anything is loaded
 
     def ask(oracle: StabilityOracle, deadline: float | None) -> ReplanResult:
@@ -257,11 +257,6 @@ def replan(
     again = ask(StabilityOracle(assembly, replace(stability, reserve=1.0)), left)
     best = again if again.found or not answer.found else answer
     return replace(best, seconds=answer.seconds + again.seconds)
-
-
-def settings_of(plan: Plan) -> StabilitySettings:
-    """Return the settings of stability under which a plan was made."""
-    return StabilitySettings.from_claim(plan.claim)
 
 
 def _subject(subject: AnyStructure | Plan, structure: AnyStructure | None) -> tuple[Plan | None, Assembly]:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.replanning.replanner import settings_of
 from falsework.robots.plans.robot_plan import RobotPlan, acts
 from falsework.search.find import make_task
 from falsework.search.plans.plan import Plan
@@ -15,6 +14,7 @@ from falsework.search.plans.proofs import prove_route
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle
+from falsework.stability.settings import StabilitySettings
 
 
 def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) -> tuple[RobotPlan, int | None]:
@@ -35,7 +35,7 @@ def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) 
     else:
         states = np.concatenate([old.states[:done], new.states])
         actions = np.concatenate([old.actions[:done], new.actions])
-    route, oracle = Route(states, actions), StabilityOracle(assembly, settings_of(rest.plan))
+    route, oracle = Route(states, actions), StabilityOracle(assembly, StabilitySettings.from_claim(rest.plan.claim))
     forces = rest.plan.proof_arrays() is not None
     whole = prove_route(route, assembly, _task(route, rest.plan, begun.plan, assembly), oracle, forces=forces)
     if whole.replay is not None and not whole.replay.stands:

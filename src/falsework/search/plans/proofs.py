@@ -134,9 +134,10 @@ def prove_route(
             states = np.ascontiguousarray(route.states[:, np.concatenate([np.arange(bare), bare + used])])
             assembly = keep_props(assembly, used.tolist())
             route, replay = Route.from_states(states), replay and replace(replay, steps=())
-            demands = oracle.demands if isinstance(oracle, MarginOracle) else None
-            oracle = StabilityOracle(assembly, oracle.settings)
-            oracle = oracle if demands is None else MarginOracle(assembly, oracle.settings, demands)
+            if isinstance(oracle, MarginOracle):
+                oracle = MarginOracle(assembly, oracle.settings, oracle.demands)
+            else:
+                oracle = StabilityOracle(assembly, oracle.settings)
     if oracle.replayer is None:
         verdicts, arrays = prove(route.states, oracle, forces=forces)
         plan = Plan.from_route(route, assembly, task, verdicts[::-1], oracle.settings.claim)

@@ -97,7 +97,8 @@ class BuildVerifier:
         springs, forces = (np.where((there & was)[:, None], kept, 0.0) for kept in (self._springs, self._forces))
         held = np.flatnonzero((state == HELD) & ~assembly.immovable)
         taken = held[before[held] != HELD]  # it came with its robot, or its robot takes it as it is
-        self._borne[taken] = -(law.geometry.wrenches_on(taken, law.forces(springs, strength)) + self._loads[taken])
+        if len(taken):
+            self._borne[taken] = -(law.geometry.wrenches_on(taken, law.forces(springs, strength)) + self._loads[taken])
         points = law.points_of(steps, there)
         springs[points], forces[points], whole = law.follow(springs[points], steps, points, strength.take(points), torn)
         moved = np.where(((before != REMOVED) & (state != REMOVED))[:, None], self._moved, 0.0) + steps.sum(axis=0)

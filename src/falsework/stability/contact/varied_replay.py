@@ -196,7 +196,7 @@ class RouteReplay:
         known = self._known[-1] if self._known else None
         if known is not None and known[0] >= len(states) - 1:
             return
-        length = part_length(len(self._route))
+        length = _part_length(len(self._route))
         for first, histories in in_pieces(self.replayer, states, self._presses[: len(states)], known):
             yield first, histories
             last = first + len(histories) - 1
@@ -219,7 +219,7 @@ class RouteReplay:
         return None if last >= len(states) - 1 else last + 1
 
 
-def part_length(count: int) -> int:
+def _part_length(count: int) -> int:
     """Return the states in each of `PARTS` parts of a route of some states."""
     return max(-(-count // PARTS), 2 * PIECE)  # a round of replays has a cost of its own
 
@@ -353,7 +353,7 @@ class AllVariations:
             if change not in self._replays:
                 self._replays[change] = RouteReplay(self._replayer.vary(*changed(change, settings)), change)
             self._replays[change].begin(states, presses)
-        replays, length = [self._replays[change] for change in changes], part_length(len(states))
+        replays, length = [self._replays[change] for change in changes], _part_length(len(states))
         for end in range(length, len(states) + length, length):
             rows = zip(_falls(replays, states[:end]), changes, strict=True)
             fallen = [(row, change) for row, change in rows if row is not None]
