@@ -331,13 +331,13 @@ def test_a_robust_route_avoids_what_falls_under_a_variation(rules: Any, directio
 
 
 def test_a_change_under_which_a_route_falls_is_tried_at_every_step_from_then_on(rules: Any) -> None:
-    """Another test of plans begins without it."""
+    """With the others of its kind; another test of plans begins without them."""
     task, oracle = tower(rules, set())
     states = Planner(task, oracle).run().routes[0].states[::-1]
     replayer: Any = RuleReplayer(set(), {tuple(states[3].tolist())})
     every, presses = AllVariations(replayer), [()] * len(states)
     assert every.falls_at(states, presses) == 3
-    assert [change.name for change in replayer.changes] == ["thicker medium"]
+    assert [change.name for change in replayer.changes] == ["thicker medium", "thinner medium"]
     AllVariations(replayer)
     assert replayer.changes == ()
 
@@ -429,9 +429,9 @@ def test_a_search_that_begins_anew_tries_more_reserve_too(rules: Any, monkeypatc
     planner = Planner(task, oracle, settings)
     assert planner.run().found
     learned = [change.name for change in oracle.replayer.changes]
-    assert learned == ["thicker medium", MORE_RESERVE.name]
+    assert learned == ["thicker medium", "thinner medium", MORE_RESERVE.name]
     planner.tests.strengthen()
-    assert len(oracle.replayer.changes) == 2
+    assert len(oracle.replayer.changes) == 3
     assert MORE_RESERVE not in variations(oracle.replayer.settings, 20)
     assert changed(MORE_RESERVE, oracle.replayer.settings)[0].reserve == pytest.approx(1.155)
 

@@ -100,15 +100,18 @@ def _draw(number: int) -> Change:
     return Change(f"friction at the start, draw {number}", replay=noise)
 
 
-_SMALL_RATIO = Change("stiffness ratio 0.4", ratio=0.4)
-_LARGE_RATIO = Change("stiffness ratio 1", ratio=1.0)
-_AT_ONCE = Change("release in 1 increment", replay=(("increments", 1),))
-_SLOWLY = Change("release in 16 increments", replay=(("increments", 16),))
-_THICK = Change("thicker medium", replay=(("first_step", ReplaySettings.first_step / 30),))
-_THIN = Change("thinner medium", replay=(("first_step", ReplaySettings.first_step * 30),))
-_SOFT = Change("holds 3 times softer", hold_factor=1 / 3)
-_STIFF = Change("holds 3 times stiffer", hold_factor=3.0)
+_RATIOS = Change("stiffness ratio 0.4", ratio=0.4), Change("stiffness ratio 1", ratio=1.0)
+_RELEASES = (
+    Change("release in 1 increment", replay=(("increments", 1),)),
+    Change("release in 16 increments", replay=(("increments", 16),)),
+)
+_MEDIA = (
+    Change("thicker medium", replay=(("first_step", ReplaySettings.first_step / 30),)),
+    Change("thinner medium", replay=(("first_step", ReplaySettings.first_step * 30),)),
+)
+_HOLDS = Change("holds 3 times softer", hold_factor=1 / 3), Change("holds 3 times stiffer", hold_factor=3.0)
 _PRESSES = tuple(Change(f"presses 10% and 5 degrees off, {k + 1} of 4", press=k) for k in range(4))
+_KINDS = _RATIOS, _RELEASES, _MEDIA, _HOLDS, _PRESSES
 MORE_RESERVE = Change("a larger reserve", reserve=1.05)
 """None of the variations: a search that begins anew tries steps under it too, since what keeps more of a reserve stands
 under most of them."""
@@ -247,8 +250,7 @@ def variations(settings: StabilitySettings, draws: int, presses: Presses = ()) -
         draws: number of random initial friction states.
         presses: of the plan; without any, none of them errs.
     """
-    found = [_SMALL_RATIO, _LARGE_RATIO, _AT_ONCE, _SLOWLY, _THICK, _THIN]
-    found += [_SOFT, _STIFF] if np.isfinite(settings.holds.stiffness) else []
+    found = [*_RATIOS, *_RELEASES, *_MEDIA, *(_HOLDS if np.isfinite(settings.holds.stiffness) else ())]
     return [*found, *map(_draw, range(1, draws + 1)), *(_PRESSES if any(presses) else ())]
 
 
@@ -340,8 +342,9 @@ class AllVariations:
     def falls_at(self, states: States, presses: Presses) -> int | None:
         """Return the first state in which a plan does not come to rest under some change; None if there is none.
 
-        The change under which it falls first is among those under which the replayer tries steps from now on. All are
-        tried on one part of the plan before the next, so little of what comes after a fall is replayed.
+        The change under which it falls first is among those under which the replayer tries steps from now on, with all
+        of its kind: where steps keep one of them alone, plans often fall under the next. All changes are tried on one
+        part of the plan before the next, so little of what comes after a fall is replayed.
 
         Args:
             states: in assembly order, shape (steps + 1, parts); they come to rest in the replay of the replayer.
@@ -359,6 +362,7 @@ class AllVariations:
             fallen = [(row, change) for row, change in rows if row is not None]
             if fallen:
                 row, change = min(fallen, key=itemgetter(0))
-                self._replayer.also_under((*known, change))
+                kind = next((some for some in _KINDS if change in some), (change,))
+                self._replayer.also_under((*known, *kind))
                 return row
         return None
