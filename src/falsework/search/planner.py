@@ -33,7 +33,7 @@ from falsework.search.strategies import EDGES, TOGETHER, Pace, Portfolio, Repair
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
-FORMAT = "falsework.planner/13"
+FORMAT = "falsework.planner/14"
 
 MOST_FALLS = 64
 """Routes of one search, or plans with motions, whose replay may fail before it is given up."""
@@ -186,6 +186,7 @@ class Planner:
         header = {
             "task": self.task.to_dict(),
             "settings": _settings_header(self.settings),
+            "premises": self._oracle.premises,
             "stage": self._stage,
             "left": self._left,
             "trial": list(self._trial),
@@ -216,8 +217,8 @@ class Planner:
             InputError: no such file, a damaged one, or one of another task or other settings.
         """
         header, arrays = read_archive(path, FORMAT)
-        expected = task.judged_by(oracle).to_dict(), _settings_header(settings)
-        if (header.get("task"), header.get("settings")) != expected:
+        expected = task.judged_by(oracle).to_dict(), _settings_header(settings), oracle.premises
+        if tuple(map(header.get, ("task", "settings", "premises"))) != expected:
             raise InputError(f"{path} belongs to another structure, task or settings; remove it to begin a new search")
         planner = cls(task, oracle, settings, guide=guide, wide=wide)
         with blamed_on(path, "remove it to begin a new search"):

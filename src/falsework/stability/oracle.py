@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -108,6 +108,11 @@ class StabilityOracle:
     def replayer(self) -> Replayer | None:
         """Replayer of state sequences of the structure; None under `equilibrium`, which has no history."""
         return self._criterion.replayer()
+
+    @property
+    def premises(self) -> dict[str, Any]:
+        """What verdicts depend on beside the structure: the claim, as plain JSON values."""
+        return self.settings.claim.to_dict()
 
     def verdicts(
         self, states: ArrayLike, *, near: ArrayLike | None = None, require_certificate: bool = False

@@ -150,7 +150,7 @@ def can_begin_to_move(contacts: Contacts, parts: PartSet, present: NDArray[np.bo
     """Return whether all parts of a set can begin to move at the same time while the others rest.
 
     To first order: no contact point is pushed into, see `feasible_velocities`. So what cannot begin to move has no way
-    out of any shape. Each part of the set moves on its own. Of several parts, each has to be able to where the others of
+    out of any shape. Each part of the set moves on its own. Of several, each has to be able to where the others of
     the set are not there, and one of them, the fastest, where they are.
 
     Args:

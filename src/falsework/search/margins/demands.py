@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta, to_builtins
@@ -153,6 +153,11 @@ class MarginOracle(StabilityOracle):
         first, second = assembly.contacts.parts.T
         near[first, second] = near[second, first] = True
         self._near = near
+
+    @property
+    def premises(self) -> dict[str, Any]:
+        """See `StabilityOracle.premises`; the margins belong to them."""
+        return super().premises | {"demands": self.demands.to_dict()}
 
     @cached_property
     def _pushes(self) -> Pushes:
