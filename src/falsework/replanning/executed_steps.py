@@ -12,6 +12,7 @@ from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import STAGE, Task
+from falsework.search.task_rules import widest_exits
 from falsework.search.together.exits import exit_path
 from falsework.stability.contact.history import Presses
 
@@ -92,7 +93,4 @@ class ExecutedSteps:
         """Return a plan that begins with these steps, with the ways of several moves on which they were done."""
         ways = (self.plan.exit_paths or ((),) * len(self.plan))[: self.steps]
         ways = (*ways, *(whole.exit_paths or ((),) * len(whole))[self.steps :])
-        turns = any(move.turns for way in ways for move in way)
-        moves = max(self.plan.moves, whole.moves)
-        waiting = self.plan.waiting or whole.waiting
-        return replace(whole, exit_paths=ways, moves=moves, turns=turns, waiting=waiting) if any(ways) else whole
+        return replace(whole, exit_paths=ways, **widest_exits(self.plan, whole)) if any(ways) else whole

@@ -19,7 +19,7 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.deadline import check_deadline
 from falsework.search.problem.task import STAGE, Direction, Task
-from falsework.search.task_rules import TaskRules
+from falsework.search.task_rules import TaskRules, widest_exits
 from falsework.utils.quantity import check_seed
 
 MOST_PLANS = 1000
@@ -178,15 +178,12 @@ class Request:
 
     def _rules(self, assembly: Assembly) -> TaskRules:
         """Return how parts may be held, and leave: as the request says, and as the plan that is carried out does."""
-        asked, once = self if self.plan is None else self.plan, len(self.missing) > 0 or self.alternatives > 1
-        again = self.plan is not None and self.plan.allow_regrasp and not once
+        plan, once = self.plan, len(self.missing) > 0 or self.alternatives > 1
         return {
-            "removable_only_if_clear": self.removable_only_if_clear or asked.removable_only_if_clear,
-            "allow_regrasp": bool(assembly.props) or again,
-            "parts_at_once": max(self.parts_at_once, asked.parts_at_once),
-            "moves": max(self.moves, asked.moves),
-            "turns": self.turns or asked.turns,
-            "waiting": self.waiting or asked.waiting,
+            "removable_only_if_clear": self.removable_only_if_clear
+            or (plan is not None and plan.removable_only_if_clear),
+            "allow_regrasp": bool(assembly.props) or (plan is not None and plan.allow_regrasp and not once),
+            **widest_exits(self, *([] if plan is None else [plan])),
         }
 
     def _props_at_once(self, state: States, assembly: Assembly) -> int:
