@@ -72,6 +72,8 @@ class StabilityOracle:
         self.problem = build_problem(
             assembly, cone=settings.friction_cone, gravity=settings.gravity, reserve=settings.reserve
         )
+        self.premises: dict[str, Any] = self._claim.to_dict()
+        """What verdicts depend on beside the structure, as plain JSON values."""
         self.counters = Counters()
         self._criterion = CRITERIA[settings.criterion](assembly, self.problem, settings)
         asked = settings.solver in ("auto", "cpu") and not self.problem.strength.idle.any()
@@ -108,11 +110,6 @@ class StabilityOracle:
     def replayer(self) -> Replayer | None:
         """Replayer of state sequences of the structure; None under `equilibrium`, which has no history."""
         return self._criterion.replayer()
-
-    @property
-    def premises(self) -> dict[str, Any]:
-        """What verdicts depend on beside the structure: the claim, as plain JSON values."""
-        return self.settings.claim.to_dict()
 
     def verdicts(
         self, states: ArrayLike, *, near: ArrayLike | None = None, require_certificate: bool = False

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from msgspec import Meta, to_builtins
@@ -145,6 +145,7 @@ class MarginOracle(StabilityOracle):
     ) -> None:
         super().__init__(assembly, settings)
         self.demands = demands
+        self.premises |= {"demands": demands.to_dict()}
         true = replace(settings, reserve=1.0)
         self._variants = [(name, StabilityOracle(changed, true)) for name, changed in demands.variants(assembly)]
         self._known: dict[bytes, int] = {}
@@ -153,11 +154,6 @@ class MarginOracle(StabilityOracle):
         first, second = assembly.contacts.parts.T
         near[first, second] = near[second, first] = True
         self._near = near
-
-    @property
-    def premises(self) -> dict[str, Any]:
-        """See `StabilityOracle.premises`; the margins belong to them."""
-        return super().premises | {"demands": self.demands.to_dict()}
 
     @cached_property
     def _pushes(self) -> Pushes:
