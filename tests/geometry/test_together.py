@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from falsework.errors import InputError
-from falsework.geometry import find_contacts
+from falsework.geometry import TriangleMesh, find_contacts
 from falsework.geometry.clearance import locked
 from falsework.geometry.clearance.directions import sphere_directions
 from falsework.geometry.clearance.locked import LockedSets
@@ -137,6 +137,25 @@ def test_a_block_that_can_turn_but_not_shift(shapes):
         assert can_begin_to_move(contacts, (0,), np.ones(7, dtype=bool)) is turns
         assert not StraightWays(meshes, contacts, tolerance=TOLERANCE).can_leave(np.ones((1, 7), np.uint8))[0, 0]
         assert can_begin_to_move(contacts, (0,), np.arange(7) != 6), "out at the side"
+
+
+@pytest.mark.parametrize("wide", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_block_in_a_channel_of_inexact_faces_can_begin_to_move(shapes, seed, wide):
+    """Both sides lean towards the block by rounding, in each direction: to first order they hold it as a wedge does."""
+    rng = np.random.default_rng(seed)
+    boxes = [((0, 0, 0), (1, 1, 1)), ((-3, -1, 0), (0, 2, 4)), ((1, -1, 0), (4, 2, 4)), ((-3, -1, -1), (4, 2, 0))]
+    boxes += [((0, -1, 0), (1, 0, 4)), ((0, 1, 0), (1, 2, 4))]
+    solids = [shapes.moved(shapes.box(*box), rotation=shapes.rotation(seed)) for box in boxes]
+    meshes = [
+        TriangleMesh.from_arrays("box", wide * (mesh.vertices + rng.uniform(-1e-5, 1e-5, (8, 3))), mesh.faces)
+        for mesh in solids
+    ]
+    contacts, there = find_contacts(meshes), np.ones(len(meshes), dtype=bool)
+    assert can_begin_to_move(contacts, (0,), there), "out of the channel"
+    lid = shapes.moved(shapes.box((0, 0, 1), (1, 1, 2)), rotation=shapes.rotation(seed))
+    closed = [*meshes, TriangleMesh.from_arrays("lid", wide * lid.vertices, lid.faces)]
+    assert not can_begin_to_move(find_contacts(closed), (0,), np.append(there, True))
 
 
 def test_a_part_that_touches_nothing_can_begin_to_move(shapes):

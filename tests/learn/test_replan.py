@@ -67,6 +67,16 @@ def goal_conditioned(alone: Replanner) -> Replanner:
     return Replanner(ARCH, make("mlp", goal_conditioned=True), alone.oracle)
 
 
+def test_repeated_holds_are_left_to_the_search(guided: Replanner) -> None:
+    """Policies know none: one that takes no step at all would be at the end of a plan that changes a hold."""
+    start, target = COMPLETE.copy(), COMPLETE.copy()
+    start[0] = target[3] = HELD
+    begun = find_plans(ARCH, robots=1, start=start, target=target, allow_regrasp=True).plans[0]
+    for step in range(3):
+        answer = guided.replan(plan=begun, step=step, target=start, direction=Direction.ASSEMBLY, robots=1)
+        assert [str(one.action) for one in answer.plans[0]] == ["release", "hold"]
+
+
 class Falling:
     """Replays like another replayer, but every sequence falls in some states."""
 

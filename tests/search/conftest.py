@@ -13,11 +13,29 @@ import pytest
 from numpy.typing import NDArray
 
 from falsework import Assembly, StabilityOracle, Task, Verdict, load_structure
+from falsework.geometry import TriangleMesh
 from falsework.geometry.clearance.protocol import Clearance
 from falsework.search import Oracle
 from falsework.stability import Proof, Verdicts
 
 State = tuple[int, ...]
+
+
+@pytest.fixture(scope="session")
+def inexact() -> Callable[[Assembly, float], Assembly]:
+    """Return a structure whose corners are all displaced at random by up to a length, metres, as rounding does."""
+
+    def displace(assembly: Assembly, most: float) -> Assembly:
+        rng = np.random.default_rng(0)
+        meshes = [
+            TriangleMesh.from_arrays(
+                mesh.name, mesh.vertices + rng.uniform(-most, most, mesh.vertices.shape), mesh.faces
+            )
+            for mesh in assembly.meshes
+        ]
+        return Assembly.from_meshes(meshes, boundary=assembly.boundary)
+
+    return displace
 
 
 def verdicts_of(stable: NDArray[np.bool_], undecided: NDArray[np.bool_] | None = None) -> Verdicts:

@@ -12,10 +12,12 @@ import pytest
 import falsework as fw
 from falsework import (
     Assembly,
+    Direction,
     Plan,
     Replanner,
     StabilityOracle,
     StabilitySettings,
+    Verdict,
     find_plans,
     load_structure,
     replan,
@@ -24,11 +26,14 @@ from falsework.assembly import with_props
 from falsework.errors import InputError, StateError
 from falsework.replanning import SiteSteps
 from falsework.replanning.named_state import named_state
+from falsework.replanning.request import Request
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import save_plan
 from falsework.search.problem.deadline import Deadline
+from falsework.search.problem.result import Route
 from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.contact.replay import Replayer
+from falsework.stability.verdict import Proof
 
 ARCH = load_structure("arch:blocks=7")
 
@@ -110,6 +115,47 @@ def test_what_it_takes_from_the_plan(plan: Plan, tmp_path: Path) -> None:
     fewer = fw.replan(plan, step=4, robots=2, stability=StabilitySettings(criterion="equilibrium")).plans[0]
     assert fewer.claim.criterion == "equilibrium"
     assert validate_plan(fewer, ARCH, StabilitySettings(criterion="equilibrium")).good
+
+
+def test_ways_in_are_asked_of_what_follows() -> None:
+    """As of the steps that are done; and where these were not asked for ways but have them, those of all are known."""
+    stands = StabilitySettings(criterion="equilibrium")
+    clear, free = (
+        find_plans(ARCH, robots=2, stability=stands, removable_only_if_clear=rule).plans[0] for rule in (True, False)
+    )
+    assert replan(clear, step=3, structure=ARCH).plans[0].removable_only_if_clear
+    assert not replan(free, step=3, structure=ARCH).plans[0].removable_only_if_clear
+    asked = replan(free, step=3, structure=ARCH, removable_only_if_clear=True).plans[0]
+    assert asked.removable_only_if_clear
+    assert validate_plan(asked, ARCH, stands).good
+
+
+def test_repeated_holds_go_on() -> None:
+    """One robot changes from a part to another. Plans that hold parts again take no missing parts, said at once."""
+    first, second = np.flatnonzero(~ARCH.boundary)[[0, 3]]
+    start = np.where(ARCH.boundary, 2, 1).astype(np.uint8)
+    target = start.copy()
+    start[first] = target[second] = 2
+    begun = find_plans(ARCH, robots=1, start=start, target=target, allow_regrasp=True).plans[0]
+    for step in range(3):
+        answer = replan(begun, step=step, structure=ARCH, target=start, direction=Direction.ASSEMBLY)
+        assert [str(one.action) for one in answer.plans[0]] == ["release", "hold"]
+    plan = find_plans(ARCH, robots=2, stability=StabilitySettings(criterion="equilibrium")).plans[0]
+    step = int(np.flatnonzero((plan.states[:, plan.boundary == 0] == 1).any(axis=1))[0])
+    states = [*plan.states[: step + 1], *plan.states[step : step - 2 : -1], *plan.states[step:]]
+    again = replace(
+        plan,
+        states=np.array(states),
+        actions=Route.from_states(np.array(states)).actions,
+        verdicts=(Verdict.STABLE,) * len(states),
+        proofs=(Proof.NONE,) * len(states),
+        residuals=np.zeros(len(states)),
+        allow_regrasp=True,
+    )
+    late_part = [ARCH.names[late(plan, step)]]
+    assert replan(again, step=step, structure=ARCH, missing=late_part).found
+    with pytest.raises(InputError, match="repeated holds take no missing parts"):
+        Request(plan=again, step=step + 2, missing=late_part).task(ARCH)
 
 
 def test_steps_that_do_not_come_to_rest_are_named(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:

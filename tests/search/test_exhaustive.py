@@ -87,6 +87,14 @@ def test_agrees_between_other_ends(rules: Any, seed: int) -> None:
     assert census.plans == rules.enumeration(task, oracle).count()
 
 
+def test_without_repeated_holds_nothing_is_proven_of_plans_with_them(rules: Any) -> None:
+    task = Task.from_rules(rules.ground(6), 1, allow_regrasp=True)
+    census = ExhaustiveSearch(task, rules.arch(6)).run()
+    assert census.complete
+    assert census.result.outcome is Outcome.NOT_FOUND
+    assert census.result.limit.startswith("each part was held once")
+
+
 def test_gives_up_honestly(rules: Any) -> None:
     task = Task.from_rules(rules.ground(9), 2)
     census = ExhaustiveSearch(task, rules.blocks(9), state_limit=50).run()

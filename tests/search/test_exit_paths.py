@@ -100,6 +100,13 @@ def test_a_drawer_behind_a_lip_is_lifted_and_then_pulled_out(plan: Plan, drawer:
     assert report.about.moves == 2
 
 
+@pytest.mark.parametrize("most", [1e-7, 1e-6, 1e-5])
+@pytest.mark.parametrize("turns", [False, True])
+def test_rounded_coordinates_lock_nothing(drawer: Assembly, inexact: Any, most: float, turns: bool) -> None:
+    found = find_plans(inexact(drawer, most), robots=1, moves=2, turns=turns, stability=SETTINGS)
+    assert len(found.plans[0].exit_paths[0]) == 2
+
+
 def test_without_several_moves_it_is_proven_that_there_is_no_plan(drawer: Assembly) -> None:
     found = find_plans(drawer, robots=1, removable_only_if_clear=True, stability=SETTINGS)
     assert found.result.outcome is Outcome.PROVED_IMPOSSIBLE

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,8 @@ from falsework import (
     make_task,
 )
 from falsework.errors import InputError
-from falsework.search import BeamSearch, BeamSettings, SearchProgress, SupportGuide
+from falsework.search import BeamSearch, BeamSettings, Demands, SearchProgress, SupportGuide
+from falsework.search.margins.demands import MarginOracle
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.oracle import CountingOracle
@@ -328,6 +330,23 @@ def test_a_checkpoint_is_resumed_and_removed(
     assert found.found
     assert levels[0] == 5
     assert not path.exists()
+
+
+@pytest.mark.parametrize("changed", [{"reserve": 1.5}, {"tolerance": 1e-3}, {"cone": "octagon"}, {"load": 100.0}])
+def test_a_checkpoint_of_other_verdicts_is_refused(small_arch: Assembly, tmp_path: Path, changed: Any) -> None:
+    """States that stand under other settings, or without margins that are demanded, are none of this search."""
+    path, stop = tmp_path / "search.npz", iter(range(4))
+    settings, demands = StabilitySettings(criterion="equilibrium", cone="quadratic"), Demands()
+    if "load" in changed:
+        other = MarginOracle(small_arch, settings, Demands(**changed))
+    else:
+        other = MarginOracle(small_arch, replace(settings, **changed), demands)
+    oracle = MarginOracle(small_arch, settings, demands)
+    halted = find_plans(small_arch, oracle=oracle, checkpoint=path, stop=lambda: next(stop, None) is None)
+    assert halted.result.interrupted
+    with pytest.raises(InputError, match="belongs to another structure, task or settings; remove it"):
+        find_plans(small_arch, oracle=other, checkpoint=path)
+    assert find_plans(small_arch, oracle=MarginOracle(small_arch, settings, demands), checkpoint=path).found
 
 
 def test_same_seed_same_plan(small_arch: Assembly) -> None:

@@ -167,8 +167,6 @@ class MakePlan(Command):
         oracle = MarginOracle(assembly, stability, demands) if demands else StabilityOracle(assembly, stability)
         if refuse_unstable(assembly, StabilityOracle(assembly, plain), task, output):
             return Exit.NO
-        if demands:  # a search that was saved under other margins is another search
-            task = replace(task, identity=f"{task.identity} {demands}")
         demanding = oracle if isinstance(oracle, MarginOracle) else None
         guide = policy_guide(self.guide, assembly, task.judged_by(oracle))
         if demanding is not None and refuse_weak_end(demanding, task, output):

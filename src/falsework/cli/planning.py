@@ -98,12 +98,9 @@ class ExitOptions:
 
     def exits(self) -> ExitRules:
         """Return these options as rules."""
-        return {
-            "parts_at_once": self.parts_at_once,
-            "moves": self.moves,
-            "turns": self.turns,
-            "waiting": self.waiting,
-        }
+        from falsework.search.task_rules import widest_exits
+
+        return widest_exits(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -183,8 +183,9 @@ class MakeReplan(Command):
         """Load the plan if any, the structure, policy and source, the number of robots, and the exit rule."""
         from falsework.search.plans.plan_file import is_plan_file
 
-        if is_plan_file(self.structure.spec):
-            return self._load_plan(Path(self.structure.spec))
+        file = Path(self.structure.spec)
+        if is_plan_file(file) or (self.step is not None and file.suffix == ".json" and not file.exists()):
+            return self._load_plan(file)
         for name, given in (("--step", self.step), ("--structure", self.of)):
             if given is not None:
                 raise InputError(

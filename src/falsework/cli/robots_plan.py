@@ -258,6 +258,7 @@ class PlanRobots(Command):
         self, assembly: Assembly, cell: Cell, now: States, held: Sequence[int | None], begun: Plan | None = None
     ) -> Task:
         from falsework.search.find import make_task
+        from falsework.search.task_rules import widest_exits
 
         building = self.order == "assembly"
         missing = () if self.missing is None else parse_parts(self.missing, "--missing", assembly.names)
@@ -269,10 +270,6 @@ class PlanRobots(Command):
                 raise InputError(f"part {name} is said to be missing, yet it is {where}; name parts that are not there")
         end = None if self.target is None else parse_state(self.target, "--target", assembly)
         start, target = (end, now) if building else (now, end)  # plans are found as disassembly
-        rules = self.exits.exits()
-        if begun is not None:  # what it allows goes on
-            rules["parts_at_once"] = max(self.exits.parts_at_once, begun.parts_at_once)
-            rules["moves"], rules["turns"] = max(self.exits.moves, begun.moves), self.exits.turns or begun.turns
         return make_task(
             assembly,
             cell.robot_count,
@@ -281,7 +278,7 @@ class PlanRobots(Command):
             missing=missing,
             removable_only_if_clear=True,
             allow_regrasp=self.allow_regrasp,
-            **rules,
+            **widest_exits(self.exits, *([] if begun is None else [begun])),  # what that allows goes on
         )
 
     def _report(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -10,7 +11,9 @@ from falsework.assembly.state import REMOVED, States
 from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.result import Route
-from falsework.search.problem.task import Task
+from falsework.search.problem.task import STAGE, Task
+from falsework.search.task_rules import widest_exits
+from falsework.search.together.exits import exit_path
 from falsework.stability.contact.history import Presses
 
 
@@ -67,19 +70,27 @@ class ExecutedSteps:
             target=self.plan.states[0],
             fixed=tuple(part for part in rest.fixed if part not in touched),
             missing=rest.missing,
-            clearance=rest.clearance if self.plan.removable_only_if_clear else None,
+            clearance=rest.clearance if self._are_clear(rest) else None,
             identity=rest.identity,
-            allow_regrasp=self.plan.allow_regrasp or rest.allow_regrasp,
+            allow_regrasp=rest.allow_regrasp or bool((STAGE[states[1:]] > STAGE[states[:-1]]).any()),
             props=rest.props,
             prop_limit=rest.prop_limit,
             together=rest.together,
+        )
+
+    def _are_clear(self, rest: Task) -> bool:
+        """Return whether each part that these steps place has a way in, as a task knows ways."""
+        if rest.clearance is None or self.plan.removable_only_if_clear:
+            return rest.clearance is not None
+        own = ~self.plan.immovable
+        return all(
+            exit_path(rest, state, tuple(placed.tolist())) is not None
+            for before, state in pairwise(self.history[0])
+            if len(placed := np.flatnonzero((before == REMOVED) & (state != REMOVED) & own))
         )
 
     def with_ways(self, whole: Plan) -> Plan:
         """Return a plan that begins with these steps, with the ways of several moves on which they were done."""
         ways = (self.plan.exit_paths or ((),) * len(self.plan))[: self.steps]
         ways = (*ways, *(whole.exit_paths or ((),) * len(whole))[self.steps :])
-        turns = any(move.turns for way in ways for move in way)
-        moves = max(self.plan.moves, whole.moves)
-        waiting = self.plan.waiting or whole.waiting
-        return replace(whole, exit_paths=ways, moves=moves, turns=turns, waiting=waiting) if any(ways) else whole
+        return replace(whole, exit_paths=ways, **widest_exits(self.plan, whole)) if any(ways) else whole

@@ -106,10 +106,12 @@ def _late(session: ReplanSession) -> bool:
 def with_time(wanted: Sequence[tuple[ReplanSession, int]], guide: PolicyGuide) -> list[ReplanSession]:
     """Return sessions whose deadline leaves time for rollouts, and as much again for a search if they fail.
 
+    Not those in which parts may be held again, of which policies know nothing.
+
     Args:
         wanted: sessions and the number of their rollouts.
     """
-    sessions = list(wanted)
+    sessions = [(session, count) for session, count in wanted if not session.task.allow_regrasp]
     while sessions:
         rows = sum(count for _, count in sessions)
         seconds = guide.seconds_for(rows) * max(session.task.steps for session, _ in sessions)

@@ -19,7 +19,7 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.deadline import check_deadline
 from falsework.search.problem.task import STAGE, Direction, Task
-from falsework.search.task_rules import ExitRules
+from falsework.search.task_rules import TaskRules, widest_exits
 from falsework.utils.quantity import check_seed
 
 MOST_PLANS = 1000
@@ -60,10 +60,11 @@ class Request:
     deadline: float | None = None
     """Seconds after which the best proven answer so far is returned."""
     removable_only_if_clear: bool = False
-    """Move a part only if it has a collision-free straight path in or out."""
+    """Move a part only if it has a collision-free straight path in or out. So too where the plan that is carried out
+    does, and what that allows, the next four and repeated holds, is allowed from now on; but repeated holds not where
+    parts are missing, or alternatives asked for, which plans with them do not take."""
     parts_at_once: int = 1
-    """Parts that a step may move at most, where they lock each other; see `TaskRules`. As for the next three, what the
-    plan that is carried out allows is allowed from now on, too."""
+    """Parts that a step may move at most, where they lock each other; see `TaskRules`."""
     moves: int = 1
     """Moves in which a part leaves at most, where it has no straight way out."""
     turns: bool = False
@@ -167,22 +168,22 @@ class Request:
             target=end,
             fixed=fixed,
             missing=missing,
-            removable_only_if_clear=self.removable_only_if_clear,
-            allow_regrasp=bool(assembly.props),
             props=self._props_at_once(state, assembly) if assembly.props else 0,
-            **self._ways(),
+            **self._rules(assembly),
         )
         _check_first_step(task, order, assembly)
+        if built is not None and order is Direction.ASSEMBLY:
+            built.whole_task(task)  # refused before anything is searched
         return task
 
-    def _ways(self) -> ExitRules:
-        """Return how parts may leave: as the request says, and as the plan that is carried out does."""
-        asked = self if self.plan is None else self.plan
+    def _rules(self, assembly: Assembly) -> TaskRules:
+        """Return how parts may be held, and leave: as the request says, and as the plan that is carried out does."""
+        plan, once = self.plan, len(self.missing) > 0 or self.alternatives > 1
         return {
-            "parts_at_once": max(self.parts_at_once, asked.parts_at_once),
-            "moves": max(self.moves, asked.moves),
-            "turns": self.turns or asked.turns,
-            "waiting": self.waiting or asked.waiting,
+            "removable_only_if_clear": self.removable_only_if_clear
+            or (plan is not None and plan.removable_only_if_clear),
+            "allow_regrasp": bool(assembly.props) or (plan is not None and plan.allow_regrasp and not once),
+            **widest_exits(self, *([] if plan is None else [plan])),
         }
 
     def _props_at_once(self, state: States, assembly: Assembly) -> int:
@@ -198,7 +199,7 @@ def _state(given: StateLike, assembly: Assembly, name: str) -> States:
 def _check_first_step(task: Task, order: Direction, assembly: Assembly) -> None:
     """Refuse a state in which the rules allow nothing, before anything is searched."""
     state = task.origin(order)
-    if task.steps == 0 or task.allow_regrasp or task.together is not None or task.moves(state[None], order).any():
+    if task.is_done or task.allow_regrasp or task.together is not None or task.moves(state[None], order).any():
         return
     held = np.flatnonzero((state == HELD) & ~task.boundary)
     busy = int(held_count(state[None], task.boundary)[0])

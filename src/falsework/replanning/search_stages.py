@@ -119,7 +119,7 @@ def _first_plan(session: ReplanSession, guide: Guide) -> Iterator[None]:
     task = replace(session.task, missing=(), postponed=())
     rivals = [TimeSlices(Planner(task, session.oracle, settings, guide=guide).run, Stage.SEARCH, _PLAIN_LEVELS)]
     policy = session.context.guide
-    if policy is not None and _affordable(session, policy):
+    if policy is not None and not task.allow_regrasp and _affordable(session, policy):
         guided = _GuidedBeams(session, _timed(policy.for_task(session.task), session.clock))
         rivals.insert(0, TimeSlices(guided.run, Stage.GUIDED, 1))
     yield from _finish(rivals, session)

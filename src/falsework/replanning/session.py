@@ -214,7 +214,7 @@ class ReplanSession:
         if falls_at is not None:
             self._why = f"the steps that are done do not come to rest in a replay, after step {falls_at}"
             self.infeasible = True
-        elif self.task.steps == 0:
+        elif self.task.is_done:
             self.found([Route(self.task.start[None].copy(), np.zeros(0, dtype=np.int64))], Stage.RULES)
 
     def answer(self) -> ReplanResult:

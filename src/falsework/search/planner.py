@@ -33,7 +33,7 @@ from falsework.search.strategies import EDGES, TOGETHER, Pace, Portfolio, Repair
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
-FORMAT = "falsework.planner/13"
+FORMAT = "falsework.planner/14"
 
 MOST_FALLS = 64
 """Routes of one search, or plans with motions, whose replay may fail before it is given up."""
@@ -184,8 +184,7 @@ class Planner:
             beams[key], packed = beam.pack()
             arrays |= {f"{key}_{name}": array for name, array in packed.items()}
         header = {
-            "task": self.task.to_dict(),
-            "settings": _settings_header(self.settings),
+            **_identity(self.task, self._oracle, self.settings),
             "stage": self._stage,
             "left": self._left,
             "trial": list(self._trial),
@@ -195,9 +194,8 @@ class Planner:
             "seconds": self._seconds,
             "beams": beams,
         }
-        empty = self.states[:0]
-        own = {"routes": np.concatenate([empty, *(route.states for route in self.routes)]), "states": self.states}
-        write_archive(path, FORMAT, header, own | arrays)
+        routes = np.concatenate([self.states[:0], *(route.states for route in self.routes)])
+        write_archive(path, FORMAT, header, {"routes": routes, "states": self.states} | arrays)
 
     @classmethod
     def load(
@@ -216,8 +214,8 @@ class Planner:
             InputError: no such file, a damaged one, or one of another task or other settings.
         """
         header, arrays = read_archive(path, FORMAT)
-        expected = task.judged_by(oracle).to_dict(), _settings_header(settings)
-        if (header.get("task"), header.get("settings")) != expected:
+        expected = _identity(task.judged_by(oracle), oracle, settings)
+        if {name: header.get(name) for name in expected} != expected:
             raise InputError(f"{path} belongs to another structure, task or settings; remove it to begin a new search")
         planner = cls(task, oracle, settings, guide=guide, wide=wide)
         with blamed_on(path, "remove it to begin a new search"):
@@ -396,5 +394,7 @@ class Planner:
         return replace(best, counters=counters, seconds=self._seconds, interrupted=interrupted)
 
 
-def _settings_header(settings: PlannerSettings) -> dict[str, Any]:
-    return vars(settings) | {"directions": [direction.value for direction in settings.directions]}
+def _identity(task: Task, oracle: Oracle, settings: PlannerSettings) -> dict[str, Any]:
+    """Return what tells one search from another, as plain JSON values."""
+    own = vars(settings) | {"directions": [direction.value for direction in settings.directions]}
+    return {"task": task.to_dict(), "settings": own, "premises": oracle.premises}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypedDict
+from typing import Protocol, TypedDict
 
 from numpy.typing import ArrayLike
 
@@ -23,6 +23,40 @@ class ExitRules(TypedDict, total=False):
     waiting: bool
     """Whether parts that no robot holds may be carried aside meanwhile, or the part that leaves be let go of half way
     out, where what waits stands; needs `moves` above 1."""
+
+
+class AllowsExits(Protocol):
+    """What says on which ways parts leave, as `ExitRules`: options, a request or a plan."""
+
+    @property
+    def parts_at_once(self) -> int:
+        """As of `ExitRules`; so are the others."""
+        ...
+
+    @property
+    def moves(self) -> int:
+        """Moves in which a part leaves at most."""
+        ...
+
+    @property
+    def turns(self) -> bool:
+        """Whether it may turn."""
+        ...
+
+    @property
+    def waiting(self) -> bool:
+        """Whether parts may wait."""
+        ...
+
+
+def widest_exits(*several: AllowsExits) -> ExitRules:
+    """Return the ways on which parts leave where one of several allows it, such as a plan and what follows it."""
+    return {
+        "parts_at_once": max(one.parts_at_once for one in several),
+        "moves": max(one.moves for one in several),
+        "turns": any(one.turns for one in several),
+        "waiting": any(one.waiting for one in several),
+    }
 
 
 class TaskRules(ExitRules, total=False):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -72,6 +72,8 @@ class StabilityOracle:
         self.problem = build_problem(
             assembly, cone=settings.friction_cone, gravity=settings.gravity, reserve=settings.reserve
         )
+        self.premises: dict[str, Any] = self._claim.to_dict()
+        """What verdicts depend on beside the structure, as plain JSON values."""
         self.counters = Counters()
         self._criterion = CRITERIA[settings.criterion](assembly, self.problem, settings)
         asked = settings.solver in ("auto", "cpu") and not self.problem.strength.idle.any()

@@ -20,9 +20,11 @@ from falsework.robots import Cell, RobotPlan
 from falsework.robots.exports.export import export_plan
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.kinematics.forward import tool_pose
+from falsework.robots.plans.continued import continued
 from falsework.robots.plans.robot_plan_file import robot_plan_from_dict, robot_plan_to_dict
 from falsework.robots.plans.timeline import interruption, schedule_of, waiting_at
 from falsework.robots.schedule.simulation import simulate
+from falsework.search.plans.plan_check import validate_plan
 from falsework.viewer.arms import Arms
 from falsework.viewer.palette import INSTALLED
 from tests.robots.plans.conftest import boxes, make_cell
@@ -30,8 +32,8 @@ from tests.robots.plans.test_ways import value
 
 
 @cache
-def pit() -> Assembly:
-    """A bar in a pit, half below a lid that stays in the end, and that no arm holds then."""
+def pit(*, pad: bool = False) -> Assembly:
+    """A bar in a pit, half below a lid that stays in the end, and that no arm holds then; beside it perhaps a pad."""
     walls = [
         ((-0.5, -0.5, 0.0), (-0.3, 0.5, 0.1)),
         ((0.1, -0.5, 0.0), (0.5, 0.5, 0.1)),
@@ -42,6 +44,7 @@ def pit() -> Assembly:
         [
             box("bar", (-0.3, -0.1, 0.0), (0.1, 0.1, 0.1)),
             box("lid", (0.0, -0.1, 0.1), (0.26, 0.1, 0.2)),
+            *([box("pad", (0.3, 0.25, 0.1), (0.45, 0.4, 0.2))] if pad else []),
             box("ground", (-0.6, -0.6, -0.05), (0.6, 0.6, 0.0), fixed=True),
             *(box("wall", low, high, fixed=True) for low, high in walls),
         ]
@@ -175,6 +178,23 @@ def test_an_interruption_waits_until_nothing_waits(alone: RobotPlan) -> None:
         assert all(grip is None for grip in now.gripped)
         known += bool(ends)
     assert known >= 3
+
+
+def test_a_plan_that_goes_on_keeps_the_rule_of_the_steps_that_are_done(lone: Cell) -> None:
+    """The bar is in, past the lid that waited; then a pad is laid down, for which nothing waits."""
+    assembly = pit(pad=True)
+    end = np.where(assembly.boundary, 2, 1)
+    first, middle = (np.where(np.isin(np.arange(len(end)), gone), 0, end) for gone in ([0, 2], [2]))
+    tasks = (
+        make_task(assembly, 1, start=middle, target=first, moves=2, waiting=True),
+        make_task(assembly, 1, start=end, target=middle, removable_only_if_clear=True),
+    )
+    begun, rest = (value(plan_robots(assembly, lone, task=task, concurrent=False)) for task in tasks)
+    assert (begun.plan.waiting, rest.plan.waiting) == (True, False)
+    whole, fails = continued(rest, begun, 2, assembly)
+    assert fails is None
+    report = validate_plan(whole.plan, assembly)
+    assert report.good, report.reason
 
 
 def test_without_the_rule_or_with_other_poses_a_plan_is_refused(lidded: RobotPlan, cell: Cell) -> None:

@@ -11,7 +11,7 @@ lines relative to each other, so that sweeps of pairs decide whether nothing col
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,6 @@ Mask = NDArray[np.bool_]
 
 _STILL = 1e-6
 """Velocity, as a share of the largest, below which a part rests."""
-_FASTER = 100.0
-"""Largest ratio of the speed of another part to that of a part that counts as moving."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +69,9 @@ class RelativeMotions:
         if known is not None:
             return known
         if key not in self._asked:
-            self._asked[key] = self._begins(parts, beside, np.sqrt(3.0) * INTO) != []
-            if self._asked[key]:
-                self._try(parts, self._begins(parts, beside, 0.0))
+            velocities = self._begins(parts, beside)
+            self._asked[key] = velocities != []
+            self._try(parts, velocities)
         known = self._free(parts, others)
         if known is None and self._asked[key]:
             self.unsure.add(parts)
@@ -83,12 +81,11 @@ class RelativeMotions:
         words = pack(others[None])[0]
         return next((motion for motion in self._motions.get(parts, ()) if not (motion.blockers & words).any()), None)
 
-    def _begins(self, parts: PartSet, present: Mask, slack: float) -> list[Array]:
+    def _begins(self, parts: PartSet, present: Mask) -> list[Array]:
         """Return velocities at which a set can begin to move apart, each of shape (parts of the set, 3); none if not.
 
         Args:
             present: parts that are there, shape (parts,).
-            slack: velocity into a contact that is allowed, as a share of the largest.
         """
         rows, count = [], len(parts)
         pairs, normals = self._contacts.parts, self._contacts.normals
@@ -105,16 +102,14 @@ class RelativeMotions:
         for part in range(count):
             # Scaled by the velocity of this part, and by the largest of all.
             some = [
-                feasible_velocities(into, slack, sign * axis, np.eye(3 * count))
-                for axis in units[part]
-                for sign in (1, -1)
+                feasible_velocities(into, sign * axis, np.eye(3 * count)) for axis in units[part] for sign in (1, -1)
             ]
             some = [velocity for velocity in some if velocity is not None]
             if not some:
                 return []
             found += some
         relative = np.concatenate([units[a] - units[b] for a, b in combinations(range(count), 2)])
-        apart = [feasible_velocities(into, slack, sign * row, relative) for row in relative for sign in (1, -1)]
+        apart = [feasible_velocities(into, sign * row, relative) for row in relative for sign in (1, -1)]
         apart = [velocity for velocity in apart if velocity is not None]
         if not apart:
             return []
@@ -154,58 +149,87 @@ class RelativeMotions:
 def can_begin_to_move(contacts: Contacts, parts: PartSet, present: NDArray[np.bool_]) -> bool:
     """Return whether all parts of a set can begin to move at the same time while the others rest.
 
-    To first order: no contact point is pushed into. Each part of the set moves on its own.
+    To first order: no contact point is pushed into, see `feasible_velocities`. So what cannot begin to move has no way
+    out of any shape. Each part of the set moves on its own. Of several, each has to be able to where the others of
+    the set are not there, and one of them, the fastest, where they are.
 
     Args:
         present: parts that are there, shape (parts,).
     """
-    pairs = contacts.parts[contacts.contact_of_point]
-    rows = np.flatnonzero(np.isin(pairs, parts).any(axis=1) & present[pairs].all(axis=1))
-    points, normals = contacts.points[rows], contacts.point_frames[rows, 0]
-    # About the middle of the contacts, in multiples of their extent: shifts and turns then have like sizes.
-    middle = points.mean(axis=0) if len(rows) else np.zeros(3)
-    extent = max(float(np.abs(points - middle).max(initial=0.0)), 1e-12)
-    twist = np.concatenate([normals, np.cross(points - middle, normals) / extent], axis=1)
+    rest = present.copy()
+    rest[list(parts)] = False
+    alone = all(_one_begins(contacts, (part,), rest) for part in parts)
+    return alone and (len(parts) == 1 or _one_begins(contacts, parts, rest))
+
+
+def _one_begins(contacts: Contacts, parts: PartSet, rest: Mask) -> bool:
+    """Return whether one of some parts can begin to move past those at rest where none of the others is faster.
+
+    The speed of a part is here that of the fastest corner of a box around its contact points: none of these is faster.
+    """
+    from scipy.linalg import block_diag
+
+    pairs, points = contacts.parts[contacts.contact_of_point], contacts.points
+    moves = np.isin(pairs, parts)
+    rows = np.flatnonzero(moves.any(axis=1) & (moves | rest[pairs]).all(axis=1))
     into = np.zeros((len(rows), len(parts), 6))
+    speeds = []
     for place, part in enumerate(parts):
-        into[:, place] = np.where((pairs[rows, 0] == part)[:, None], twist, 0.0)
-        into[:, place] -= np.where((pairs[rows, 1] == part)[:, None], twist, 0.0)
-    flat, bounded = into.reshape(len(rows), 6 * len(parts)), np.eye(6 * len(parts)) / _FASTER
-    return all(
-        any(
-            feasible_velocities(flat, 0.0, sign * axis, bounded) is not None
-            for axis in np.eye(6 * len(parts))[6 * place : 6 * place + 6]
-            for sign in (1.0, -1.0)
-        )
-        for place in range(len(parts))
+        own = (pairs[rows] == part).any(axis=1)
+        if not own.any():
+            return True
+        arms = points[rows] - points[rows[own]].mean(axis=0)
+        axes = np.linalg.eigh(arms[own].T @ arms[own])[1].T
+        local = arms @ axes.T
+        extent = max(float(np.abs(local[own]).max()), 1e-12)  # shifts and turns then have like sizes
+        ends = np.stack([local[own].min(axis=0), local[own].max(axis=0)]) / extent
+        corners = [[ends[i, 0], ends[j, 1], ends[k, 2]] for i, j, k in product((0, 1), repeat=3)]
+        fastest = np.concatenate([np.hstack([np.eye(3), np.cross(corner, np.eye(3))]) for corner in corners])
+        fastest = np.unique(np.round(fastest, 12), axis=0)
+        if np.linalg.matrix_rank(fastest) < 6:
+            return True  # it turns about the line on which all points lie
+        speeds.append(fastest)
+        normals = contacts.point_frames[rows, 0] @ axes.T
+        twist = np.concatenate([normals, np.cross(local / extent, normals)], axis=1)
+        into[:, place] = np.select([pairs[rows, :1] == part, pairs[rows, 1:] == part], [twist, -twist], 0.0)
+    # Two parts that both move are up to twice as fast past each other.
+    into /= moves[rows].sum(axis=1)[:, None, None]
+    bounded = block_diag(*speeds)
+    return any(
+        feasible_velocities(into.reshape(len(rows), -1), sign * speed, bounded) is not None
+        for speed in bounded
+        for sign in (1.0, -1.0)
     )
 
 
-def feasible_velocities(into: Array, slack: float, fixed: Array, bounded: Array) -> Array | None:
+def feasible_velocities(into: Array, fixed: Array, bounded: Array) -> Array | None:
     """Return velocities for which one combination is 1 and others are at most 1 in size, and no contact is pushed into.
+
+    What is at most 1 in size is each component of the speed. A model is exact to `INTO` of that: so fast parts may move
+    into contacts, if they have to.
 
     Args:
         into: rows whose products with the velocities are the speeds into contacts, shape (contacts, n).
-        slack: speed into a contact that is allowed.
         fixed: the combination that is 1, shape (n,).
         bounded: combinations that are at most 1 in size, shape (m, n).
 
     Returns:
-        Of all solutions one with the least sum of sizes, shape (n,); None if there is none.
+        Of all solutions one that goes least into contacts, and of these one with the least sum of sizes, shape (n,);
+        None if there is none.
     """
     from scipy.optimize import linprog
 
     count = into.shape[1]
-    # Velocities are differences of two parts that are not negative, whose sum is least.
-    rows = np.concatenate([into, bounded, -bounded])
-    limits = np.concatenate([np.full(len(into), slack + 1e-9), np.ones(2 * len(bounded))])
+    # Velocities are differences of two parts that are not negative, whose sum is least; then the speed into contacts.
+    signed = np.concatenate([into, bounded, -bounded])
+    slack = np.repeat([-1.0, 0.0], [len(into), 2 * len(bounded)])
     solved = linprog(
-        np.ones(2 * count),
-        A_ub=np.concatenate([rows, -rows], axis=1),
-        b_ub=limits,
-        A_eq=np.concatenate([fixed, -fixed])[None],
+        np.append(np.ones(2 * count), 1.0 / _STILL),
+        A_ub=np.column_stack([signed, -signed, slack]),
+        b_ub=np.repeat([1e-9, 1.0], [len(into), 2 * len(bounded)]),
+        A_eq=np.concatenate([fixed, -fixed, [0.0]])[None],
         b_eq=[1.0],
-        bounds=(0, None),
+        bounds=[*[(0.0, None)] * (2 * count), (0.0, np.sqrt(3.0) * INTO)],
         method="highs",
     )
-    return solved.x[:count] - solved.x[count:] if solved.status == 0 else None
+    return solved.x[:count] - solved.x[count : 2 * count] if solved.status == 0 else None

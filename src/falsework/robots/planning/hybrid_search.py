@@ -112,7 +112,7 @@ class HybridSearch:
             proven, late = self.abstract.outcome is Outcome.PROVED_IMPOSSIBLE, self.deadline_passed()
             outcome = "proved_impossible" if proven else "interrupted" if late else "not_found"
             return self.failed(root, outcome, self.fallen or (_LATE if outcome == "interrupted" else ""))
-        if self.task.steps == 0:
+        if self.task.is_done:
             return self.solved(root, [])
         limit = ""
         # Missing parts may have to come earlier than stability requires, so that the arms can insert them.

@@ -28,6 +28,9 @@ from falsework.search.problem.result import REPORTED_STATES, Outcome, Route, Sea
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 
+_ONCE = "each part was held once; parts that are let go of and held again may lead on"
+"""Caveat where the task allows that: levels are steps done, which a repeated hold takes back."""
+
 
 class BeamSearch(Search):
     """Beam search in levels, each one move from the last, that can be stepped, interrupted, packed and resumed.
@@ -227,7 +230,8 @@ class BeamSearch(Search):
         return Route.from_states(np.array(states))
 
     def _failure(self) -> tuple[Outcome, str]:
-        outcome, limit = beam_failure(self.settings.width, self.exhaustive, *self._open(), self.task.caveat)
+        caveat = self.task.caveat or _ONCE * self.task.allow_regrasp
+        outcome, limit = beam_failure(self.settings.width, self.exhaustive, *self._open(), caveat)
         if self.settings.restarts and not self.exhaustive and not any(self._open()):
             limit = f"beams up to a width of {self.settings.width} died; wider ones may come through"
         return outcome, limit

@@ -145,6 +145,7 @@ class MarginOracle(StabilityOracle):
     ) -> None:
         super().__init__(assembly, settings)
         self.demands = demands
+        self.premises |= {"demands": demands.to_dict()}
         true = replace(settings, reserve=1.0)
         self._variants = [(name, StabilityOracle(changed, true)) for name, changed in demands.variants(assembly)]
         self._known: dict[bytes, int] = {}

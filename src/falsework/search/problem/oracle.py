@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -51,6 +51,11 @@ class Oracle(Criterion, Protocol):
     def settings(self) -> StabilitySettings | None:
         """Settings of the verdicts, by which robots carry groups of parts; None where these cannot be judged."""
         return None
+
+    @property
+    def premises(self) -> dict[str, Any]:
+        """What verdicts depend on beside the structure, as plain JSON values; a saved search goes on under the same."""
+        return {}
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """Return verdicts on states.

@@ -190,6 +190,11 @@ class Task:
         props = int((self.target[parts:] != self.start[parts:]).sum())
         return int(STAGE[self.target[:parts]].sum() - STAGE[self.start[:parts]].sum()) + props
 
+    @property
+    def is_done(self) -> bool:
+        """Whether start and target are one state; with repeated holds, plans of no `steps` may lead to another."""
+        return np.array_equal(self.start, self.target)
+
     def judged_by(self, oracle: Criterion) -> Task:
         """Return the same task with the moves, and the parts that move aside, that an oracle allows."""
         clearance = None if self.clearance is None else self.clearance.judged_by(oracle, self.robots)

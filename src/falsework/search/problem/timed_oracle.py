@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from falsework.assembly.state import Mask, States
@@ -46,6 +48,11 @@ class TimedOracle(Oracle):
     def settings(self) -> StabilitySettings | None:
         """As of the oracle."""
         return self._oracle.settings
+
+    @property
+    def premises(self) -> dict[str, Any]:
+        """As of the oracle."""
+        return self._oracle.premises
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """See `falsework.search.problem.oracle.Oracle`; verdicts with certificates are of a few states, at once.
