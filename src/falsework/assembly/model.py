@@ -203,12 +203,13 @@ class Assembly(Displayed):
         changed = {key: value for key, value in asdict(self.contact_settings).items() if value != standard[key]}
         digest.update(repr(sorted(changed.items())).encode())
         if self.contacts_given:
-            for array in (self.contacts.parts, self.contacts.frames, self.contacts.points, self.contacts.start):
+            given = self.contacts
+            for array in (given.parts, given.frames, given.points, given.start, given.areas):
                 digest.update((array + 0.0).astype("<f8").tobytes())
-            if self.contacts.curved is not None:
-                digest.update(b"curved" + (self.contacts.curved + 0.0).astype("<f8").tobytes())
-            if self.contacts.lean is not None:
-                digest.update(b"lean" + (self.contacts.lean + 0.0).astype("<f8").tobytes())
+            if given.curved is not None:
+                digest.update(b"curved" + (given.curved + 0.0).astype("<f8").tobytes())
+            if given.lean is not None:
+                digest.update(b"lean" + (given.lean + 0.0).astype("<f8").tobytes())
         if self.loads is not None:
             for array in (self.loads.wrench, self.loads.acceleration):
                 digest.update(b"loads" + (array + 0.0).astype("<f8").tobytes())
