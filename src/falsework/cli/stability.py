@@ -75,12 +75,12 @@ class CheckStability(Command):
             proof = Proof(verdicts.proof[index])
             residual = float(verdicts.residual[index])
             moving = motions_at(assembly, verdicts, index)
-            built = None if builds is None else builds.at(chosen.first + index)
+            built = None if builds is None else builds.at(chosen.number(index))
             stands.append(bool(verdicts.stable[index]) if built is None else built.stable)
             output.row(
                 "states",
                 {
-                    "state": chosen.first + index,
+                    "state": chosen.number(index),
                     "verdict": verdict.name.lower(),
                     "proof": proof.name.lower(),
                     "as_built": None if built is None else built.verdict,
