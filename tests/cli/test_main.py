@@ -120,7 +120,10 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
             "unrecognized options: --robot; perhaps you meant: --robots NUMBER, --robust; "
             "for help, run falsework plan --help",
         ),
-        ("cell new ur5e ur5e --out c.toml", "too many values: ur5e; for help, run falsework cell new --help"),
+        ("cell new ur5e ur5e --out c.toml", "too many values: ur5e; name a structure with --structure; for help, run"),
+        ("check plan.json vault", "too many values: vault; name a structure with --structure; for help, run"),
+        ("view plan.json vault", "too many values: vault; name a structure with --structure; for help, run"),
+        ("plan vault arch", "too many values: arch; for help, run falsework plan --help"),
         ("doctor gone.toml", "there is no cell file gone.toml; `falsework cell new` writes one"),
         ("robots plan arch --cell gone.toml", "there is no cell file gone.toml; `falsework cell new` writes one"),
         ("plan arch --friction x", "--friction is 'x'; give a number; for help, see falsework plan --help"),
