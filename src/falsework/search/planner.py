@@ -33,11 +33,11 @@ from falsework.search.strategies import EDGES, TOGETHER, Pace, Portfolio, Repair
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
-FORMAT = "falsework.planner/13"
+FORMAT = "falsework.planner/14"
 
 MOST_FALLS = 64
 """Routes of one search, or plans with motions, whose replay may fail before it is given up."""
-_NUMBERS = "_round", "_turn", "_rank", "_high", "_trial_reached"
+_NUMBERS = "_round", "_turn", "_rank", "_high", "_trial_reached", "_falls"
 """Numbers that say where a search stands."""
 
 
@@ -172,20 +172,21 @@ class Planner:
             raise InputError(f"a search with {what} cannot be saved; leave out the checkpoint")
 
     def save(self, path: Path | str) -> None:
-        """Write the current search, to be resumed by `load`.
+        """Write the current search, to be resumed by `load`, but for why strategies gave up, and contact histories.
 
         Raises:
             InputError: it cannot be saved, see `check_saved`.
         """
         self.check_saved()
-        beams, arrays = {}, {}
+        beams: dict[str, Any] = {}
+        tests, arrays = self.tests.pack()
         for key, beam in self._beams.items():
             assert isinstance(beam, BeamSearch)
             beams[key], packed = beam.pack()
             arrays |= {f"{key}_{name}": array for name, array in packed.items()}
         header = {
             "task": self.task.to_dict(),
-            "settings": _settings_header(self.settings),
+            "settings": self.settings.to_dict(),
             "stage": self._stage,
             "left": self._left,
             "trial": list(self._trial),
@@ -193,6 +194,8 @@ class Planner:
             "numbers": [getattr(self, name) for name in _NUMBERS],
             "counters": vars(self._counters),
             "seconds": self._seconds,
+            "repair": vars(self._repair),
+            "tests": tests,
             "beams": beams,
         }
         empty = self.states[:0]
@@ -216,7 +219,7 @@ class Planner:
             InputError: no such file, a damaged one, or one of another task or other settings.
         """
         header, arrays = read_archive(path, FORMAT)
-        expected = task.judged_by(oracle).to_dict(), _settings_header(settings)
+        expected = task.judged_by(oracle).to_dict(), settings.to_dict()
         if (header.get("task"), header.get("settings")) != expected:
             raise InputError(f"{path} belongs to another structure, task or settings; remove it to begin a new search")
         planner = cls(task, oracle, settings, guide=guide, wide=wide)
@@ -230,7 +233,8 @@ class Planner:
         for name, number in zip(_NUMBERS, header["numbers"], strict=True):
             setattr(self, name, int(number))
         self._turns = {name: Turn(**turn) for name, turn in header["turns"].items()}
-        self._counters = SearchCounters(**header["counters"])
+        self._counters, self._repair = SearchCounters(**header["counters"]), Repair(**header["repair"])
+        self.tests.restore(header["tests"], arrays)
         self._seconds, self.states = float(header["seconds"]), arrays["states"]
         rows = arrays["routes"].reshape(-1, self.task.steps + 1, self.task.part_count)
         self.routes = [Route.from_states(states) for states in rows]
@@ -394,7 +398,3 @@ class Planner:
         if best is None:  # interrupted before the first search began
             best = BeamSearch(self.task, self._oracle).result(interrupted=True)
         return replace(best, counters=counters, seconds=self._seconds, interrupted=interrupted)
-
-
-def _settings_header(settings: PlannerSettings) -> dict[str, Any]:
-    return vars(settings) | {"directions": [direction.value for direction in settings.directions]}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 
@@ -119,6 +120,29 @@ class RouteTests:
         self._exclude(barred_state(states, row))
         return False
 
+    def pack(self) -> tuple[dict[str, Any], dict[str, States]]:
+        """Return what a search has learned from its routes: plain values, and arrays with names after `tests_`."""
+        none = self.forbidden[:0]
+        fallen, row = (None, 0) if self.fallen is None else self.fallen
+        arrays = {"tests_forbidden": self.forbidden}
+        for name, route in (("fallen", fallen), ("doubted", self.doubted)):
+            arrays[f"tests_{name}"] = none if route is None else route.states
+        return {"changes": [asdict(change) for change in self.changes], "fallen_at": row}, arrays
+
+    def restore(self, header: Mapping[str, Any], arrays: Mapping[str, States]) -> None:
+        """Go on with what `pack` returned.
+
+        Raises:
+            KeyError, TypeError, ValueError: it is something else.
+        """
+        self.forbidden = arrays["tests_forbidden"]
+        fallen, doubted = (arrays[f"tests_{name}"] for name in ("fallen", "doubted"))
+        self.fallen = (Route.from_states(fallen), int(header["fallen_at"])) if len(fallen) else None
+        self.doubted = Route.from_states(doubted) if len(doubted) else None
+        changes = [Change(**entry | {"replay": tuple(map(tuple, entry["replay"]))}) for entry in header["changes"]]
+        if self.replayer is not None and changes:
+            self.replayer.also_under(changes)
+
     def _exclude(self, states: States) -> None:
         self.forbidden = np.concatenate([self.forbidden, np.atleast_2d(states)])
 
@@ -127,7 +151,8 @@ class RouteTests:
         assert self.doubted is not None
         found = self._acceptance.judged(route.states[::-1], found, stop)
         self.replays[route.states.tobytes()] = found
-        judgement, best = found.judgement, self.replays[self.doubted.states.tobytes()].judgement
+        known = self.replays.get(self.doubted.states.tobytes())  # a search that was resumed has none
+        judgement, best = found.judgement, known and known.judgement
         if judgement is not None and (best is None or judgement.built > best.built):
             self.doubted = route
         if judgement is not None and not judgement.stands and judgement.falls_at is None:
