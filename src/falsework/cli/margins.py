@@ -87,8 +87,7 @@ class FindMargins(Command):
         assembly, chosen = self.structure.load_states(self.states, output)
         plan, states = chosen.plan, chosen.states
         criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
-        settings = StabilitySettings(criterion=criterion, cone=self.cone)
-        settings = settings if plan is None else replace(settings, gravity=plan.claim.gravity)
+        settings = StabilitySettings(criterion=criterion, cone=self.cone).under_gravity_of(plan and plan.claim)
         if self.out is not None:
             self._refuse_out(plan, settings)
         extra = [kind for kind in ("polygon", "settlement") if getattr(self, kind)]
