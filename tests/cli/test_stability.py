@@ -233,6 +233,14 @@ def test_states_of_a_plan_are_judged_under_its_gravity(falsework: Run, tmp_path:
         assert falsework(command, file).code == 0
 
 
+def test_a_plan_without_steps_has_a_state(falsework: Run, tmp_path: Path) -> None:
+    slab, file = load_structure("stack:blocks=1", boundary=[0, 1]), tmp_path / "plan.json"
+    plan = find_plans(slab, robots=1).unwrap()
+    save_plan(replace(plan, source={"built_in": "stack:blocks=1", "boundary": [0, 1]}), file)
+    for command in ("stability", "margins"):
+        assert falsework(command, file).code == 0
+
+
 def test_states_of_a_plan_are_judged_as_built_too(falsework: Run, tmp_path: Path) -> None:
     """A plan that `plan` and `check` accept is accepted here; where its states slide from rest, both are said."""
     plan = tmp_path / "plan.json"

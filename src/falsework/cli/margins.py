@@ -87,7 +87,8 @@ class FindMargins(Command):
         assembly, chosen = self.structure.load_states(self.states, output)
         plan, states = chosen.plan, chosen.states
         criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
-        settings = StabilitySettings(criterion=criterion, cone=self.cone).under_gravity_of(plan and plan.claim)
+        settings = StabilitySettings(criterion=criterion, cone=self.cone)
+        settings = settings.under_gravity_of(None if plan is None else plan.claim)
         if self.out is not None:
             self._refuse_out(plan, settings)
         extra = [kind for kind in ("polygon", "settlement") if getattr(self, kind)]

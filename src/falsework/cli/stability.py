@@ -66,7 +66,7 @@ class CheckStability(Command):
         states, plan = chosen.states, chosen.plan
         criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
         settings = StabilitySettings(criterion=criterion, cone=self.cone, solver=self.solver)
-        settings = settings.under_gravity_of(plan and plan.claim)
+        settings = settings.under_gravity_of(None if plan is None else plan.claim)
         oracle = StabilityOracle(assembly, settings)
         verdicts = oracle.verdicts(states, require_certificate=True)
         both = plan is not None and criterion == plan.claim.criterion == "contact"

@@ -91,7 +91,7 @@ class ViewerState:
     @property
     def oracle(self) -> StabilityOracle:
         """Stability oracle of the structure under the gravity of the plan, created at first use."""
-        settings = self._settings.under_gravity_of(self.plan and self.plan.claim)
+        settings = self._settings.under_gravity_of(None if self.plan is None else self.plan.claim)
         key = self.assembly.identity, settings
         if key not in self._oracles:
             self._oracles[key] = StabilityOracle(self.assembly, settings)
