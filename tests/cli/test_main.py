@@ -141,7 +141,7 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
         ("robots", "there is no subcommand 'robots'; perhaps you meant: robots plan, robots check, robots export; for"),
         ("robots --json", "there is no subcommand 'robots'; perhaps you meant: robots plan, robots check, robots"),
         ("--json plan arch", "give a subcommand before --json: structures, doctor,"),
-        ("picture arch --step 3", "step 3 does not exist; there are no steps to show"),
+        ("picture arch --step 3", "step 3 does not exist; there are no steps"),
         ("cell check x.toml", "there is no subcommand 'cell check'; perhaps you meant: cell new; for all"),
     ],
 )

@@ -79,7 +79,7 @@ def test_numbers_are_steps_of_a_plan(falsework: Run, tmp_path: Path) -> None:
         assert [record["state"] for record in judged] == steps
     wrong = falsework("margins", plan, "--states", "77")
     assert wrong.code == 2
-    assert "--states 77: the plan has no step '77'" in wrong.error
+    assert "--states 77: step '77' does not exist" in wrong.error
 
 
 def test_options_of_the_plan_are_named(falsework: Run, stack: Path, tmp_path: Path) -> None:

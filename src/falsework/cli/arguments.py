@@ -212,11 +212,13 @@ def _plan(file: str, assembly: Assembly) -> Plan:
 
 def _steps(text: str, plan: Plan) -> list[int]:
     """Read steps of a plan, such as `31` or `3,5-7`."""
+    from falsework.search.plans.steps import no_such_step
+
     steps: list[int] = []
     for item in text.split(","):
         span = part_range(item, ()) or [int(item) if item.isascii() and item.isdecimal() and len(item) < 10 else -1]
         if not 0 <= span[0] <= span[-1] <= len(plan):
-            raise PlanError(f"the plan has no step {item!r}; its steps are 1 to {len(plan)}, and 0 is the start")
+            raise PlanError(no_such_step(repr(item), len(plan)))
         steps += span
     return steps
 

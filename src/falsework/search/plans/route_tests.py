@@ -92,28 +92,24 @@ class RouteTests:
             return False
         if self.replayer is None:
             return True
-        states, key = route.states[::-1], route.states.tobytes()
-        while True:
-            found = known or PlanReplay.from_replay(self.replayer.replay(states))
-            if found.stands:
-                found = self._acceptance.tested(states, found)
-            if not found.stands:
-                break
+        states, key, before = route.states[::-1], route.states.tobytes(), self.changes
+
+        def stood(found: PlanReplay) -> None:
             self.replays[key] = found
             if self.doubted is None:  # until the slow tests are done, or a deadline or the keyboard ends them
                 self.doubted = route
                 self.when_one_stands()
-            before, row = self.changes, self._acceptance.varied_falls_at(states, found)
-            if row is None:
-                self.replays[key] = found = replace(found, varied=self._acceptance.varies)
-                if self._settings.judge:
-                    found = self._judge(route, found, stop)
-                if found.fails_at is None:
-                    return True
-                break
-            if known is not None:
-                self.again = barred_state(states, row) if self.changes != before else None
-                return False
+
+        found, row = self._acceptance.replayed(self.replayer, states, known, stood)
+        if row is not None:
+            self.again = barred_state(states, row) if self.changes != before else None
+            return False
+        if found.stands:
+            self.replays[key] = found = replace(found, varied=self._acceptance.varies)
+            if self._settings.judge:
+                found = self._judge(route, found, stop)
+            if found.fails_at is None:
+                return True
         row = found.fails_at or 0
         if not found.stands and (self.fallen is None or row > self.fallen[1]):
             self.fallen = route, row
@@ -152,7 +148,7 @@ class RouteTests:
         found = self._acceptance.judged(route.states[::-1], found, stop)
         self.replays[route.states.tobytes()] = found
         known = self.replays.get(self.doubted.states.tobytes())  # a search that was resumed has none
-        judgement, best = found.judgement, known and known.judgement
+        judgement, best = found.judgement, None if known is None else known.judgement
         if judgement is not None and (best is None or judgement.built > best.built):
             self.doubted = route
         if judgement is not None and not judgement.stands and judgement.falls_at is None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
 from falsework.geometry.clearance.moves import apply
-from falsework.search.plans.steps import NO_ROBOT
+from falsework.search.plans.steps import NO_ROBOT, no_such_step
 from falsework.search.problem.task import Direction
 from falsework.utils.display.fonts import font_file
 from falsework.utils.lazy import importing
@@ -275,12 +275,7 @@ def check_places(timeline: Timeline, places: Sequence[int]) -> None:
     """Refuse states that are not there."""
     for position in places:
         if not 0 <= position <= len(timeline):
-            steps = (
-                f"the plan has steps 0 (the beginning) to {len(timeline)}"
-                if len(timeline)
-                else "there are no steps to show"
-            )
-            raise InputError(f"step {position} does not exist; {steps}")
+            raise InputError(no_such_step(position, len(timeline)))
 
 
 def bounds_with_motions(timeline: Timeline) -> NDArray[np.float64]:
