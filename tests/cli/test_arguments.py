@@ -85,14 +85,23 @@ def test_states_of_a_plan(tmp_path: Path) -> None:
     np.testing.assert_array_equal(parse_states(str(file), "--states", arch).states, plan.states)
     for step in range(len(plan) + 1):
         np.testing.assert_array_equal(parse_state(f"{file}:{step}", "--state", arch), plan.states[step])
+    for text, steps in (("3", [3]), ("1", [1]), ("4,0-2", [4, 0, 1, 2])):
+        chosen = parse_states(text, "--states", arch, plan)
+        np.testing.assert_array_equal(chosen.states, plan.states[steps])
+        assert [chosen.number(row) for row in range(len(steps))] == steps
+    assert parse_states("11122", "--states", arch, plan).plan is None
+    assert parse_states("voussoir-1,held:voussoir-0", "--states", arch, plan).states.tolist() == [[2, 1, 0, 2, 2]]
+    for step in ("99", "2-1", "0,3-77"):
+        with pytest.raises(StateError, match=f"step '{step.removeprefix('0,')}' does not exist"):
+            parse_states(step, "--states", arch, plan)
     for step in ("99", "-1", "", "two"):
         with pytest.raises(
-            StateError, match=f"the plan has no step '{step}'; its steps are 1 to {len(plan)}, and 0 is"
+            StateError, match=f"step '{step}' does not exist; the plan has the steps 1 to {len(plan)}, and 0 is"
         ):
             parse_state(f"{file}:{step}", "--state", arch)
     with pytest.raises(StateError, match="the plan is for arch:blocks=3 with 5 parts, but arch:blocks=5 has 7"):
         parse_state(f"{file}:1", "--state", load_structure("arch:blocks=5"))
-    with pytest.raises(StateError, match="the plan is for another structure"):
+    with pytest.raises(StateError, match=r"is for another structure.* that it was made for: arch:blocks=3"):
         parse_state(f"{file}:1", "--state", load_structure("arch:blocks=3", friction=0.9))
     with pytest.raises(StateError, match=f"holds {len(plan) + 1} states; give one"):
         parse_state(str(file), "--state", arch)

@@ -32,6 +32,16 @@ def rewrite(path: Path, **entries: Any) -> None:
     path.write_text(json.dumps({**json.loads(path.read_text()), **entries}))
 
 
+def test_a_structure_that_does_not_fit_is_answered_with_the_one_that_does(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    assert falsework("plan", "arch:blocks=3", "--friction", 0.7, "--out", out).code == 0
+    words = "give the structure that it was made for: arch:blocks=3, friction 0.7"
+    for wrong in (("--structure", "arch:blocks=5"), ("--structure", "arch:blocks=3"), ("--friction", 0.9)):
+        refused = falsework("check", out, *wrong)
+        assert refused.code == 2
+        assert words in refused.error
+
+
 def test_options_of_the_plan_are_printed_and_the_exit_code_says_so(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     options = ("--friction", 0.5, "--ground", "--load", "2=0,0,-10")

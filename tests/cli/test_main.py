@@ -120,7 +120,10 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
             "unrecognized options: --robot; perhaps you meant: --robots NUMBER, --robust; "
             "for help, run falsework plan --help",
         ),
-        ("cell new ur5e ur5e --out c.toml", "too many values: ur5e; for help, run falsework cell new --help"),
+        ("cell new ur5e ur5e --out c.toml", "too many values: ur5e; name a structure with --structure; for help, run"),
+        ("check plan.json vault", "too many values: vault; name a structure with --structure; for help, run"),
+        ("view plan.json vault", "too many values: vault; name a structure with --structure; for help, run"),
+        ("plan vault arch", "too many values: arch; for help, run falsework plan --help"),
         ("doctor gone.toml", "there is no cell file gone.toml; `falsework cell new` writes one"),
         ("robots plan arch --cell gone.toml", "there is no cell file gone.toml; `falsework cell new` writes one"),
         ("plan arch --friction x", "--friction is 'x'; give a number; for help, see falsework plan --help"),
@@ -138,7 +141,7 @@ def test_wrong_usage_is_one_line(arguments: list[str], hint: str, capsys: pytest
         ("robots", "there is no subcommand 'robots'; perhaps you meant: robots plan, robots check, robots export; for"),
         ("robots --json", "there is no subcommand 'robots'; perhaps you meant: robots plan, robots check, robots"),
         ("--json plan arch", "give a subcommand before --json: structures, doctor,"),
-        ("picture arch --step 3", "step 3 does not exist; there are no steps to show"),
+        ("picture arch --step 3", "step 3 does not exist; there are no steps"),
         ("cell check x.toml", "there is no subcommand 'cell check'; perhaps you meant: cell new; for all"),
     ],
 )

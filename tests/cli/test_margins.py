@@ -67,6 +67,21 @@ def test_margins_of_a_plan_are_those_of_what_is_built(falsework: Run, tmp_path: 
         assert words not in falsework("margins", plan, *option).out
 
 
+def test_numbers_are_steps_of_a_plan(falsework: Run, tmp_path: Path) -> None:
+    """Not parts: the state after a step is measured as built, as it is with all of the others."""
+    plan = tmp_path / "plan.json"
+    assert falsework("plan", "arch:blocks=5", "--out", plan).code == 0
+    every = falsework("margins", plan, "--json").answer["states"]
+    for text, steps in (("3", [3]), ("6,2-3", [6, 2, 3])):
+        done = falsework("margins", plan, "--states", text, "--json")
+        assert done.answer["states"] == [every[step] for step in steps]
+        judged = falsework("stability", plan, "--states", text, "--json").answer["states"]
+        assert [record["state"] for record in judged] == steps
+    wrong = falsework("margins", plan, "--states", "77")
+    assert wrong.code == 2
+    assert "--states 77: step '77' does not exist" in wrong.error
+
+
 def test_options_of_the_plan_are_named(falsework: Run, stack: Path, tmp_path: Path) -> None:
     """They are those of the structure only if the plan says so, and margins hang on them."""
     plan = tmp_path / "plan.json"

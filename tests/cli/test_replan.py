@@ -314,7 +314,7 @@ def test_a_structure_is_taken_apart_from_a_step(falsework: Run, old: Path, tmp_p
             "--step 4 is of a plan, which arch:blocks=5 is not; give the plan, or --state",
         ),
         (("absent.json", "--step", 4), "there is no plan file absent.json"),
-        (("arch:blocks=5", "--state", "PLAN:99"), "the plan has no step '99'; its steps are 1 to 10"),
+        (("arch:blocks=5", "--state", "PLAN:99"), "step '99' does not exist; the plan has the steps 1 to 10"),
         (("arch:blocks=7", "--state", "PLAN:4"), "the plan is for arch:blocks=5 with 7 parts"),
     ],
 )

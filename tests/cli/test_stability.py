@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from falsework import Assembly, load_structure
+from falsework import Assembly, find_plans, load_structure
 from falsework.assembly.store import save_assembly
+from falsework.search.find import PLANS
+from falsework.search.plans.plan_file import save_plan
 
 Run = Callable[..., Any]
 Write = Callable[..., Path]
@@ -216,6 +219,26 @@ def test_nonsense_is_not_certified_in_silence(
     done = falsework(command, "arch:blocks=3", *options, *out, "--json")
     assert doubt in done.error
     assert any(doubt in note for note in done.answer["notes"])
+
+
+def test_states_of_a_plan_are_judged_under_its_gravity(falsework: Run, tmp_path: Path) -> None:
+    """A block is pulled up by one and a half times its weight on the earth: it lies where it weighs twice as much."""
+    source = {"built_in": "stack:blocks=1,overhang=0.2"}
+    weight = float(load_structure(source["built_in"]).applied_wrench()[0, 2])
+    loads = {"loads": [{"part": 0, "force": [0, 0, -1.5 * weight]}]}
+    stack, file = load_structure(source["built_in"], **loads), tmp_path / "plan.json"
+    plan = find_plans(stack, robots=1, stability=replace(PLANS, gravity=2 * 9.81)).unwrap()
+    save_plan(replace(plan, source=source | loads), file)
+    for command in ("stability", "margins"):
+        assert falsework(command, file).code == 0
+
+
+def test_a_plan_without_steps_has_a_state(falsework: Run, tmp_path: Path) -> None:
+    slab, file = load_structure("stack:blocks=1", boundary=[0, 1]), tmp_path / "plan.json"
+    plan = find_plans(slab, robots=1).unwrap()
+    save_plan(replace(plan, source={"built_in": "stack:blocks=1", "boundary": [0, 1]}), file)
+    for command in ("stability", "margins"):
+        assert falsework(command, file).code == 0
 
 
 def test_states_of_a_plan_are_judged_as_built_too(falsework: Run, tmp_path: Path) -> None:

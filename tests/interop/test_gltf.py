@@ -163,7 +163,7 @@ def test_parts_leave_without_passing_through_others(arch: Assembly, plan: Plan) 
 
 
 def test_what_cannot_be_written(arch: Assembly, plan: Plan, tmp_path: Path) -> None:
-    with pytest.raises(PlanError, match="the structure it was made for"):
+    with pytest.raises(PlanError, match="the structure that it was made for: arch:blocks=7"):
         to_gltf(load_structure("arch:blocks=9"), plan)
     with pytest.raises(InputError, match="0 seconds"):
         to_gltf(arch, plan, step_seconds=0)

@@ -108,7 +108,7 @@ def test_ways_in_words(way: Any, words: str) -> None:
 
 
 def test_a_plan_for_another_structure(plan: Plan) -> None:
-    with pytest.raises(PlanError, match="the structure it was made for"):
+    with pytest.raises(PlanError, match="the structure that it was made for: arch:blocks=7"):
         make_sheet(load_structure("arch:blocks=5"), plan)
 
 

@@ -17,6 +17,7 @@ from falsework.cli.main import main
 from falsework.errors import AssemblyError, InputError
 from falsework.interop.compas_read import READER as COMPAS
 from falsework.interop.compas_read import read_compas
+from falsework.stability.stiffness import normal_stiffness
 
 
 @pytest.fixture
@@ -62,6 +63,26 @@ def test_order_of_corners_and_of_parts_does_not_matter(written: Path) -> None:
     after = COMPAS.read(changed(written, lambda some: some[0]["data"]["points"].reverse()), interfaces="stored")
     assert np.allclose(after.contacts.normals, before.contacts.normals)
     assert np.allclose(after.contacts.areas, before.contacts.areas)
+
+
+def notch(some: list[dict[str, Any]]) -> None:
+    """Cut a corner of the polygon between two corners, by one inside: its hull is the same."""
+    points = some[0]["data"]["points"]
+    first, second, *_ = points
+    middle = [sum(point[k] for point in points) / len(points) for k in range(3)]
+    points.insert(1, [0.4 * a + 0.4 * b + 0.2 * c for a, b, c in zip(first, second, middle, strict=True)])
+
+
+def test_the_area_of_an_interface_is_part_of_what_a_structure_is(tmp_path: Path) -> None:
+    """It decides how stiff the contact is, even where the corners of its hull are the same."""
+    path = tmp_path / "stack.json"
+    export(load_structure("stack"), path, format="compas-assembly")
+    before = COMPAS.read(path, interfaces="stored")
+    after = COMPAS.read(changed(path, notch), interfaces="stored")
+    for name in ("frames", "points"):
+        np.testing.assert_array_equal(getattr(after.contacts, name), getattr(before.contacts, name))
+    assert (normal_stiffness(after) != normal_stiffness(before)).any()
+    assert after.identity != before.identity
 
 
 def test_comparison_says_what_differs(written: Path, recwarn: pytest.WarningsRecorder) -> None:

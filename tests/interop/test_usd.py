@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -85,6 +86,13 @@ def test_a_plan_moves_and_the_validators_have_nothing_to_say(arch: Assembly, pla
             if seen:
                 place = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time).ExtractTranslation()
                 assert np.allclose(place, arch.mass.center[part], atol=1e-5)
+
+
+def test_gravity_is_that_of_the_plan(arch: Assembly, plan: Plan, tmp_path: Path) -> None:
+    for given, gravity in ((None, 9.81), (replace(plan, claim=replace(plan.claim, gravity=1.62)), 1.62)):
+        stage = opened(to_usd(arch, given), tmp_path)
+        (scene,) = (prim for prim in stage.Traverse() if prim.IsA(UsdPhysics.Scene))
+        assert UsdPhysics.Scene(scene).GetGravityMagnitudeAttr().Get() == pytest.approx(gravity)
 
 
 def test_presses_are_attributes_of_the_part(

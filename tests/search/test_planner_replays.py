@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence, Set
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -398,6 +399,50 @@ def test_a_search_goes_back_to_where_its_plan_fell_under_a_change(rules: Any) ->
     np.testing.assert_array_equal(found[: late - 1], states[: late - 1])
 
 
+@pytest.mark.parametrize("varied", [False, True])
+@pytest.mark.parametrize("directions", [*((direction,) for direction in Direction), tuple(Direction)])
+def test_resuming_forgets_nothing_that_a_search_has_learned(
+    rules: Any, tmp_path: Path, directions: tuple[Direction, ...], varied: bool
+) -> None:
+    """Neither the states that replays exclude, nor changes of settings, nor how long the way back may take."""
+    settings, path = PlannerSettings(directions=directions), tmp_path / "planner.npz"
+    task, oracle = tower(rules, set())
+    seen: set[tuple[int, ...]] = set()
+    for _ in range(4):  # several routes fall, one after the other
+        oracle.replayer = RuleReplayer(seen)
+        seen = seen | {middle_state(task, oracle, settings)}
+
+    def begin() -> Planner:
+        oracle.replayer = RuleReplayer(set(), seen) if varied else RuleReplayer(seen)
+        oracle.replayer.settings = StabilitySettings(reserve=1.1)
+        return Planner(task, oracle, settings)
+
+    whole = begin()
+    expected = whole.run()
+    changes = oracle.replayer.changes
+    assert bool(changes) == varied
+    planner = begin()
+    for _ in range(300):
+        result = planner.run(stop=halting(3))
+        if not result.interrupted:
+            break
+        planner.save(path)
+        begin()
+        planner = Planner.load(path, task, oracle, settings)
+    assert not result.interrupted
+    assert result.outcome is expected.outcome
+    assert result.counters == expected.counters
+    assert oracle.replayer.changes == changes
+    np.testing.assert_array_equal(planner.tests.forbidden, whole.tests.forbidden)
+    np.testing.assert_array_equal(result.routes[0].states, expected.routes[0].states)
+
+
+def halting(levels: int) -> Stop:
+    """Stop after some levels."""
+    calls = iter(range(levels))
+    return lambda: next(calls, None) is None
+
+
 def test_a_search_begins_anew_where_it_finds_no_way_on_in_time(rules: Any) -> None:
     """It may take as long as what leads to the fall took."""
     search: Any = SimpleNamespace(effort=80.0, level=30, steps=40, back=[])
@@ -425,7 +470,7 @@ def test_a_search_that_begins_anew_tries_more_reserve_too(rules: Any, monkeypatc
     settings = PlannerSettings(directions=(Direction.ASSEMBLY,))
     oracle.replayer = RuleReplayer(set(), {middle_state(task, oracle, settings)})
     oracle.replayer.settings = StabilitySettings(reserve=1.1)
-    monkeypatch.setattr(Repair, "is_over", lambda self, search: np.isfinite(self.due))  # as soon as it goes back
+    monkeypatch.setattr(Repair, "is_over", lambda self, search: self.due is not None)  # as soon as it goes back
     planner = Planner(task, oracle, settings)
     assert planner.run().found
     learned = [change.name for change in oracle.replayer.changes]

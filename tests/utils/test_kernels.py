@@ -202,6 +202,25 @@ def test_the_command_says_so_in_one_line(tmp_path: Path) -> None:
     assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.parametrize(("seconds", "lines"), [(0.05, 0), (1.5, 1)])
+def test_a_long_compilation_is_announced_once(seconds: float, lines: int) -> None:
+    """While it lasts; compilations within others, and further ones, say nothing more."""
+    program = f"""
+import time
+from numba.core.event import trigger_event
+from falsework.utils.kernels import njit
+
+njit()(lambda number: number).dispatcher  # of which there is no portable code
+for _ in range(2):
+    with trigger_event("numba:compile"):
+        with trigger_event("numba:compile"):
+            time.sleep({seconds / 2})
+        time.sleep({seconds})
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stderr.count("numba compiles kernels") == done.stderr.count("\n") == lines
+
+
 def test_changed_sources_go_to_numba(fresh: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Archive, "fits", lambda archive, group: False)
     assert meets(fresh) == MEET

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from falsework import StabilityOracle, load_structure
+from falsework import StabilityOracle, find_plans, load_structure
 from falsework.assembly import complete_state
+from falsework.search.find import PLANS
+from falsework.stability.verdict import Criterion
 from falsework.viewer import Timeline
 from falsework.viewer.arrows import Arrows, arrow_mesh, arrows_of_forces
 from falsework.viewer.page.scene import ViserScene
+from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import MOTION, rgb
 from falsework.viewer.proof import proof_of_state
+from falsework.viewer.viewable import Viewable
 
 
 def total(arrows: Arrows) -> np.ndarray:
@@ -32,6 +37,23 @@ def test_forces_on_a_lying_block_balance_its_weight() -> None:
         atol=1e-3 * float(np.linalg.norm(total(proof.arrows["gravity"]))),
     )  # fmt: skip
     assert total(proof.arrows["gravity"])[2] < 0
+
+
+@pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
+def test_proofs_of_a_plan_are_those_under_its_gravity(criterion: Criterion) -> None:
+    """A block is pulled up by one and a half times its weight on the earth: it lies where it weighs twice as much."""
+    spec = "stack:blocks=1,overhang=0.2"
+    weight = load_structure(spec).applied_wrench()[0, 2]
+    stack = load_structure(spec, loads=[{"part": 0, "force": [0, 0, -1.5 * weight]}])
+    plan = find_plans(stack, robots=1, stability=replace(PLANS, gravity=2 * 9.81)).unwrap()
+    assert not proof_of_state(StabilityOracle(stack), plan.states[-1]).stable
+    timeline = Timeline.from_plan(plan, stack)
+    page = ViewerState(timeline, plan=plan, criterion=criterion)
+    page.position = float(len(plan))
+    shown = Viewable("plan", stack, timeline, plan)
+    for proof in (page.proof(), shown.proofs([len(plan)], criterion)[len(plan)]):
+        assert proof.stable
+        assert proof.arrows["gravity"].longest == pytest.approx(-0.5 * weight)
 
 
 def test_an_unstable_arch_moves_and_its_keystone_falls() -> None:

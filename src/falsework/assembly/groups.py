@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from dataclasses import replace as _replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.part_numbers import part_id
-from falsework.assembly.props import with_props
+from falsework.assembly.props import ProppedAssembly, with_props
 from falsework.assembly.state import INSTALLED, REMOVED, States
 from falsework.errors import AssemblyError, StateError
 from falsework.geometry.mesh.mesh import TriangleMesh, joined_faces
@@ -67,17 +68,41 @@ class Groups:
 
 
 @dataclass(frozen=True, eq=False)
-class JoinedAssembly(Assembly):
+class JoinedAssembly(ProppedAssembly):
     """Structure in which groups of parts are one part each."""
 
     groups: Groups | None = None
 
+    def __post_init__(self) -> None:
+        self._refuse("joints", self.joints)
+
     def replace(self, **changes: Any) -> Assembly:
         """Return the same groups of a structure that is changed before they are joined; see `Assembly.replace`."""
+        for name in ("loads", "joints"):
+            self._refuse(name, changes.get(name))
+        return self._again(lambda loose: loose.replace(**changes))
+
+    def at_friction(self, friction: float) -> Assembly:
+        """As of `Assembly`, with joined and with loose parts."""
         assert self.groups is not None
-        friction = changes.pop("friction", None)
-        loose = self.groups.loose.replace(friction=self.friction if friction is None else friction, **changes)
-        return with_props(join_parts(loose, self.groups.names), self.props)
+        loose = self.groups.loose.at_friction(friction)
+        return _replace(super().at_friction(friction), groups=_replace(self.groups, loose=loose))
+
+    def with_ground(self) -> Assembly:
+        """As of `Assembly`, with joined and with loose parts."""
+        return self._again(lambda loose: loose.with_ground())
+
+    def _again(self, change: Callable[[Assembly], Assembly]) -> Assembly:
+        """Return the same groups and props of a structure with loose parts that is changed."""
+        assert self.groups is not None
+        self._refuse("loads", self.loads)
+        return with_props(join_parts(change(self.groups.loose), self.groups.names), self.props)
+
+    def _refuse(self, name: str, what: object) -> None:
+        if what is not None:
+            raise AssemblyError(
+                f"{self.name} has joined parts, and {name} are of single parts; only parts without are joined"
+            )
 
 
 def groups_of(assembly: Assembly) -> Groups | None:

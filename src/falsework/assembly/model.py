@@ -203,12 +203,13 @@ class Assembly(Displayed):
         changed = {key: value for key, value in asdict(self.contact_settings).items() if value != standard[key]}
         digest.update(repr(sorted(changed.items())).encode())
         if self.contacts_given:
-            for array in (self.contacts.parts, self.contacts.frames, self.contacts.points, self.contacts.start):
+            given = self.contacts
+            for array in (given.parts, given.frames, given.points, given.start, given.areas):
                 digest.update((array + 0.0).astype("<f8").tobytes())
-            if self.contacts.curved is not None:
-                digest.update(b"curved" + (self.contacts.curved + 0.0).astype("<f8").tobytes())
-            if self.contacts.lean is not None:
-                digest.update(b"lean" + (self.contacts.lean + 0.0).astype("<f8").tobytes())
+            if given.curved is not None:
+                digest.update(b"curved" + (given.curved + 0.0).astype("<f8").tobytes())
+            if given.lean is not None:
+                digest.update(b"lean" + (given.lean + 0.0).astype("<f8").tobytes())
         if self.loads is not None:
             for array in (self.loads.wrench, self.loads.acceleration):
                 digest.update(b"loads" + (array + 0.0).astype("<f8").tobytes())
@@ -297,10 +298,10 @@ class Assembly(Displayed):
 
         In a structure whose own coefficient is zero, joints keep theirs.
         """
-        joints = self.joints
+        joints, other = self.joints, _friction(friction)
         if joints is not None and self.friction > 0.0:
-            joints = joints.scale_friction(friction / self.friction)
-        return _replace(self, friction=float(friction), joints=joints)
+            joints = joints.scale_friction(other / self.friction)
+        return _replace(self, friction=other, joints=joints)
 
     @property
     def has_common_friction(self) -> bool:
@@ -308,7 +309,11 @@ class Assembly(Displayed):
         return self.friction > 0.0 or self.joints is None or not (self.joints.friction > 0.0).any()
 
     def with_ground(self) -> Assembly:
-        """Return the same parts on a fixed slab under the lowest point, which becomes the last part."""
+        """Return the same structure on a fixed slab under the lowest point, which becomes the last part.
+
+        Raises:
+            AssemblyError: given contacts, which know no ground, or joints of contacts that change with it.
+        """
         grounded = Assembly.from_meshes(
             self.meshes,
             boundary=self.boundary,
@@ -325,7 +330,7 @@ class Assembly(Displayed):
             loads = Loads.from_arrays(len(wrench), wrench=wrench, acceleration=loads.acceleration)
         if joints is not None:
             joints = joints.with_more_parts(self.contacts, grounded.contacts, self.part_count)
-        return grounded.replace(loads=loads, joints=joints)
+        return _replace(grounded, loads=loads, joints=joints, settlement=self.settlement)
 
 
 def _loads(given: Loads, parts: int) -> Loads:

@@ -9,22 +9,20 @@ structure, turned upright as far as the pad permits.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from dataclasses import replace as _replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.assembly_model import Prop
+from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States, complete_state
 from falsework.errors import AssemblyError
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.contact.patches import frames_of
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties, triangle_normals
-
-if TYPE_CHECKING:
-    from falsework.assembly.model import Assembly
 
 Array = NDArray[np.float64]
 
@@ -39,6 +37,27 @@ _PAD = 1.0
 load."""
 _DENSITY = 600.0
 """kg/m3: timber. A prop never moves, so nothing depends on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class ProppedAssembly(Assembly):
+    """Structure with places for props, which are found anew where it changes: heads depend on friction."""
+
+    def replace(self, **changes: Any) -> Assembly:
+        """As of `Assembly`."""
+        return keep_props(super().replace(**changes), range(len(self.props)))
+
+    def at_friction(self, friction: float) -> Assembly:
+        """As of `Assembly`, but heads keep their axes, so that contacts count as given."""
+        other = super().at_friction(friction)
+        turned = bool(self.props) and other.friction != self.friction
+        return _replace(other, contacts_given=self.contacts_given or turned)
+
+    def with_ground(self) -> Assembly:
+        """As of `Assembly`; the slab comes before the props."""
+        if not self.props:
+            return super().with_ground()
+        return with_props(keep_props(self, ()).with_ground(), self.props)
 
 
 def prop_places(assembly: Assembly) -> tuple[Prop, ...]:
@@ -114,6 +133,8 @@ def with_props(assembly: Assembly, props: Sequence[Prop]) -> Assembly:
     loads = assembly.loads
     if loads is not None:
         loads = _replace(loads, wrench=np.concatenate([loads.wrench, np.zeros((len(heads), 6))]))
+    if not isinstance(assembly, ProppedAssembly):
+        assembly = ProppedAssembly(**{field.name: getattr(assembly, field.name) for field in fields(assembly)})
     propped = _replace(
         assembly,
         meshes=(*assembly.meshes, *meshes),
@@ -132,6 +153,8 @@ def with_props(assembly: Assembly, props: Sequence[Prop]) -> Assembly:
 
 def keep_props(assembly: Assembly, kept: Sequence[int]) -> Assembly:
     """Return a structure with only some of its props, by their numbers from 0."""
+    if not assembly.props:
+        return assembly
     bare = assembly.part_count - len(assembly.props)
     stays = np.asarray((assembly.contacts.parts < bare).all(axis=1))
     contacts = assembly.contacts

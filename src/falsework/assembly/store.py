@@ -18,6 +18,7 @@ from falsework.assembly.assembly_model import FORMAT, AssemblyFile
 from falsework.assembly.draft import Draft
 from falsework.assembly.fasteners import furnish
 from falsework.assembly.findings import likely_units, part_sizes
+from falsework.assembly.groups import groups_of
 from falsework.assembly.model import Assembly
 from falsework.assembly.part_numbers import part_ids
 from falsework.errors import AssemblyError, InputError
@@ -143,6 +144,10 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
         raise InputError(f"{assembly.name} has given contacts, which a folder of meshes cannot keep; find them instead")
     if target.exists() and not (target.is_dir() and (not any(target.iterdir()) or (target / FILE).is_file())):
         raise InputError(f"{target} exists and is not an assembly; choose another folder")
+    if assembly.props:
+        raise InputError(f"{assembly.name} has props, which {FILE} cannot express; save it without (keep_props)")
+    if groups_of(assembly) is not None:
+        raise InputError(f"{assembly.name} has joined parts; save the loose ones, and join them where they are loaded")
     if assembly.joints is not None:
         raise InputError(f"{assembly.name} has joints, which belong to its contacts; write them into {FILE} by hand")
     density = assembly.density

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -99,6 +100,8 @@ STATE_FORMS = (
     "complete, empty, a plan and its step such as plan.json:31, parts such as 0-16,keystone,held:left, or a file"
 )
 """Forms of states on the command line, for messages."""
+_STEPS = re.compile(r"\d+(-\d+)?(,\d+(-\d+)?)*", re.ASCII)
+"""Numbers and ranges alone, which are steps where a plan is given."""
 _HELD = "held:"
 """Before a part that is held."""
 
@@ -139,23 +142,34 @@ class ChosenStates:
     states: States
     """Shape (states, parts)."""
     plan: Plan | None = None
-    first: int = 0
-    """Steps of the plan up to the first of the states."""
+    steps: Sequence[int] = ()
+    """Step of the plan that leads to each of the states, 0 for its start; of a plan alone."""
+
+    @staticmethod
+    def from_plan(plan: Plan, steps: Sequence[int] | None = None) -> ChosenStates:
+        """Take the states after some steps of a plan; all of them if none are given."""
+        chosen = range(len(plan) + 1) if steps is None else steps
+        return ChosenStates(plan.states[list(chosen)], plan, chosen)
+
+    def number(self, row: int) -> int:
+        """Return the step of the plan that leads to a state, or its number."""
+        return row if self.plan is None else self.steps[row]
 
     def subject(self, row: int) -> str:
         """Return the name of a state: the step of the plan that leads to it, or its number."""
+        step = self.number(row)
         if self.plan is None:
-            return f"state {row}"
-        step = self.first + row
+            return f"state {step}"
         return f"{step} {self.plan.steps[step - 1] if step else 'start'}"
 
 
-def parse_states(text: str, option: str, assembly: Assembly) -> ChosenStates:
+def parse_states(text: str, option: str, assembly: Assembly, plan: Plan | None = None) -> ChosenStates:
     """Read states.
 
     Args:
-        text: `complete`, `empty`, digits such as `2110`, a plan and its step such as `plan.json:31`, names of the parts
-            that stand and, after `held:`, of those that are held, such as `0-16,keystone,held:left`; or a file: a plan,
+        plan: plan that the states are of, if there is one: then numbers and ranges alone, such as `3,5-7`, are steps.
+        text: `complete`, `empty`, digits such as `2110`, a step of a plan such as `plan.json:31`, names of parts that
+            stand and, after `held:`, of those that are held, such as `0-16,keystone,held:left`; or a file: a plan,
             whose states all count, a JSON list or a `.npy` array.
     """
     from falsework.assembly.state import as_states
@@ -165,17 +179,19 @@ def parse_states(text: str, option: str, assembly: Assembly) -> ChosenStates:
     try:
         if text in ("complete", "empty"):
             return ChosenStates(named_state(text, assembly)[None])
-        if text and set(text) <= set("012"):
+        if text and set(text) <= set("012") and (plan is None or len(text) == assembly.part_count):
             return ChosenStates(as_states([int(digit) for digit in text], assembly.boundary))
         if text.startswith("["):
             return ChosenStates(as_states(parse_json(text), assembly.boundary))
-        file, colon, step = text.rpartition(":")
+        if plan is not None and _STEPS.fullmatch(text):
+            return ChosenStates.from_plan(plan, _steps(text, plan))
+        file, colon, steps = text.rpartition(":")
         if colon and Path(file).is_file():
-            return _state_of_step(file, step, assembly)
+            plan = _plan(file, assembly)
+            return ChosenStates.from_plan(plan, _steps(steps, plan))
         if Path(text).is_file():
             if is_plan_file(text):
-                plan = _plan(text, assembly)
-                return ChosenStates(plan.states, plan)
+                return ChosenStates.from_plan(_plan(text, assembly))
             return ChosenStates(as_states(read_states(Path(text)), assembly.boundary))
         if ".json" in (Path(text).suffix.lower(), Path(file).suffix.lower()) or text.endswith(".npy"):
             raise StateError(f"there is no file {file if colon else text}")
@@ -194,11 +210,17 @@ def _plan(file: str, assembly: Assembly) -> Plan:
     return plan
 
 
-def _state_of_step(file: str, step: str, assembly: Assembly) -> ChosenStates:
-    plan = _plan(file, assembly)
-    if not (step.isascii() and step.isdecimal() and int(step) <= len(plan)):
-        raise PlanError(f"the plan has no step {step!r}; its steps are 1 to {len(plan)}, and 0 is the start")
-    return ChosenStates(plan.states[int(step)][None], plan, int(step))
+def _steps(text: str, plan: Plan) -> list[int]:
+    """Read steps of a plan, such as `31` or `3,5-7`."""
+    from falsework.search.plans.steps import no_such_step
+
+    steps: list[int] = []
+    for item in text.split(","):
+        span = part_range(item, ()) or [int(item) if item.isascii() and item.isdecimal() and len(item) < 10 else -1]
+        if not 0 <= span[0] <= span[-1] <= len(plan):
+            raise PlanError(no_such_step(repr(item), len(plan)))
+        steps += span
+    return steps
 
 
 def _state_of_parts(text: str, option: str, assembly: Assembly) -> States:

@@ -30,7 +30,7 @@ _CRITERION_HINT = "(default: contact, or that of the plan)"
 _CONE_HINT = "(default: quadratic under contact, octagon under equilibrium)"
 _STATES = (
     "A state, as `complete`, digits, plan.json:31, or parts such as 0-16,keystone,held:left; or a file with states: a "
-    "JSON list, a .npy array, or a plan."
+    "JSON list, a .npy array, or a plan. Of a plan, numbers such as 31 or 3,5-7 are steps."
 )
 CriterionName = Literal["contact", "equilibrium"]
 CriterionOption = Annotated[CriterionName, arg(help=CRITERION)]
@@ -170,8 +170,9 @@ class StructureOptions(LoadOptions):
         if set_by_plan:
             options = spell_options(set_by_plan)
             output.note(f"falsework: warning: the plan sets options of its structure itself: {options}")
-        chosen = ChosenStates(own.states, own) if states is None else parse_states(states, "--states", assembly)
-        return assembly, chosen
+        if states is None:
+            return assembly, ChosenStates.from_plan(own)
+        return assembly, parse_states(states, "--states", assembly, own)
 
     def source(self, beside: Path) -> dict[str, Any]:
         """Return the source of the structure, to be recorded in a file.

@@ -101,8 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(str(error), Exit.WRONG_INPUT, output)
     except KeyboardInterrupt:
         return _fail("interrupted", Exit.INTERRUPTED, output)
-    except BrokenPipeError:
-        # The reader, such as `head`, has closed the pipe: Python must not write to it at exit.
+    except BrokenPipeError:  # the reader, such as `head`, has gone: Python must not write to it at exit
         with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return Exit.DONE
@@ -195,7 +194,10 @@ def _parse(arguments: list[str]) -> Command | None:
             if named is not None and not {*_HELP}.isdisjoint(rest):
                 sys.stdout.write(_more_help(kind, named, arguments))
             return None
-        raise _UsageError(_one_line(complaint.getvalue()) or f"wrong options; see {program} --help") from None
+        said = _one_line(complaint.getvalue()) or f"wrong options; see {program} --help"
+        if named and any(getattr(one, "structure", "") is None for one in (kind, *get_type_hints(kind).values())):
+            said = re.sub("too many values: [^;]*", r"\g<0>; name a structure with --structure", said)
+        raise _UsageError(said) from None
 
 
 def _more_help(kind: Any, name: str, arguments: list[str]) -> str:

@@ -88,7 +88,7 @@ class FindMargins(Command):
         plan, states = chosen.plan, chosen.states
         criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
         settings = StabilitySettings(criterion=criterion, cone=self.cone)
-        settings = settings if plan is None else replace(settings, gravity=plan.claim.gravity)
+        settings = settings.under_gravity_of(None if plan is None else plan.claim)
         if self.out is not None:
             self._refuse_out(plan, settings)
         extra = [kind for kind in ("polygon", "settlement") if getattr(self, kind)]
@@ -107,7 +107,7 @@ class FindMargins(Command):
         shares = self._shares(assembly, states, errors, settings, output)
         overloaded, records = False, []
         for row, margins in enumerate(found):
-            record = {"state": chosen.first + row, **margins.to_dict(assembly.names)}
+            record = {"state": chosen.number(row), **margins.to_dict(assembly.names)}
             if errors:
                 record["placement"] = [{"error_m": e, "share": s} for e, s in zip(errors, shares[row], strict=True)]
             beyond = [
@@ -214,7 +214,7 @@ def _histories(chosen: ChosenStates, assembly: Assembly, settings: StabilitySett
     """Return the histories of the contacts in the states of a plan; none where they are measured from rest."""
     from falsework.stability.contact.replay import Replayer
 
-    plan, count = chosen.plan, chosen.first + len(chosen.states)
+    plan, count = chosen.plan, max(chosen.steps, default=0) + 1
     if (
         plan is None
         or (settings.criterion, plan.claim.criterion) != ("contact", "contact")
@@ -223,4 +223,4 @@ def _histories(chosen: ChosenStates, assembly: Assembly, settings: StabilitySett
         return ()
     replayer = Replayer(assembly, replace(settings, holds=plan.claim.holds))
     histories = replayer.replay(plan.states[:count], presses=plan.presses_before[:count]).histories
-    return histories[chosen.first :] if len(histories) == count else ()
+    return tuple(histories[step] for step in chosen.steps) if len(histories) == count else ()

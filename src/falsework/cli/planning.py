@@ -126,7 +126,7 @@ class RegraspOptions(ExitOptions, RuleOptions):
         from falsework.assembly.props import keep_props
 
         # States are given without places for props, which are absent at both ends.
-        plain = keep_props(assembly, ()) if assembly.props else assembly
+        plain = keep_props(assembly, ())
         return {**super().rules(plain), "allow_regrasp": self.wider, "props": self.props, **self.exits()}
 
     @property

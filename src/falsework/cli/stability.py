@@ -66,6 +66,7 @@ class CheckStability(Command):
         states, plan = chosen.states, chosen.plan
         criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
         settings = StabilitySettings(criterion=criterion, cone=self.cone, solver=self.solver)
+        settings = settings.under_gravity_of(None if plan is None else plan.claim)
         oracle = StabilityOracle(assembly, settings)
         verdicts = oracle.verdicts(states, require_certificate=True)
         both = plan is not None and criterion == plan.claim.criterion == "contact"
@@ -75,12 +76,12 @@ class CheckStability(Command):
             proof = Proof(verdicts.proof[index])
             residual = float(verdicts.residual[index])
             moving = motions_at(assembly, verdicts, index)
-            built = None if builds is None else builds.at(chosen.first + index)
+            built = None if builds is None else builds.at(chosen.number(index))
             stands.append(bool(verdicts.stable[index]) if built is None else built.stable)
             output.row(
                 "states",
                 {
-                    "state": chosen.first + index,
+                    "state": chosen.number(index),
                     "verdict": verdict.name.lower(),
                     "proof": proof.name.lower(),
                     "as_built": None if built is None else built.verdict,

@@ -43,7 +43,7 @@ def to_usd(assembly: Assembly, plan: Plan | None = None, *, step_seconds: float 
     root, parts = names[0], names[1:]
     lines = [*_header(root, times), "", f'def Xform "{root}" (kind = "assembly")', "{"]
     lines += _indent([f"custom string falsework:identity = {_text(assembly.identity)}", ""])
-    lines += _indent(_scene())
+    lines += _indent(_scene(StabilitySettings().gravity if plan is None else plan.claim.gravity))
     lines += _indent(_material(assembly.friction))
     for part, name in enumerate(parts):
         track = None if times is None else times.tracks[part]
@@ -66,12 +66,12 @@ def _header(root: str, times: Tracks | None) -> list[str]:
     return ["#usda 1.0", "(", *_indent(entries), ")"]
 
 
-def _scene() -> list[str]:
+def _scene(gravity: float) -> list[str]:
     return [
         'def PhysicsScene "physics"',
         "{",
         "    vector3f physics:gravityDirection = (0, 0, -1)",
-        f"    float physics:gravityMagnitude = {_number(StabilitySettings().gravity)}",
+        f"    float physics:gravityMagnitude = {_number(gravity)}",
         "}",
         "",
     ]

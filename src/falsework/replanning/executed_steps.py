@@ -10,6 +10,7 @@ import numpy as np
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
+from falsework.search.plans.steps import no_such_step
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import STAGE, Task
 from falsework.search.task_rules import widest_exits
@@ -26,8 +27,7 @@ class ExecutedSteps:
 
     def __post_init__(self) -> None:
         if not 0 <= self.steps <= len(self.plan):
-            steps = f"the steps 1 to {len(self.plan)}, and 0 is the start" if len(self.plan) else "no steps"
-            raise PlanError(f"step {self.steps} does not exist; the plan has {steps}")
+            raise PlanError(no_such_step(self.steps, len(self.plan)))
 
     @property
     def state(self) -> States:

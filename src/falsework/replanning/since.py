@@ -122,7 +122,7 @@ def _first_prop(assembly: Assembly) -> int:
 def places_under(assembly: Assembly, parts: Sequence[int]) -> Assembly:
     """Return a structure with a place for a prop under each of some parts; the new ones are its last parts."""
     known = {prop.part for prop in assembly.props}
-    plain = keep_props(assembly, ()) if assembly.props else assembly
+    plain = keep_props(assembly, ())
     new = [prop_place(plain, part) for part in dict.fromkeys(parts) if part not in known]
     return with_props(plain, [*assembly.props, *new]) if new else assembly
 

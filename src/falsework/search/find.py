@@ -96,8 +96,8 @@ def find_plans(
         progress: called after every level of every attempt; notebooks show it if not given.
         stop: called before every level; true ends the search with the plans found so far.
         deadline: seconds after which the search ends with the best that it has; the plans are proved after that.
-        checkpoint: file to which the search is saved regularly, and from which it resumes if it exists; removed at the
-            end.
+        checkpoint: file to which the search is saved regularly, and from which it resumes if it exists, with all that
+            it has learned; removed at the end. A search without the reserve, which follows, is not saved.
         forces: keep the contact forces that prove each state in the plans.
         backend: `cpu`; or `cuda`: beams are as wide as they may be from the beginning, and a GPU answers verdicts that
             are asked for together. Replays, and few verdicts at a time, stay on the processor.
@@ -169,6 +169,8 @@ def _find(
             planner = Planner.load(checkpoint, task, timed(oracle, clock), settings, **how)
     if not settings.judge:
         planner.tests.when_one_stands = clock.use_reserve
+        if planner.tests.doubted is not None:  # of a search that is resumed
+            clock.use_reserve()
     with interrupted_by(clock.check):
         result = _run(
             planner,

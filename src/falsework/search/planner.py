@@ -37,7 +37,7 @@ FORMAT = "falsework.planner/14"
 
 MOST_FALLS = 64
 """Routes of one search, or plans with motions, whose replay may fail before it is given up."""
-_NUMBERS = "_round", "_turn", "_rank", "_high", "_trial_reached"
+_NUMBERS = "_round", "_turn", "_rank", "_high", "_trial_reached", "_falls"
 """Numbers that say where a search stands."""
 
 
@@ -172,13 +172,13 @@ class Planner:
             raise InputError(f"a search with {what} cannot be saved; leave out the checkpoint")
 
     def save(self, path: Path | str) -> None:
-        """Write the current search, to be resumed by `load`.
+        """Write the current search, to be resumed by `load`, but for why strategies gave up, and contact histories.
 
         Raises:
             InputError: it cannot be saved, see `check_saved`.
         """
         self.check_saved()
-        beams, arrays = {}, {}
+        beams, (tests, arrays) = dict[str, Any](), self.tests.pack()
         for key, beam in self._beams.items():
             assert isinstance(beam, BeamSearch)
             beams[key], packed = beam.pack()
@@ -192,6 +192,8 @@ class Planner:
             "numbers": [getattr(self, name) for name in _NUMBERS],
             "counters": vars(self._counters),
             "seconds": self._seconds,
+            "repair": vars(self._repair),
+            "tests": tests,
             "beams": beams,
         }
         routes = np.concatenate([self.states[:0], *(route.states for route in self.routes)])
@@ -228,7 +230,8 @@ class Planner:
         for name, number in zip(_NUMBERS, header["numbers"], strict=True):
             setattr(self, name, int(number))
         self._turns = {name: Turn(**turn) for name, turn in header["turns"].items()}
-        self._counters = SearchCounters(**header["counters"])
+        self._counters, self._repair = SearchCounters(**header["counters"]), Repair(**header["repair"])
+        self.tests.restore(header["tests"], arrays)
         self._seconds, self.states = float(header["seconds"]), arrays["states"]
         rows = arrays["routes"].reshape(-1, self.task.steps + 1, self.task.part_count)
         self.routes = [Route.from_states(states) for states in rows]
@@ -381,14 +384,12 @@ class Planner:
         routes = self.routes or [route for route in [self.tests.doubted] if route is not None]
         if routes:
             what = "gathering alternatives" if self._stage == "alternatives" else "postponing missing parts"
-            halted = interrupted and bool(self.routes)
-            notes = (f"interrupted while {what}; the plan is complete",) * halted
+            notes = (f"interrupted while {what}; the plan is complete",) * (interrupted and bool(self.routes))
             steps, ends = self.task.steps, (self.task.target[None], self.states[:0])
             found = Outcome.FOUND, tuple(routes), Direction.DISASSEMBLY, steps, steps, *ends
             return SearchResult(*found, counters, self._seconds, interrupted, notes=notes)
-        best = self._failure
-        for running in self._last.values():
-            best = running if best is None or running.reached > best.reached else best
+        ended = [result for result in (self._failure, *self._last.values()) if result is not None]
+        best = max(ended, key=lambda result: result.reached, default=None)
         if best is None:  # interrupted before the first search began
             best = BeamSearch(self.task, self._oracle).result(interrupted=True)
         return replace(best, counters=counters, seconds=self._seconds, interrupted=interrupted)
@@ -396,5 +397,4 @@ class Planner:
 
 def _identity(task: Task, oracle: Oracle, settings: PlannerSettings) -> dict[str, Any]:
     """Return what tells one search from another, as plain JSON values."""
-    own = vars(settings) | {"directions": [direction.value for direction in settings.directions]}
-    return {"task": task.to_dict(), "settings": own, "premises": oracle.premises}
+    return {"task": task.to_dict(), "settings": settings.to_dict(), "premises": oracle.premises}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction
@@ -48,3 +49,7 @@ class PlannerSettings:
         if self.patience <= 0 or self.bound_after < 0:
             raise InputError("the patience of a search must be above 0, and the seconds before a bound not below 0")
         check_seed(self.seed)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return vars(self) | {"directions": [direction.value for direction in self.directions]}

@@ -65,7 +65,8 @@ class Repair:
 
     whole: float = 0.0
     """Of the first plan."""
-    due: float = np.inf
+    due: float | None = None
+    """Effort of the search from which on it takes too long; None before a plan fell."""
 
     def begin(self, search: Search, state: States) -> None:
         """Have a search go back to where its plan fell; it may take as long as what leads there would take anew."""
@@ -75,7 +76,7 @@ class Repair:
 
     def is_over(self, search: Search) -> bool:
         """Return whether the search takes too long."""
-        return search.effort > self.due
+        return self.due is not None and search.effort > self.due
 
 
 class Pace:

@@ -27,8 +27,8 @@ from falsework.stability.criterion import CONTACT, StabilityCriterion
 from falsework.stability.second_order.growth import NEUTRAL, growth_of_motion
 from falsework.stability.second_order.springs import ROUNDING, into_cone, springs_of_displacement
 from falsework.stability.state_arrays import StateArrays
-from falsework.stability.stiffness import movement_limit, structure_size
-from falsework.stability.strength import Strength, strength_of
+from falsework.stability.stiffness import movement_limit, movement_of, reach_of, structure_size
+from falsework.stability.strength import TEARS, Strength, strength_of
 from falsework.stability.verdict import Proof, Verdicts, proof_of
 
 Array = NDArray[np.float64]
@@ -116,12 +116,12 @@ def residual_of_displacement(
     displacement = np.where((states == 1)[:, :, None], displacement, 0.0)
     finite = np.asarray(np.isfinite(displacement).all(axis=(1, 2)))
     displacement = np.where(finite[:, None, None], displacement, 0.0)
-    moved = np.linalg.norm(displacement[:, :, :3], axis=2).max(axis=1, initial=0.0)
+    moved = movement_of(displacement, reach_of(assembly)).max(axis=1, initial=0.0)
     springs = springs_of_displacement(assembly, states, displacement, claim)
     compression = np.where(springs.closed, -springs.gap, 0.0).max(axis=1, initial=0.0)
     limit = movement_limit(structure_size(assembly), compression)
     residual = residual_of_forces(assembly, states, springs.forces, claim)
-    return np.where(finite & (moved <= np.sqrt(3.0) * limit), residual, np.inf)
+    return np.where(finite & (moved <= limit * TEARS), residual, np.inf)
 
 
 def residual_of_forces(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -102,6 +102,10 @@ class StabilitySettings(StabilityBounds):
     def from_claim(cls, claim: StabilityCriterion) -> StabilitySettings:
         """Return the settings under which a claim is made."""
         return cls(**vars(claim))
+
+    def under_gravity_of(self, claim: StabilityCriterion | None) -> StabilitySettings:
+        """Return the same settings under the gravity of the claim of a plan, if there is one."""
+        return self if claim is None else replace(self, gravity=claim.gravity)
 
     @property
     def friction_cone(self) -> Cone:

@@ -16,7 +16,7 @@ SETTLEMENT = 1e-6
 """Share of its height by which a prismatic block settles into the joint below it under its own weight. For concrete
 this is a joint stiffness of 24 GPa/m."""
 MOVEMENT = 1e-3
-"""Largest movement of a part of a stable structure, as a share of the structure's diagonal ..."""
+"""Largest movement of a part of a stable structure (`movement_of`), as a share of the structure's diagonal ..."""
 SETTLEMENTS = 100.0
 """... or, where that is more, as a multiple of the largest compression of a contact point. What small bearings settle
 is no sign of collapse. Displacements are inversely proportional to stiffness; this ratio does not depend on it."""
@@ -50,6 +50,26 @@ def movement_limit(size: float, compression: NDArray[np.float64]) -> NDArray[np.
         compression: largest compression of a contact point in each state, m, shape (states,).
     """
     return np.maximum(MOVEMENT * size, SETTLEMENTS * compression)
+
+
+def reach_of(assembly: Assembly) -> NDArray[np.float64]:
+    """Return how far the farthest corner of each part is from its centre of mass, m, shape (parts,)."""
+    pairs = zip(assembly.meshes, assembly.mass.center, strict=True)
+    return np.array([np.linalg.norm(mesh.vertices - center, axis=1).max() for mesh, center in pairs])
+
+
+def movement_of(displacement: NDArray[np.float64], reach: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the movement of parts, which `movement_limit` limits, m, shape (..., parts).
+
+    It is the largest displacement of the centre along an axis, or of the farthest corner by the rotation about one,
+    whichever is more. No point of the part is displaced by more than twice the square root of three times that.
+
+    Args:
+        displacement: `(translation, rotation)` about the centres of mass, m and rad, shape (..., parts, 6).
+        reach: as `reach_of` returns it.
+    """
+    shift, turn = np.abs(displacement[..., :3]).max(axis=-1), np.abs(displacement[..., 3:]).max(axis=-1)
+    return np.maximum(shift, reach * turn)
 
 
 def structure_size(assembly: Assembly) -> float:

@@ -55,8 +55,10 @@ class Kernel:
         """The function as numba compiles it."""
         import numba
 
+        from falsework.utils.cache.compilation import announce_compilation
         from falsework.utils.cache.numba_files import SealedCacheFile
 
+        announce_compilation()
         compiler: Any = numba.njit
         try:
             compiled = compiler(**self.options)(self.py_func)

@@ -87,7 +87,7 @@ class Arrows:
 
 
 def arrows_of_forces(
-    assembly: Assembly, state: States, forces: Array, presses: Sequence[Press] = ()
+    assembly: Assembly, state: States, forces: Array, presses: Sequence[Press] = (), *, gravity: float = 9.81
 ) -> dict[str, Arrows]:
     """Return the contact forces, friction, gravity and presses in one state, all on one scale.
 
@@ -98,6 +98,7 @@ def arrows_of_forces(
     Args:
         forces: `(n, t1, t2)` in N, shape (points, 3).
         presses: of the step that leads to the state; drawn as `arrows_of_step` does.
+        gravity: m/s2.
     """
     contacts = assembly.contacts
     a, b = contacts.parts.T
@@ -113,7 +114,7 @@ def arrows_of_forces(
     tangent = np.einsum("pi,pij->pj", forces[:, 1:], contacts.point_frames[:, 1:])
     rubs = sign * segment_sum(tangent, owner, len(contacts))
     free = state == INSTALLED
-    weights = assembly.applied_wrench()[free, :3]
+    weights = assembly.applied_wrench(gravity)[free, :3]
     pressed = np.array([press.wrench[:3] for press in presses]).reshape(-1, 3)
     shown = (pushes[acts], rubs[acts], weights, pressed)
     largest = max(float(np.linalg.norm(vectors, axis=1).max(initial=0.0)) for vectors in shown)

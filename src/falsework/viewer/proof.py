@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, INSTALLED, States
 from falsework.search.plans.plan import Plan
 from falsework.stability.contact.build_verifier import BuildVerifier
@@ -84,7 +83,7 @@ def proofs_of_states(oracle: StabilityOracle, states: States) -> list[StateProof
     for first in range(0, len(states), _AT_ONCE):
         some = states[first : first + _AT_ONCE]
         verdicts = oracle.verdicts(some, require_certificate=True)
-        proofs += [_proof(oracle.assembly, state, verdicts, row, how) for row, state in enumerate(some)]
+        proofs += [_proof(oracle, state, verdicts, row, how) for row, state in enumerate(some)]
     return proofs
 
 
@@ -99,7 +98,8 @@ class BuildProofs:
         """Begin before the first step.
 
         Args:
-            oracle: of its structure, under `contact`; judges from rest what the build does not reach.
+            oracle: of its structure, under `contact` and the gravity of the plan; judges from rest what the build does
+                not reach.
         """
         settings = replace(oracle.settings, reserve=plan.claim.reserve, holds=plan.claim.holds)
         assembly = oracle.assembly
@@ -116,7 +116,7 @@ class BuildProofs:
         self._build(place)
         state = self._states[place]
         if place < self._reached:
-            return _stable(self._assembly, state, self._forces[place], _BUILT, self._presses[place])
+            return _stable(self._oracle, state, self._forces[place], _BUILT, self._presses[place])
         rest = proof_of_state(self._oracle, state)
         if place > self._reached or not rest.stable:
             return rest
@@ -174,11 +174,11 @@ class ProofCache:
 
 
 def _stable(
-    assembly: Assembly, state: States, forces: NDArray[np.float64], how: str, presses: Sequence[Press] = ()
+    oracle: StabilityOracle, state: States, forces: NDArray[np.float64], how: str, presses: Sequence[Press] = ()
 ) -> StateProof:
     free = int((state == INSTALLED).sum())
     words = f"stable: contact forces balance {counted(free, 'free part')}" if free else "stable: every part is held"
-    arrows = arrows_of_forces(assembly, state, forces, presses)
+    arrows = arrows_of_forces(oracle.assembly, state, forces, presses, gravity=oracle.settings.gravity)
     return StateProof(True, True, words + _said(how), arrows, forces=forces)
 
 
@@ -187,10 +187,11 @@ def _said(how: str) -> str:
     return f" ({how})" if how else ""
 
 
-def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int, how: str) -> StateProof:
+def _proof(oracle: StabilityOracle, state: States, verdicts: Verdicts, row: int, how: str) -> StateProof:
+    assembly = oracle.assembly
     if verdicts.stable[row]:
         assert verdicts.forces is not None
-        return _stable(assembly, state, verdicts.forces[row], how)
+        return _stable(oracle, state, verdicts.forces[row], how)
     tips = bool(verdicts.tips[row])
     slides = bool(verdicts.slides[row]) or tips
     if not (slides or verdicts.unstable[row]):
@@ -200,7 +201,8 @@ def _proof(assembly: Assembly, state: States, verdicts: Verdicts, row: int, how:
     weighed = state.copy()
     if slides:  # the arrow of a part that slides down would lie on that of its weight
         weighed[list(moved)] = HELD
-    arrows = {"gravity": arrows_of_forces(assembly, weighed, np.zeros((len(assembly.contacts.points), 3)))["gravity"]}
+    none, gravity = np.zeros((len(assembly.contacts.points), 3)), oracle.settings.gravity
+    arrows = {"gravity": arrows_of_forces(assembly, weighed, none, gravity=gravity)["gravity"]}
     if motion is None:  # a state that slides which the exact solver decided
         return StateProof(False, True, f"slides: {_WHY}{_said(how)}", arrows, moved, slides)
     kind = "sliding" if slides else "motion"

@@ -64,7 +64,9 @@ class Viewable:
         Under `contact`, states of a plan are judged as built.
         """
         chosen = list(places)
-        oracle = StabilityOracle(self.assembly, StabilitySettings(criterion=criterion))
+        claim = None if self.plan is None else self.plan.claim
+        settings = StabilitySettings(criterion=criterion).under_gravity_of(claim)
+        oracle = StabilityOracle(self.assembly, settings)
         rows = [self.timeline.row(place) for place in chosen]
         if self.plan is not None and criterion == "contact":
             build = BuildProofs(self.plan, oracle)

@@ -130,6 +130,23 @@ def test_the_offset_gives_the_wrench(pressed: RobotPlan, column: Assembly, cell:
     np.testing.assert_allclose(PRESS_STIFFNESS * own @ angle, WRENCH[3:], rtol=1e-9)
 
 
+@pytest.mark.parametrize("reserve", [1.1, 3.0])
+def test_grippers_bear_the_larger_of_the_loads_with_the_reserve_and_without(
+    pressed: RobotPlan, column: Assembly, cell: Cell, reserve: float
+) -> None:
+    """As the plan says of its robots: with less friction less of what they pressed may be left."""
+
+    def with_reserve(value: float) -> RobotPlan:
+        claim = replace(pressed.plan.claim, reserve=value)
+        return replace(pressed, plan=replace(pressed.plan, claim=claim))
+
+    loads, plain = (grip_loads(with_reserve(value), column, cell) for value in (reserve, 1.0))
+    assert [load.keyframe for load in loads] == [load.keyframe for load in plain]
+    for load, true in zip(loads, plain, strict=True):
+        assert load.force_n >= true.force_n * (1 - 1e-9)
+        assert load.moment_nm >= true.moment_nm * (1 - 1e-9)
+
+
 def test_grippers_bear_presses(pressed: RobotPlan, column: Assembly, cell: Cell) -> None:
     """What a robot bears after a press includes it, less what the part gives way; limits count for both."""
     bare = replace(pressed, plan=replace(pressed.plan, presses=()))

@@ -16,6 +16,8 @@ from falsework.errors import InputError
 from falsework.geometry import TriangleMesh
 from falsework.stability import Proof, Verdicts
 from falsework.stability.certificate import residual_of_displacement
+from falsework.stability.contact.build_verifier import BuildVerifier
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.second_order.springs import springs_of_displacement
 from falsework.stability.settings import EQUILIBRIUM
 
@@ -204,6 +206,26 @@ def test_other_displacements_are_rejected(proven: Any, factor: float) -> None:
         forged = dataclasses.replace(verdicts, displacement=verdicts.displacement * factor)
     assert verify_certificates(arch, states, verdicts, settings.claim).all()
     assert not verify_certificates(arch, states, forged, settings.claim).any()
+
+
+@pytest.mark.parametrize(("turn", "good"), [(0.0, True), (1e-6, True), (0.3, False)])
+def test_a_part_that_turns_in_place_moves(scenes: Any, turn: float, good: bool) -> None:
+    """On a smooth floor no force resists it: only the limit of movement refuses the certificates."""
+    boxes = [scenes.box([-0.5, -0.5, 0], [0.5, 0.5, 1]), scenes.box([-1, -1, -1], [1, 1, 0])]
+    block, settings = scenes.make(boxes, [1], friction=0.0), StabilitySettings()
+    states = np.array([[0, 2], [1, 2]], np.uint8)
+    verdicts = StabilityOracle(block, settings).verdicts(states[1:], require_certificate=True)
+    displacement = verdicts.displacement + turn * np.eye(6)[5]
+    forged = dataclasses.replace(verdicts, displacement=displacement)
+    assert verify_certificates(block, states[1:], forged, settings.claim).tolist() == [good]
+    verifier = BuildVerifier(block, settings.claim)
+    first, last = Replayer(block, settings).certificates(states, [(), ()])
+    assert not verifier.step(states[0], first).reason
+    displacement = last.displacement.copy()
+    displacement[-1, 0, 5] += turn
+    proof = verifier.step(states[1], last._replace(displacement=displacement))
+    assert bool(proof.reason) != good
+    assert proof.moved >= turn * np.sqrt(0.75)
 
 
 def test_the_forces_of_a_displacement_balance_by_another_formula(proven: Any) -> None:

@@ -21,6 +21,7 @@ from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import Array, move, pose
 from falsework.robots.motion.collision_world import CollisionWorld, Scene, grasp_contact
+from falsework.utils.display.fonts import fitting_fonts
 from falsework.utils.lazy import importing
 
 GRASPS_PER_PART = 24
@@ -251,4 +252,5 @@ def draw_reach(cell: Cell, parts: PartShapes, table: ReachTable, path: Path) -> 
     axes.set_xlabel("x, m")
     axes.set_ylabel("y, m")
     axes.set_title(f"{cell.name}, from above")
-    figure.savefig(path)
+    with fitting_fonts(figure):
+        figure.savefig(path)

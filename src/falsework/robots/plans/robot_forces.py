@@ -5,7 +5,7 @@ Robots press in assembly, while another robot lets go of its part. All exports r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -192,24 +192,31 @@ class GripLoad:
 def grip_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[GripLoad]:
     """Return the load on each gripper at each keyframe at which it holds a part in a stable state, and each press.
 
-    Under `contact` the load is what the robot bears in the state as built, with what it has pressed
-    until then; under `equilibrium` the weight of the part and the forces of its neighbours in one of possibly many
-    sets. In a hand-over each of both grippers is taken to bear all of it. A press is listed at the keyframe after its
-    step, alone. Forces grow with the cube of the structure's scale in the cell, and moments with its fourth power.
+    Under `contact` the load is what the robot bears in the state as built, with what it has pressed until then: the
+    larger force, and the larger moment, of those with the reserve and under the true friction, as in `Plan.loads`. When
+    settings change otherwise, searches keep the limits of the grippers about the centre of mass; what arms bear then is
+    not listed. Under `equilibrium` it is the weight of the part and the forces of its neighbours in one of possibly
+    many sets. In a hand-over each of both grippers is taken to bear all of it. A press is listed at the keyframe after
+    its step, alone. Forces grow with the cube of the structure's scale in the cell, and moments with its fourth power.
     """
     plan.check_identity(assembly, cell)
     placement, scale = cell.placement, CellScale.from_cell(assembly, cell)
     turn, center = placement.pose[:3, :3], move(placement.pose, placement.scale * assembly.mass.center)
 
-    def load(keyframe: int, robot: int, part: int, wrench: Array, **more: bool) -> GripLoad:
-        force, moment = scale.force * turn @ wrench[:3], scale.moment * turn @ wrench[3:]
+    def load(keyframe: int, robot: int, part: int, *wrenches: Array, **more: bool) -> GripLoad:
         tool = tool_pose(cell.robots[robot], plan.keyframes[keyframe].configurations[robot])[:3, 3]
-        return GripLoad(keyframe, robot, part, force, moment + np.cross(center[part] - tool, force), **more)
+        forces = [scale.force * turn @ wrench[:3] for wrench in wrenches]
+        moments = [
+            scale.moment * turn @ wrench[3:] + np.cross(center[part] - tool, force)
+            for wrench, force in zip(wrenches, forces, strict=True)
+        ]
+        return GripLoad(keyframe, robot, part, _largest(forces), _largest(moments), **more)
 
-    borne, loads = _borne(plan.plan, assembly), []
+    cases, loads = _borne(plan.plan, assembly), []
     for number, (frame, row) in enumerate(zip(plan.keyframes, plan.rows.tolist(), strict=True)):
         held = [(robot, part) for robot, part in enumerate(frame.held) if part is not None]
-        loads += [load(number, robot, part, borne[row][part]) for robot, part in held if part in borne[row]]
+        known = [(robot, part) for robot, part in held if all(part in borne[row] for borne in cases)]
+        loads += [load(number, robot, part, *(borne[row][part] for borne in cases)) for robot, part in known]
         for press in presses_in(plan, number - 1) if number else ():
             robot = pressing_robot(plan, number - 1, press.part)
             if robot is not None:
@@ -217,15 +224,29 @@ def grip_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[GripLoad
     return loads
 
 
-def _borne(plan: Plan, assembly: Assembly) -> list[dict[int, Array]]:
-    """Return for each stable state the wrench that a robot bears on each held part, about its centre of mass, (6,)."""
+def _largest(vectors: list[Array]) -> Array:
+    return max(vectors, key=lambda vector: float(np.linalg.norm(vector)))
+
+
+_Borne = list[dict[int, Array]]
+"""For each stable state the wrench that a robot bears on each held part, about its centre of mass, (6,)."""
+
+
+def _borne(plan: Plan, assembly: Assembly) -> list[_Borne]:
+    """Return what robots bear with the reserve of a plan and, where it has one, under the true friction."""
     states, settings = plan.states, StabilitySettings.from_claim(plan.claim)
     if settings.criterion == "equilibrium":
         found = StabilityOracle(assembly, settings).margins(states, ("held",))
-        return [{load.part: np.concatenate([load.force, load.moment]) for load in state.held} for state in found]
-    verifier, borne = BuildVerifier(assembly, settings.claim), [dict[int, Array]() for _ in states]
-    steps = Replayer(assembly, settings).certificates(states, plan.presses_before)
-    for row, (state, step) in enumerate(zip(states, steps, strict=False)):
+        return [[{load.part: np.concatenate([load.force, load.moment]) for load in state.held} for state in found]]
+    cases = [replace(settings, reserve=reserve) for reserve in sorted({settings.reserve, 1.0})]
+    return [_built(plan, assembly, case) for case in cases]
+
+
+def _built(plan: Plan, assembly: Assembly, settings: StabilitySettings) -> _Borne:
+    """Return what robots bear as a plan is built under some settings, up to where it does not come to rest."""
+    verifier, borne = BuildVerifier(assembly, settings.claim), [dict[int, Array]() for _ in plan.states]
+    steps = Replayer(assembly, settings).certificates(plan.states, plan.presses_before)
+    for row, (state, step) in enumerate(zip(plan.states, steps, strict=False)):
         wrenches = verifier.step(state, step).wrenches
         parts = np.flatnonzero((state == HELD) & ~assembly.immovable).tolist()
         borne[row] = {part: wrenches[part] for part in parts}

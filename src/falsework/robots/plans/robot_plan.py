@@ -17,6 +17,7 @@ from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.search.plans.plan import Plan
+from falsework.search.plans.plan_source import made_for
 from falsework.search.problem.task import Direction
 from falsework.utils.display.notebook import Displayed
 from falsework.utils.quantity import counted
@@ -357,10 +358,8 @@ class RobotPlan(Displayed):
     def check_identity(self, assembly: Assembly, cell: Cell) -> None:
         """Raise PlanError unless the plan is for this structure in this cell, and names their parts and robots."""
         if assembly.identity != self.plan.identity:
-            raise PlanError(
-                f"the robot plan is for another {self.plan.name} than this {assembly.name}; give the structure that it "
-                "was made for"
-            )
+            other = f"the robot plan is for another {self.plan.name} than this {assembly.name}"
+            raise PlanError(f"{other}; {made_for(self.plan)}")
         names = tuple(assembly.names)
         if tuple(self.plan.part_names) != names:
             part = next(k for k, pair in enumerate(zip(self.plan.part_names, names, strict=True)) if pair[0] != pair[1])

@@ -158,10 +158,15 @@ class BeamSearch(Search):
 
     def forbid(self, states: States) -> None:
         """See `Search.forbid`."""
+        self._go_back(self._bar(states))
+
+    def _bar(self, states: States) -> set[bytes]:
+        """Rule states out, shape (count, parts); return their keys."""
         keys = {state.tobytes() for state in states}
         self.judge.forbidden |= keys
-        self._forbidden = StateIndex(np.array([state_of_key(key) for key in self.judge.forbidden]), self._hash)
-        self._go_back(keys)
+        barred = np.array([state_of_key(key) for key in self.judge.forbidden])
+        self._forbidden = StateIndex(barred, self._hash) if len(barred) else None
+        return keys
 
     def go_back(self, state: States) -> None:
         """See `Search.go_back`."""
@@ -336,12 +341,14 @@ class BeamSearch(Search):
             "jumps": asdict(self._jumps),
             "conflicts": self.conflicts.count,
             "refuted": self.conflicts.refuted,
+            "replays": self._paths.replays,
         }
         arrays: dict[str, NDArray[Any]] = {
             "states": self.states(),
             "sizes": np.array([len(level.parent) for level in self.levels], dtype=np.int64),
             "deepest": self._deepest,
             "rejected": self._rejected,
+            "forbidden": np.array([state_of_key(key) for key in sorted(self.judge.forbidden)], dtype=np.uint8),
         }
         for name in ("parent", "action", "score", "grounded"):
             arrays[name] = np.concatenate([getattr(level, name) for level in self.levels] or [np.empty(0)])
@@ -385,6 +392,8 @@ class BeamSearch(Search):
         search._deepest, search._rejected = arrays["deepest"], arrays["rejected"]
         search._farthest = int(header["farthest"])
         search._jumps = Jumps(**{name: int(number) for name, number in header["jumps"].items()})
+        search._bar(arrays["forbidden"])
+        search._paths.replays = [int(number) for number in header["replays"]]
         search.conflicts.count = int(header["conflicts"])
         search.conflicts.refuted = {state: [int(one) for one in some] for state, some in header["refuted"].items()}
         return search

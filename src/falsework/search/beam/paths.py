@@ -53,13 +53,14 @@ class PathHistories(Generic[K]):
         """Of the states at rest: the largest movement of a part, that part, and the certificate of the step, whose
         displacement is empty beyond the memory for them."""
         self._still = _NOTHING
-        self._taken = self._spent = self._lost = 0
+        self.replays = [0, 0, 0]
         """Steps at rest, their iterations, and those of steps that failed."""
 
     @property
     def lost(self) -> float:
         """Iterations of the steps that failed, divided by the mean of those at rest."""
-        return self._lost * self._taken / max(self._spent, 1)
+        taken, spent, lost = self.replays
+        return lost * taken / max(spent, 1)
 
     def step(self, before: K, after: States) -> History | None:
         """Return the history of a state reached from another; None where the path to it does not come to rest."""
@@ -70,9 +71,10 @@ class PathHistories(Generic[K]):
         rests, history = self._replayer.step(history, self._state(before), after)
         spent = self._replayer.iterations - begun
         if not rests:
-            self._lost += spent
+            self.replays[2] += spent
             return None
-        self._taken, self._spent = self._taken + 1, self._spent + spent
+        self.replays[0] += 1
+        self.replays[1] += spent
         return history
 
     def slips(self, before: K, history: History) -> bool:
@@ -203,6 +205,16 @@ class BeamPaths:
     def lost(self) -> float:
         """See `PathHistories.lost`; 0 where contact histories do not matter."""
         return 0.0 if self._histories is None else self._histories.lost
+
+    @property
+    def replays(self) -> list[int]:
+        """See `PathHistories.replays`; zero where contact histories do not matter."""
+        return [0, 0, 0] if self._histories is None else self._histories.replays
+
+    @replays.setter
+    def replays(self, known: list[int]) -> None:
+        if self._histories is not None:
+            self._histories.replays = known
 
     def stable_ancestors(self) -> States:
         """Return for each state of the last level the nearest on the path to it that is known to be stable."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -125,10 +126,32 @@ class Acceptance:
             None if all stand, with the reserve of the replayer, under the true friction and under changed settings;
             always without a replayer.
         """
-        if self._replayer is None:
-            return None
+        return None if self._replayer is None else self.replayed(self._replayer, states)[0].falls_at
+
+    def replayed(
+        self,
+        replayer: AnyReplayer,
+        states: States,
+        known: PlanReplay | None = None,
+        stood: Callable[[PlanReplay], None] = lambda found: None,
+    ) -> tuple[PlanReplay, int | None]:
+        """Replay a route, and again with presses chosen anew under the changes of settings under which it falls.
+
+        Args:
+            replayer: of this test.
+            states: in assembly order, shape (steps + 1, parts).
+            known: its replay, where a search has made it, which then makes the next one, too.
+            stood: called with each replay that stands, before settings are changed.
+
+        Returns:
+            The last replay, and where the one that is known fell under a change; None if it did not.
+        """
         while True:
-            found = PlanReplay.from_replay(self._replayer.replay(states))
+            found = known or PlanReplay.from_replay(replayer.replay(states))
             found = self.tested(states, found) if found.stands else found
-            if not found.stands or self.varied_falls_at(states, found) is None:
-                return found.falls_at
+            if not found.stands:
+                return found, None
+            stood(found)
+            row = self.varied_falls_at(states, found)
+            if row is None or known is not None:
+                return found, row

@@ -25,7 +25,7 @@ from falsework.search.plans.plan_report import (
     weaker_claim,
 )
 from falsework.search.plans.plan_rules import broken_rule
-from falsework.search.plans.plan_source import structure_of_plan
+from falsework.search.plans.plan_source import made_for, structure_of_plan
 from falsework.stability.certificate import StabilityCriterion, chunks, residual_of_forces, verify_certificates
 from falsework.stability.contact.build_verifier import BuildVerifier, StepCertificate
 from falsework.stability.contact.hold_loads import CLOSE, Loads, larger_loads, largest_load, loads_in
@@ -45,13 +45,14 @@ def check_identity(plan: Plan, assembly: Assembly) -> None:
     """
     if len(plan.boundary) != assembly.part_count:
         raise PlanError(
-            f"the plan is for {plan.name} with {len(plan.boundary)} parts, "
-            f"but {assembly.name} has {assembly.part_count}; give the structure it was made for"
+            f"the plan is for {plan.name} with {len(plan.boundary)} parts, but {assembly.name} has "
+            f"{assembly.part_count}; {made_for(plan)}"
         )
     if plan.identity != assembly.identity:
         raise PlanError(
             f"the plan is for another structure: its hash {plan.identity[:12]} of {plan.name} differs from "
-            f"{assembly.identity[:12]} of {assembly.name}; geometry, boundary, density or friction changed"
+            f"{assembly.identity[:12]} of {assembly.name}; geometry, contacts, boundary, density, friction, loads or "
+            f"joints differ; {made_for(plan)}"
         )
     # The hash is copied from the structure; what the plan says besides it must agree too.
     other = np.flatnonzero(plan.boundary != assembly.boundary)

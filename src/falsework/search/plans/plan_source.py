@@ -109,6 +109,15 @@ def structure_to_check(
     return found, {}
 
 
+def made_for(plan: Plan) -> str:
+    """Return the end of a message on a structure that a plan is not for: which to give."""
+    source = plan.source or {}
+    options = {key: value for key, value in source.items() if key not in PLACES}
+    spec = next((str(source[place]) for place in PLACES if place in source), plan.name)
+    set_so = "".join(f", {key} {value}" for key, value in options.items())
+    return f"give the structure that it was made for: {spec}{set_so}"
+
+
 def check_source(source: SourceEntry, about: str, where: str = "structure.source") -> None:
     """Raise for a source that does not say where the structure is; whether it exists is not checked.
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 
@@ -91,33 +92,52 @@ class RouteTests:
             return False
         if self.replayer is None:
             return True
-        states, key = route.states[::-1], route.states.tobytes()
-        while True:
-            found = known or PlanReplay.from_replay(self.replayer.replay(states))
-            if found.stands:
-                found = self._acceptance.tested(states, found)
-            if not found.stands:
-                break
+        states, key, before = route.states[::-1], route.states.tobytes(), self.changes
+
+        def stood(found: PlanReplay) -> None:
             self.replays[key] = found
             if self.doubted is None:  # until the slow tests are done, or a deadline or the keyboard ends them
                 self.doubted = route
                 self.when_one_stands()
-            before, row = self.changes, self._acceptance.varied_falls_at(states, found)
-            if row is None:
-                self.replays[key] = found = replace(found, varied=self._acceptance.varies)
-                if self._settings.judge:
-                    found = self._judge(route, found, stop)
-                if found.fails_at is None:
-                    return True
-                break
-            if known is not None:
-                self.again = barred_state(states, row) if self.changes != before else None
-                return False
+
+        found, row = self._acceptance.replayed(self.replayer, states, known, stood)
+        if row is not None:
+            self.again = barred_state(states, row) if self.changes != before else None
+            return False
+        if found.stands:
+            self.replays[key] = found = replace(found, varied=self._acceptance.varies)
+            if self._settings.judge:
+                found = self._judge(route, found, stop)
+            if found.fails_at is None:
+                return True
         row = found.fails_at or 0
         if not found.stands and (self.fallen is None or row > self.fallen[1]):
             self.fallen = route, row
         self._exclude(barred_state(states, row))
         return False
+
+    def pack(self) -> tuple[dict[str, Any], dict[str, States]]:
+        """Return what a search has learned from its routes: plain values, and arrays with names after `tests_`."""
+        none = self.forbidden[:0]
+        fallen, row = (None, 0) if self.fallen is None else self.fallen
+        arrays = {"tests_forbidden": self.forbidden}
+        for name, route in (("fallen", fallen), ("doubted", self.doubted)):
+            arrays[f"tests_{name}"] = none if route is None else route.states
+        return {"changes": [asdict(change) for change in self.changes], "fallen_at": row}, arrays
+
+    def restore(self, header: Mapping[str, Any], arrays: Mapping[str, States]) -> None:
+        """Go on with what `pack` returned.
+
+        Raises:
+            KeyError, TypeError, ValueError: it is something else.
+        """
+        self.forbidden = arrays["tests_forbidden"]
+        fallen, doubted = (arrays[f"tests_{name}"] for name in ("fallen", "doubted"))
+        self.fallen = (Route.from_states(fallen), int(header["fallen_at"])) if len(fallen) else None
+        self.doubted = Route.from_states(doubted) if len(doubted) else None
+        changes = [Change(**entry | {"replay": tuple(map(tuple, entry["replay"]))}) for entry in header["changes"]]
+        if self.replayer is not None and changes:
+            self.replayer.also_under(changes)
 
     def _exclude(self, states: States) -> None:
         self.forbidden = np.concatenate([self.forbidden, np.atleast_2d(states)])
@@ -127,7 +147,8 @@ class RouteTests:
         assert self.doubted is not None
         found = self._acceptance.judged(route.states[::-1], found, stop)
         self.replays[route.states.tobytes()] = found
-        judgement, best = found.judgement, self.replays[self.doubted.states.tobytes()].judgement
+        known = self.replays.get(self.doubted.states.tobytes())  # a search that was resumed has none
+        judgement, best = found.judgement, None if known is None else known.judgement
         if judgement is not None and (best is None or judgement.built > best.built):
             self.doubted = route
         if judgement is not None and not judgement.stands and judgement.falls_at is None:

@@ -206,3 +206,9 @@ def holders(states: States, immovable: Mask) -> NDArray[np.int64]:
         for part, robot in zip([part for part in held if robots[step, part] == NO_ROBOT], free, strict=False):
             robots[step, part] = robot
     return robots
+
+
+def no_such_step(step: int | str, count: int) -> str:
+    """Return the message on a step that a plan with so many steps does not have."""
+    steps = f"the plan has the steps 1 to {count}, and 0 is the start" if count else "there are no steps"
+    return f"step {step} does not exist; {steps}"

@@ -24,7 +24,7 @@ from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import StabilityCriterion
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, Press, limits_of
 from falsework.stability.second_order.springs import ROUNDING, into_cone
-from falsework.stability.stiffness import movement_limit, normal_stiffness, structure_size
+from falsework.stability.stiffness import movement_limit, movement_of, normal_stiffness, reach_of, structure_size
 from falsework.stability.strength import TEARS, Strength, strength_of
 from falsework.utils.quantity import format_quantity
 
@@ -56,7 +56,7 @@ class StepProof:
     wrenches: Array
     """Wrench that a robot bears on each held part, N and N m about its centre, zero for others, shape (parts, 6)."""
     moved: float
-    """Largest displacement of a part along an axis since it was placed, m."""
+    """Largest movement of a part since it was placed, m; see `movement_of`."""
     reason: str = ""
     """Why the state is not proven; empty if it is."""
 
@@ -74,7 +74,7 @@ class BuildVerifier:
         self._law = _Law(assembly, claim)
         self._limits = limits_of(assembly, claim.holds, claim.gravity)
         self._stiffness, self._hybrid = claim.holds.stiffness, claim.holds.mode is HoldMode.HYBRID
-        self._size, self._names = structure_size(assembly), assembly.names
+        self._size, self._reach, self._names = structure_size(assembly), reach_of(assembly), assembly.names
         self._loads = assembly.applied_wrench(claim.gravity)
         self._before: States | None = None
         self._residual = RunningResidual(assembly, claim)
@@ -105,13 +105,14 @@ class BuildVerifier:
         residual = self._residual.step(state, forces)
         borne = np.zeros_like(moved)
         borne[held] = -(law.geometry.wrenches_on(held, forces) + self._loads[held])
-        farthest = float(np.abs(moved[:, :3]).max(initial=0.0))
+        movement = movement_of(moved, self._reach)
+        farthest = float(movement.max(initial=0.0))
         limit = float(movement_limit(self._size, law.compression(springs)))
         reason = self._broken(before, state, certificate.presses, steps.sum(axis=0), borne)
         if not (sound and whole):
             reason = "the certificate is damaged, or calls a contact whole that breaks"
         elif farthest > limit * (1 + _CLOSE):
-            part = self._names[int(np.abs(moved[:, :3]).max(axis=1).argmax())]
+            part = self._names[int(movement.argmax())]
             reason = (
                 f"{part} moves by {format_quantity(farthest, 'length')}, more than the limit of "
                 f"{format_quantity(limit, 'length')}"

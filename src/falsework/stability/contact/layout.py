@@ -12,7 +12,7 @@ from falsework.stability.cpu.layout import KernelArrays, Scratch, make_scratch
 from falsework.stability.cpu.products import LANES
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, limits_of
 from falsework.stability.problem import Problem
-from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, structure_size
+from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, reach_of, structure_size
 from falsework.utils.kernels import njit
 
 
@@ -67,7 +67,7 @@ class ContactArrays(NamedTuple):
     scale: float
     """Metres (or radians) of displacement per scaled unit."""
     reach: NDArray[np.float64]
-    """Radius of gyration of each part, m: converts rotations to movements, shape (parts,)."""
+    """Distance of the farthest corner of each part, m: converts rotations to movements, shape (parts,)."""
     limit: float
     """Movement of a part up to which a structure never counts as collapsing, m."""
     grip: NDArray[np.float64]
@@ -174,7 +174,7 @@ def build_contact_structure(
         turned_b=np.array(np.pad(problem.transfer_b.transpose(0, 2, 1), wider), order="C"),
         rows=np.array(np.pad(problem.basis.transpose(0, 2, 1), wider), order="C"),
         scale=scale,
-        reach=assembly.mass.gyration,
+        reach=reach_of(assembly),
         limit=limit,
         grip=np.zeros(len(mass)) if np.isinf(stiff) else stiff / mass * scale,
         press_grip=pressing,

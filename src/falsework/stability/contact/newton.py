@@ -100,10 +100,7 @@ def open_contact(contact, pairs, mends):
 
 @njit(fastmath=FAST, cache=True)
 def largest_movement(law, work, displacement):
-    """Return the largest movement of a part, m.
-
-    The movement of a part is that of its centre, or of a point one radius of gyration away by its rotation.
-    """
+    """Return the largest movement of a part, m, as `movement_of`."""
     free, order, turn = work.free, law.structure.elimination.order, law.structure.acceleration
     worst = 0.0
     for j in range(len(free)):

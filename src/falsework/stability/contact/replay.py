@@ -36,7 +36,7 @@ from falsework.stability.problem import build_problem
 from falsework.stability.second_order.growing_motion import SecondOrder
 from falsework.stability.second_order.springs import springs_at
 from falsework.stability.settings import StabilitySettings
-from falsework.stability.stiffness import structure_size
+from falsework.stability.stiffness import movement_of, structure_size
 
 Array = NDArray[np.float64]
 
@@ -189,8 +189,7 @@ class Replayer:
         """
         most = 0.0
         for one, other in zip((before, *before.changed), (after, *after.changed), strict=False):
-            moved = np.abs(other.displacement - one.displacement)
-            moved[:, 3:] *= self.law.reach[:, None]
+            moved = movement_of(other.displacement - one.displacement, self.law.reach)
             most = max(most, float(moved.max(initial=0.0)))
         return most / self.law.limit
 

@@ -24,7 +24,7 @@ _ARRAY_FIELDS = (
     *("position", "level_start", "column", "block_row", "block_column", "fill_start", "fill_left", "fill_right"),
     *("group_part", "group_first", "group_count", "incident_start", "incident", "block_start", "block_group"),
     *("point_single", "point", "arm_single", "arm", "local_single", "mass", "inertia", "flexibility", "gravity"),
-    *("gyration", "stiffness", "own_friction"),
+    *("gyration", "reach", "stiffness", "own_friction"),
 )
 _BATCH_FIELDS = (
     *("states", "guess", "verdict", "residual", "iterations", "forces", "velocity", "displacement", "handoff"),
@@ -211,7 +211,14 @@ def build_layout(problem: Problem) -> Layout:
 
 
 def add_contact(
-    layout: Layout, normal: NDArray[np.float64], scale: float, limit: float, gravity: float, ratio: float
+    layout: Layout,
+    normal: NDArray[np.float64],
+    scale: float,
+    limit: float,
+    *,
+    reach: NDArray[np.float64],
+    gravity: float,
+    ratio: float,
 ) -> Layout:
     """Add stiffness and units of displacement to a layout.
 
@@ -222,17 +229,21 @@ def add_contact(
     Args:
         layout: layout of the structure.
         normal, scale, limit: its stiffness and units, see `contact_units`.
+        reach: as `reach_of` returns it.
         gravity: m/s2.
         ratio: ratio of tangential to normal stiffness.
     """
+    position = layout.arrays["position"]
+    at = np.flatnonzero(position >= 0)
+    corner = np.zeros(len(at))
+    corner[position[at]] = reach[at] / layout.length
     first, count = layout.arrays["group_first"], layout.arrays["group_count"]
     stiffness = np.zeros((layout.group_size, layout.groups))
     for i in range(layout.group_size):
         rows = np.flatnonzero(count > i)
         stiffness[i, rows] = normal[first[rows] + i]
-    return replace(
-        layout, arrays={**layout.arrays, "stiffness": stiffness}, tangential=ratio, unit=scale * gravity, limit=limit
-    )
+    arrays = {**layout.arrays, "reach": corner, "stiffness": stiffness}
+    return replace(layout, arrays=arrays, tangential=ratio, unit=scale * gravity, limit=limit)
 
 
 def _eliminate(problem: Problem) -> dict[str, NDArray]:

@@ -18,6 +18,7 @@ from falsework.stability.gpu.driver import CudaDriver
 from falsework.stability.gpu.layout import KernelBatch, add_contact, build_layout, kernel_options
 from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
+from falsework.stability.stiffness import reach_of
 from falsework.stability.verdict import Solver, Verdicts, proof_of
 
 if TYPE_CHECKING:
@@ -116,9 +117,9 @@ class GpuSolver:
         self._contact = settings.criterion == "contact"
         self.starts_from_guesses = not self._contact  # under which all states are loaded from rest
         if self._contact:
-            ratio = settings.stiffness_ratio
-            units = contact_units(assembly, problem, settings.gravity)
-            self.layout = add_contact(self.layout, *units, settings.gravity, ratio)
+            gravity, ratio = settings.gravity, settings.stiffness_ratio
+            units = contact_units(assembly, problem, gravity)
+            self.layout = add_contact(self.layout, *units, reach=reach_of(assembly), gravity=gravity, ratio=ratio)
         # Without friction both cones are the same ray, and only the octagon's multipliers stay positive.
         quadratic = 0 if smooth.any() else CONES[settings.friction_cone]
         own = int("own_friction" in self.layout.arrays)

@@ -5,11 +5,14 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.assembly.model import Assembly
+from falsework.assembly.props import keep_props, with_props
 from falsework.assembly.state import as_states
 from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -84,20 +87,23 @@ def placement_curve(
 
 
 def moved_assembly(assembly: Assembly, tolerance: float, random: np.random.Generator) -> Assembly | None:
-    """Return the structure with its parts displaced at random; None where they make no valid assembly."""
+    """Return the structure with its parts displaced at random; None where they make no valid assembly.
+
+    Props are placed under the parts where these are then.
+    """
     from scipy.spatial.transform import Rotation
 
-    meshes = []
-    for mesh, center, fixed in zip(assembly.meshes, assembly.mass.center, assembly.boundary, strict=True):
+    parts, meshes, place = keep_props(assembly, ()), [], {}
+    for part, (mesh, center) in enumerate(zip(parts.meshes, parts.mass.center, strict=True)):
         shift, turn = random.uniform(-1, 1, 3), random.uniform(-1, 1, 3)
-        if fixed:
+        if parts.boundary[part]:
             meshes.append(mesh)
             continue
-        arms = mesh.vertices - center
-        reach = float(np.linalg.norm(arms, axis=1).max())
-        vertices = center + arms @ Rotation.from_rotvec(0.5 * tolerance / reach * turn / np.sqrt(3.0)).as_matrix().T
-        meshes.append(TriangleMesh.from_arrays(mesh.name, vertices + 0.5 * tolerance * shift, mesh.faces))
-    own = assembly.contact_settings
+        reach = float(np.linalg.norm(mesh.vertices - center, axis=1).max())
+        turned = Rotation.from_rotvec(0.5 * tolerance / reach * turn / np.sqrt(3.0)).as_matrix().T
+        place[part] = partial(_placed, center=center, turned=turned, shift=0.5 * tolerance * shift)
+        meshes.append(TriangleMesh.from_arrays(mesh.name, place[part](mesh.vertices), mesh.faces))
+    own = parts.contact_settings
     wider = {name: max(getattr(own, name) or 0.0, 2.5 * tolerance) for name in ("gap", "overlap")}
     settings = replace(own, **wider)
     try:
@@ -105,13 +111,21 @@ def moved_assembly(assembly: Assembly, tolerance: float, random: np.random.Gener
             warnings.simplefilter("ignore")
             moved = Assembly.from_meshes(
                 meshes,
-                boundary=assembly.boundary,
-                density=assembly.density,
-                friction=assembly.friction,
-                name=assembly.name,
+                boundary=parts.boundary,
+                density=parts.density,
+                friction=parts.friction,
+                name=parts.name,
                 contact_settings=settings,
             )
+        joints = parts.joints and parts.joints.recomputed(parts.contacts, moved.contacts)
+        heads = [(prop, tuple(place[prop.part](np.array(prop.at)).tolist())) for prop in assembly.props]
+        return with_props(
+            moved.replace(loads=parts.loads, joints=joints), [structs.replace(prop, at=at) for prop, at in heads]
+        )
     except InputError:
         return None
-    joints = assembly.joints and assembly.joints.recomputed(assembly.contacts, moved.contacts)
-    return moved.replace(loads=assembly.loads, joints=joints)
+
+
+def _placed(points: Array, center: Array, turned: Array, shift: Array) -> Array:
+    """Return points of a part, shape (..., 3), that is turned about its centre and shifted."""
+    return center + (points - center) @ turned + shift

@@ -75,7 +75,7 @@ class ViewerState:
         self.view = SceneView()
         self.show_probabilities = policy is not None
         self.deadline = deadline
-        self._oracles = {} if oracle is None else {oracle.assembly.identity: oracle}
+        self._oracles = {} if oracle is None else {(oracle.assembly.identity, oracle.settings): oracle}
         self._settings = StabilitySettings(criterion=criterion) if oracle is None else oracle.settings
         self.criterion: Criterion = criterion if oracle is None else oracle.settings.criterion
         self._proofs = ProofCache(contact=self.criterion == "contact")
@@ -90,11 +90,12 @@ class ViewerState:
 
     @property
     def oracle(self) -> StabilityOracle:
-        """Stability oracle of the structure, created at first use."""
-        identity = self.assembly.identity
-        if identity not in self._oracles:
-            self._oracles[identity] = StabilityOracle(self.assembly, self._settings)
-        return self._oracles[identity]
+        """Stability oracle of the structure under the gravity of the plan, created at first use."""
+        settings = self._settings.under_gravity_of(None if self.plan is None else self.plan.claim)
+        key = self.assembly.identity, settings
+        if key not in self._oracles:
+            self._oracles[key] = StabilityOracle(self.assembly, settings)
+        return self._oracles[key]
 
     @property
     def direction(self) -> Direction:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
 from falsework.geometry.clearance.moves import apply
-from falsework.search.plans.steps import NO_ROBOT
+from falsework.search.plans.steps import NO_ROBOT, no_such_step
 from falsework.search.problem.task import Direction
+from falsework.utils.display.fonts import font_file
 from falsework.utils.lazy import importing
 from falsework.viewer.appearance import TRAVEL, Appearance, appearance_at, bounds_of, diagonal
 from falsework.viewer.arms import Arms, appearance_with_arms, bounds_with_arms, solids_of_arms
@@ -274,12 +275,7 @@ def check_places(timeline: Timeline, places: Sequence[int]) -> None:
     """Refuse states that are not there."""
     for position in places:
         if not 0 <= position <= len(timeline):
-            steps = (
-                f"the plan has steps 0 (the beginning) to {len(timeline)}"
-                if len(timeline)
-                else "there are no steps to show"
-            )
-            raise InputError(f"step {position} does not exist; {steps}")
+            raise InputError(no_such_step(position, len(timeline)))
 
 
 def bounds_with_motions(timeline: Timeline) -> NDArray[np.float64]:
@@ -336,13 +332,12 @@ def write_text(
 
 
 def _font(text: str, size: int) -> Any:
-    """Return the font of Pillow, or that of Matplotlib for a text with letters beyond ASCII, which the first lacks."""
+    """Return the font of Pillow, or for a text with letters beyond ASCII, which that lacks, one that has them."""
     fonts = import_pillow().ImageFont
     if text.isascii():
         return fonts.load_default(size)
     with importing("pictures need Matplotlib; install it with pip install 'falsework[picture]'"):
-        import matplotlib
-    return fonts.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", size)
+        return fonts.truetype(font_file(text), size)
 
 
 def in_rows(lengths: Sequence[float], across: float) -> list[list[int]]:

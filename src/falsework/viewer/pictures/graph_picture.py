@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.search.problem.state_graph import StateGraph
+from falsework.utils.display.fonts import fitting_fonts
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.palette import INK, ROBOTS
 from falsework.viewer.pictures.drawing import flat_axis, outlines
@@ -134,7 +135,8 @@ def figure_pixels(figure: Any, dpi: int = 110) -> NDArray[np.uint8]:
 
     figure.set_dpi(dpi)
     canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    with fitting_fonts(figure):
+        canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 

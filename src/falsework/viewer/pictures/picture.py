@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from falsework.errors import InputError
+from falsework.utils.display.fonts import fitting_fonts
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.lazy import importing
 from falsework.viewer.pictures.contact_sheet import check_suffix, import_pillow
@@ -82,11 +83,13 @@ def save_figure(figure: Any, path: Path, dpi: float) -> None:
     form = path.suffix.lower()[1:]
     if form not in ("png", "svg"):
         raise InputError(f"{path} is neither PNG nor SVG; name a file that ends in .png or .svg")
-    write_whole(path, lambda file: figure.savefig(file, format=form, dpi=dpi))
+    with fitting_fonts(figure):
+        write_whole(path, lambda file: figure.savefig(file, format=form, dpi=dpi))
 
 
 def figure_of(figure: Any, kind: Kind) -> bytes:
     """Return a file of a figure of matplotlib."""
     file = io.BytesIO()
-    figure.savefig(file, format=kind, dpi=150, bbox_inches="tight", pad_inches=0.08)
+    with fitting_fonts(figure):
+        figure.savefig(file, format=kind, dpi=150, bbox_inches="tight", pad_inches=0.08)
     return file.getvalue()

@@ -141,6 +141,7 @@ struct Structure {
   const double* flexibility; // (9, positions) inverse inertia
   const double* gravity;     // (6, positions)
   const double* gyration;    // (positions,) largest radius of gyration
+  const double* reach;       // (positions,) distance of the farthest corner, under the criterion `contact`; else null
   const double* stiffness;   // (GROUP, groups) normal, under the criterion `contact`; else null
   const double* own_friction; // (GROUP, groups) of each point where OWN_FRICTION, `friction` in all others; else null
   double weight, friction, length;

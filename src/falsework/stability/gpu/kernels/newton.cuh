@@ -101,7 +101,8 @@ PHASE void evaluate(
     int t = (t0 + TID) >> bits, lane = (t0 + TID) & ((1 << bits) - 1), half = t & 1;
     bool in = t < a.nodes * 2;
     int node = in ? t >> 1 : 0, j = a.node[node];
-    double f[3] = {}, mass = load(s.mass + j), measure = half ? load(s.gyration + j) : 1.0, flexibility[9], inertia[9];
+    double f[3] = {}, mass = load(s.mass + j), measure = half ? load(s.gyration + j) : 1.0;
+    double reach = half ? load(s.reach + j) : 1.0, flexibility[9], inertia[9];
     if (half)  // prefetched to hide memory latency
 #pragma unroll
       for (int k = 0; k < 9; k++)
@@ -131,7 +132,7 @@ PHASE void evaluate(
         }
       }
       progress.v[0] = fmax(progress.v[0], finite_or_huge(fabs(acceleration) * measure));
-      progress.v[1] = fmax(progress.v[1], finite_or_huge(fabs(u[r]) * measure));
+      progress.v[1] = fmax(progress.v[1], finite_or_huge(fabs(u[r]) * reach));
       progress.v[2] += f[r] * acceleration;
       progress.v[3] += f[r] * step[r];
       progress.v[4] += step[r] * momentum;
