@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -78,8 +78,4 @@ class ExecutedSteps:
     def with_ways(self, whole: Plan) -> Plan:
         """Return a plan that begins with these steps, with the ways of several moves on which they were done."""
         ways = (self.plan.exit_paths or ((),) * len(self.plan))[: self.steps]
-        ways = (*ways, *(whole.exit_paths or ((),) * len(whole))[self.steps :])
-        turns = any(move.turns for way in ways for move in way)
-        moves = max(self.plan.moves, whole.moves)
-        waiting = self.plan.waiting or whole.waiting
-        return replace(whole, exit_paths=ways, moves=moves, turns=turns, waiting=waiting) if any(ways) else whole
+        return whole.with_ways((*ways, *(whole.exit_paths or ((),) * len(whole))[self.steps :]), self.plan, whole)

@@ -19,7 +19,7 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.deadline import check_deadline
 from falsework.search.problem.task import STAGE, Direction, Task
-from falsework.search.task_rules import ExitRules
+from falsework.search.task_rules import exit_rules
 from falsework.utils.quantity import check_seed
 
 MOST_PLANS = 1000
@@ -170,20 +170,10 @@ class Request:
             removable_only_if_clear=self.removable_only_if_clear,
             allow_regrasp=bool(assembly.props),
             props=self._props_at_once(state, assembly) if assembly.props else 0,
-            **self._ways(),
+            **exit_rules(self, *([] if self.plan is None else [self.plan])),
         )
         _check_first_step(task, order, assembly)
         return task
-
-    def _ways(self) -> ExitRules:
-        """Return how parts may leave: as the request says, and as the plan that is carried out does."""
-        asked = self if self.plan is None else self.plan
-        return {
-            "parts_at_once": max(self.parts_at_once, asked.parts_at_once),
-            "moves": max(self.moves, asked.moves),
-            "turns": self.turns or asked.turns,
-            "waiting": self.waiting or asked.waiting,
-        }
 
     def _props_at_once(self, state: States, assembly: Assembly) -> int:
         """Return the number of props that the plan allows at a time, and those that stand at least."""

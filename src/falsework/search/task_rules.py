@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypedDict
+from typing import Protocol, TypedDict
 
 from numpy.typing import ArrayLike
 
@@ -23,6 +23,34 @@ class ExitRules(TypedDict, total=False):
     waiting: bool
     """Whether parts that no robot holds may be carried aside meanwhile, or the part that leaves be let go of half way
     out, where what waits stands; needs `moves` above 1."""
+
+
+class Exits(Protocol):
+    """What says on which ways parts leave, such as a plan, a request or options of a command."""
+
+    @property
+    def parts_at_once(self) -> int:
+        """As of `ExitRules`, like the others."""
+        ...
+
+    @property
+    def moves(self) -> int: ...  # noqa: D102
+
+    @property
+    def turns(self) -> bool: ...  # noqa: D102
+
+    @property
+    def waiting(self) -> bool: ...  # noqa: D102
+
+
+def exit_rules(*sources: Exits) -> ExitRules:
+    """Return rules that allow all that any of some sources does."""
+    return {
+        "parts_at_once": max(source.parts_at_once for source in sources),
+        "moves": max(source.moves for source in sources),
+        "turns": any(source.turns for source in sources),
+        "waiting": any(source.waiting for source in sources),
+    }
 
 
 class TaskRules(ExitRules, total=False):

@@ -62,7 +62,7 @@ def write_view(plan: RobotPlan, placed: PlacedParts, write: Write) -> None:
         row = int(np.searchsorted(reached, now, side="right"))
         state, loads = plan.states[row], dict(plan.keyframes[row].waits) | loads
         there = {*np.flatnonzero(state != REMOVED).tolist(), *loads}
-        for part in sorted((there - shown) | moved | set(loads)):
+        for part in sorted((there - shown) | (there & moved) | set(loads)):
             pose = loads.get(part, np.eye(4)).copy()
             pose[:3, 3] += pose[:3, :3] @ centers[part]
             frames.append((f"part_{plan.plan.part_names[part]}", pose))

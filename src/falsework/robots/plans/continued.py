@@ -42,8 +42,7 @@ def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) 
         return rest, whole.replay.falls_at
     ways, told = (plan.exit_paths or ((),) * len(plan) for plan in (rest.plan, begun.plan))
     ways = (*told[:done], *ways) if builds else (*ways, *told[len(told) - done :])
-    moves, turns = max(rest.plan.moves, begun.plan.moves), rest.plan.turns or begun.plan.turns
-    whole = replace(whole, exit_paths=ways if any(ways) else (), moves=moves, turns=turns)
+    whole = whole.with_ways(ways, rest.plan, begun.plan)
     robots = (*begun.done_by, *(step.robot for step in begun.steps if acts(step)))[:done]
     before, after = (robots, ()) if builds else ((), robots[::-1])
     return replace(rest, plan=replace(whole, source=rest.plan.source), before=before, after=after), None
