@@ -35,8 +35,6 @@ def read_robot(
     model = _model(entry, place, folder)
     if entry.acceleration is not None:
         given = _joint_values(entry.acceleration, place, "acceleration", model)
-        if not (given > 0).all():
-            raise place.fail("acceleration", f"is {given.tolist()}; give numbers above 0, in degrees (or m) per s2")
         model = replace(model, acceleration=given * model.units)
     elif model.assumed:
         some = "" if len(model.assumed) == model.joints else f" of {', '.join(model.assumed)}"

@@ -251,8 +251,7 @@ def interruption(plan: RobotPlan, seconds: float) -> Interruption:
     """Return where a plan stands that is interrupted at a time; motions that have begun then are finished.
 
     So are those that follow until nothing is left half way: until parts that were moved aside are back in place, a part
-    has made all moves of its way, one that is put down has been delivered, and one that is handed over is in one
-    gripper.
+    has made all moves of its way, and one that is put down has been delivered, or is in place.
 
     Args:
         plan: the robot plan; without a schedule its motions come one after the other.
@@ -266,13 +265,11 @@ def interruption(plan: RobotPlan, seconds: float) -> Interruption:
     while True:
         begun = starts <= seconds
         row = int(sum(begun[event.node] for event in events))  # a motion begins after the events before its own
-        holds = [part for part in plan.keyframes[row].held if part is not None]
         aside = bool(plan.aside(row) or plan.keyframes[row].waits)
-        between = aside or len(set(holds)) < len(holds)
         left = [
             k
             for k, node in enumerate(graph.nodes)
-            if not begun[k] and ((between and node.step <= row) or (begun[k - 1] and _leads_on(plan, graph, k)))
+            if not begun[k] and ((aside and node.step <= row) or (begun[k - 1] and _leads_on(plan, graph, k)))
         ]
         if not left:
             break
