@@ -68,6 +68,12 @@ def test_built_in_cells_can_work(name: str, shared_assembly) -> None:
             r"home cannot be reached: joint_2 is 170 degrees, outside its limits -95 to 155",
         ),
         (("cup = 0.02\n", ""), r"grippers\.cup\.cup is missing"),
+        (("cup = 0.02\n", "cup = 1e300\n"), r"grippers\.cup\.cup is 1e\+300; give a number <= 100"),
+        (("scale = 0.5", "scale = 1e300"), r"structure\.scale is 1e\+300; give a number <= 1000000"),
+        (
+            ('gripper = "cup"\n', 'gripper = "cup"\nacceleration = [1e-300, 1, 1, 1, 1, 1]\n'),
+            r"acceleration\[0\] is 1e-300; give a number >= 0\.01",
+        ),
         (('kind = "suction"', 'kind = "magnet"'), r"grippers\.cup\.kind is 'magnet'; give one of suction, jaw"),
         (
             ("payload = 5.0", "payload = -1"),
