@@ -102,7 +102,7 @@ GripperEntry = SuctionEntry | JawEntry
 
 
 class PlaceEntry(FileModel, frozen=True):
-    """Place at which parts may be put down, in the frame of the base of the robot."""
+    """Place at which parts may be put down by a tool that points down, in the frame of the base of the robot."""
 
     position: Vector
     """Metres."""

@@ -55,7 +55,7 @@ def read_robot(
             raise
         faults.append(f"{error} (robot {entry.name} is shown in another one)")
     turns = [2 * np.pi * turn / PLACE_TURNS for turn in range(PLACE_TURNS)]
-    places = [base @ looking_down(put.position, turn) for put in entry.places for turn in turns]
+    places = [looking_down(base, put.position, turn) for put in entry.places for turn in turns]
     given = entry.signals
     signals = Signals(grip=given.grip, closed=bool(given.closed), seconds=given.seconds, address=given.address)
     gripper = grippers[entry.gripper]
