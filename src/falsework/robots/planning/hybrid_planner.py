@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 from falsework.assembly.groups import groups_of, join_parts
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import REMOVED
+from falsework.assembly.state import HELD, REMOVED
+from falsework.errors import StateError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.keyframes.failure_report import Explanation
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
@@ -140,6 +141,12 @@ def plan_robots(
     def search(limits: HybridSettings, graph: KeyframeGraph | None, clock: Deadline) -> HybridResult:
         graph = graph or KeyframeGraph(assembly, cell, settings=limits.keyframes, seed=limits.seed, **needed)
         within = task_in_cell(assembly, cell, task, graph.exits, oracle)
+        held_last = np.flatnonzero((within.start == HELD) & ~assembly.immovable)
+        if settings.direction is Direction.ASSEMBLY and len(held_last):
+            raise StateError(
+                f"part {assembly.names[int(held_last[0])]} is held in the state in which the assembly ends, and robots "
+                "let go of all parts there; let it be installed"
+            )
         if groups_of(assembly) is None:  # parts that are joined may also be carried one by one
             leaving = np.flatnonzero((within.target == REMOVED) & (within.start != REMOVED)).tolist()
             graph.grasp_configurations.check(part for part in leaving if part not in (held or ()))
