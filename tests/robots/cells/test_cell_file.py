@@ -72,7 +72,7 @@ def test_built_in_cells_can_work(name: str, shared_assembly) -> None:
         (("scale = 0.5", "scale = 1e300"), r"structure\.scale is 1e\+300; give a number <= 1000000"),
         (
             ('gripper = "cup"\n', 'gripper = "cup"\nacceleration = [1e-300, 1, 1, 1, 1, 1]\n'),
-            r"acceleration\[0\] is 1e-300; give a number >= 0\.01",
+            r"robots\[0\]: the acceleration of joint_1 is 1e-300; give at least 0\.01, in degrees \(or m\) per s2",
         ),
         (('kind = "suction"', 'kind = "magnet"'), r"grippers\.cup\.kind is 'magnet'; give one of suction, jaw"),
         (

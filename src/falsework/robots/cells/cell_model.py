@@ -139,7 +139,7 @@ class RobotEntry(FileModel, frozen=True):
     """Path of a joint_limits.yaml."""
     home: list[float] | dict[str, float] | str | None = None
     """Joint values, all or by joint, degrees or metres, or the name of a state of the SRDF."""
-    acceleration: list[Annotated[float, Meta(ge=0.01)]] | None = None
+    acceleration: list[float] | None = None
     """Of every joint, degrees or metres per s2."""
     places: list[PlaceEntry] = []
     maker: Text | None = None
