@@ -29,7 +29,7 @@ WORLD = "world"
 _TRIANGLES, _ADD, _DELETE = 11, 0, 2
 """Of markers: a list of triangles, and what becomes of it."""
 _STONE = (0.86, 0.80, 0.70)
-_IDENTITY = {"orientation": {"w": 1.0}}
+IDENTITY = {"orientation": {"w": 1.0}}
 
 Write = Callable[[str, str, dict[str, Any], float], None]
 """Adds a message to a bag: topic, type, content and time."""
@@ -113,7 +113,7 @@ def _marker(
         "id": number,
         "type": _TRIANGLES,
         "action": action,
-        "pose": _IDENTITY,
+        "pose": IDENTITY,
         "scale": dict.fromkeys("xyz", 1.0),
         "color": dict(zip("rgba", (*color, 1.0), strict=True)),
         "frame_locked": True,
