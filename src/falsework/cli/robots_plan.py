@@ -174,7 +174,7 @@ class PlanRobots(Command):
 
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
-        from falsework.robots.model.cell_holds import CellScale, boundless
+        from falsework.robots.model.cell_holds import CellScale, boundless, stability_in
         from falsework.robots.planning.hybrid_planner import plan_robots
         from falsework.robots.planning.hybrid_result import HybridSettings
         from falsework.search.problem.task import Direction
@@ -201,9 +201,8 @@ class PlanRobots(Command):
         stability = self.holds.settings_from(own, self.criterion)
         if own is not None and self.holds == HoldOptions():  # a plan has those in the structure's units
             stability = replace(stability, holds=scale.holds(stability.holds))
-        if refuse_unstable(
-            assembly, StabilityOracle(assembly, replace(stability, reserve=1.0)), task, output, building=building
-        ):
+        oracle = StabilityOracle(assembly, stability_in(cell, assembly, replace(stability, reserve=1.0)))
+        if refuse_unstable(assembly, oracle, task, output, building=building):
             return Exit.NO
         guide = policy_guide(self.policy, assembly, task)
         given: dict[str, Any] = {
