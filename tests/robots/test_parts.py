@@ -284,6 +284,24 @@ def test_the_doctor_prints_reach_and_proposes_bases(
     assert "no robot reaches" in said.err
 
 
+def test_arms_on_a_ceiling_are_not_told_to_stand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No upright base is proposed for them, also where they reach nothing."""
+    far = tmp_path / "far.toml"
+    hung = CELL + "base = { position = [0.0, 0.0, 3.0], rpy = [180, 0, 0] }\nhome = [0, -40, 30, 0, 60, 0]\n"
+    far.write_text(hung.replace("position = [1.0, 0.0, 0.0]", "position = [2.6, 0.0, 0.0]"))
+    assert main(["doctor", "arch:blocks=7", "--cell", str(far)]) == 1
+    assert "no better bases found: 0 of 7 pairs" in capsys.readouterr().out
+
+
+def test_the_doctor_refuses_a_cell_with_other_weights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cell = tmp_path / "cell.toml"
+    cell.write_text(CELL)
+    assert main(["doctor", "arch:blocks=7", "--load", "voussoir-3=0,0,-10", "--cell", str(cell)]) == 2
+    error = capsys.readouterr().err
+    assert "but its loads stay as they are" in error
+    assert len(error.strip().splitlines()) == 1
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -41,10 +41,12 @@ def report_reach(assembly: Assembly, cell: Cell, picture: Path | None, output: O
     """
     from falsework.robots.cells.validate import check_cell
     from falsework.robots.grasping.reachability import Reachability, propose_bases, reach_table
+    from falsework.robots.model.cell_holds import CellScale
     from falsework.robots.model.part_shapes import place_parts
 
     parts = place_parts(assembly, cell.placement)
     check_cell(cell, parts)
+    CellScale.from_cell(assembly, cell)  # which refuses a cell in which other states are stable
     with output.bar("reaching") as show:
         table = reach_table(assembly, cell, parts, lambda done, total: show(done, total, f"part {done} of {total}"))
     proposal = None
@@ -111,6 +113,7 @@ def _propose(output: Output, proposal: BaseProposal | None) -> None:
             "yaw_deg": round(float(np.degrees(np.arctan2(robot.base[1, 0], robot.base[0, 0]))), 1),
         }
         for robot in proposal.cell.robots
+        if robot.base[2, 2] > 1 - 1e-6  # others stay where they are
     }
     counts = {"bases": bases if better else None, "before": proposal.before, "after": proposal.after}
     output.record({"proposal": {**counts, "pairs": proposal.pairs}})

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from falsework.search.plans.plan import PartDeadline, Plan
     from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Direction, Task
-    from falsework.search.task_rules import ExitRules, TaskRules
+    from falsework.search.task_rules import ExitRules, Exits, TaskRules
     from falsework.stability.contact.hold_loads import Loads
     from falsework.stability.criterion import Cone
     from falsework.stability.judges.judgement import Judgement
@@ -96,11 +96,11 @@ class ExitOptions:
     """Let robots also carry aside parts that they do not hold, and let go of a part half way out, where what waits
     stands. Needs --moves above 1."""
 
-    def exits(self) -> ExitRules:
-        """Return these options as rules."""
-        from falsework.search.task_rules import widest_exits
+    def exits(self, *others: Exits) -> ExitRules:
+        """Return these options as rules, with all that others allow."""
+        from falsework.search.task_rules import exit_rules
 
-        return widest_exits(self)
+        return exit_rules(self, *others)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,6 +183,17 @@ class HoldOptions:
         holds = HoldSettings(self.hold_stiffness, *parse_limits(self.hold_force, self.hold_moment), mode)
         reserve = self.reserve or (PLANS.reserve if criterion == "contact" else 1.0)
         return StabilitySettings(criterion=criterion, cone=cone, solver=solver, reserve=reserve, holds=holds)
+
+    def settings_from(
+        self, plan: Plan | None, criterion: Criterion | None, solver: SolverName = "cpu"
+    ) -> StabilitySettings:
+        """Return the settings that are given, else those of a plan that is carried out."""
+        from falsework.stability.settings import StabilitySettings
+
+        own = None if plan is None else StabilitySettings.from_claim(plan.claim)
+        if own is None or self != HoldOptions() or criterion not in (None, own.criterion):
+            return self.settings(criterion or ("contact" if own is None else own.criterion), solver=solver)
+        return replace(own, solver=solver)
 
 
 def reserve_lines(plan: Plan) -> list[str]:

@@ -136,7 +136,7 @@ class MakeReplan(Command):
         if self.policy is not None:
             if policy is not None:
                 raise InputError(f"{self.structure.spec} is a run already; leave --policy out, or name the structure")
-            criterion = self._stability(plan).criterion
+            criterion = self.holds.settings_from(plan, self.criterion, self.solver).criterion
             policy = self._load_run(self.policy, assembly).policy.of_task(
                 robots, equilibrium=criterion == "equilibrium"
             )
@@ -149,7 +149,7 @@ class MakeReplan(Command):
             )
         request = self._request(plan, step, assembly, robots, clear)
         request.task(assembly)  # refuse bad input before anything is loaded
-        stability = self._stability(plan)
+        stability = self.holds.settings_from(plan, self.criterion, self.solver)
         options = {name: value for name, value in vars(request).items() if name != "plan"}
         subject, structure = (assembly, None) if plan is None or self.step is None else (plan, assembly)
         answer = replan(subject, structure=structure, policy=policy, stability=stability, **options)
@@ -208,16 +208,6 @@ class MakeReplan(Command):
             source = replace(self.structure, spec=self.of).source(self.out)
         robots = plan.robots if self.robots is None else self.robots
         return plan, assembly, None, source, robots, self.rules.removable_only_if_clear or plan.removable_only_if_clear
-
-    def _stability(self, plan: Plan | None) -> StabilitySettings:
-        """Return the settings that are given, else those of the plan."""
-        from falsework.stability.settings import StabilitySettings
-
-        own = None if plan is None else StabilitySettings.from_claim(plan.claim)
-        if own is None or self.holds != HoldOptions() or self.criterion not in (None, own.criterion):
-            criterion = self.criterion or ("contact" if own is None else own.criterion)
-            return self.holds.settings(criterion, solver=self.solver)
-        return replace(own, solver=self.solver)
 
     def _load_run(self, folder: Path, assembly: Assembly | None = None) -> Run:
         from falsework.utils.tensors import check_torch

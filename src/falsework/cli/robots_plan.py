@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from falsework.robots.planning.hybrid_result import HybridResult
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.robots.plans.timeline import Interruption
-    from falsework.search.plans.plan import Plan
     from falsework.search.problem.task import Task
 
 
@@ -54,6 +53,12 @@ class InterruptedPlan:
     assembly: Assembly
     cell: Cell
     now: Interruption
+
+    @property
+    def regrasps(self) -> bool:
+        """Whether its robots hold parts again, hand them over, or put them down."""
+        again = any(step.hands_over is not None or step.put_down is not None for step in self.plan.steps)
+        return again or self.plan.plan.allow_regrasp
 
     @classmethod
     def from_options(
@@ -169,7 +174,7 @@ class PlanRobots(Command):
 
     def run(self, output: Output) -> Exit:
         """Search, save, report."""
-        from falsework.robots.model.cell_holds import CellScale, boundless
+        from falsework.robots.model.cell_holds import CellScale, boundless, stability_in
         from falsework.robots.planning.hybrid_planner import plan_robots
         from falsework.robots.planning.hybrid_result import HybridSettings
         from falsework.search.problem.task import Direction
@@ -187,16 +192,17 @@ class PlanRobots(Command):
         building = order is Direction.ASSEMBLY
         if begun is not None:
             held, joints, grips = [*begun.now.held], [*begun.now.configurations], [*begun.now.gripped]
-            task = self._task(assembly, cell, begun.now.state, held, begun.plan.plan)
+            task = self._task(assembly, cell, begun.now.state, held, begun)
         else:
             held, joints = parse_holding(self.holding, cell, assembly), parse_joints(self.joints, cell)
             task = self._task(assembly, cell, parse_now(self.state or self._beginning, held, assembly), held)
             grips = parse_grips(self.grips, held, task.target if building else task.start, cell, assembly)
-        criterion = self.criterion or ("contact" if begun is None else begun.plan.plan.claim.criterion)
-        stability = self.holds.settings(criterion)
-        if refuse_unstable(
-            assembly, StabilityOracle(assembly, replace(stability, reserve=1.0)), task, output, building=building
-        ):
+        own, scale = None if begun is None else begun.plan.plan, CellScale.from_cell(assembly, cell)
+        stability = self.holds.settings_from(own, self.criterion)
+        if own is not None and self.holds == HoldOptions():  # a plan has those in the structure's units
+            stability = replace(stability, holds=scale.holds(stability.holds))
+        oracle = StabilityOracle(assembly, stability_in(cell, assembly, replace(stability, reserve=1.0)))
+        if refuse_unstable(assembly, oracle, task, output, building=building):
             return Exit.NO
         guide = policy_guide(self.policy, assembly, task)
         given: dict[str, Any] = {
@@ -219,7 +225,7 @@ class PlanRobots(Command):
         done = self._report(result, found, begun, output)
         if done is not Exit.DONE or found is None:
             return done
-        if text := press_text(found.plan, CellScale.from_cell(assembly, cell).force):
+        if text := press_text(found.plan, scale.force):
             output.say(text)
         lost, heavy = lacks_reserve(found.plan, stability.reserve), overloads_of(found, assembly, cell)
         if heavy:
@@ -255,10 +261,14 @@ class PlanRobots(Command):
         return self.structure.load(), cell
 
     def _task(
-        self, assembly: Assembly, cell: Cell, now: States, held: Sequence[int | None], begun: Plan | None = None
+        self,
+        assembly: Assembly,
+        cell: Cell,
+        now: States,
+        held: Sequence[int | None],
+        begun: InterruptedPlan | None = None,
     ) -> Task:
         from falsework.search.find import make_task
-        from falsework.search.task_rules import widest_exits
 
         building = self.order == "assembly"
         missing = () if self.missing is None else parse_parts(self.missing, "--missing", assembly.names)
@@ -270,6 +280,7 @@ class PlanRobots(Command):
                 raise InputError(f"part {name} is said to be missing, yet it is {where}; name parts that are not there")
         end = None if self.target is None else parse_state(self.target, "--target", assembly)
         start, target = (end, now) if building else (now, end)  # plans are found as disassembly
+        before = [] if begun is None else [begun.plan.plan]  # what it allows goes on
         return make_task(
             assembly,
             cell.robot_count,
@@ -277,8 +288,8 @@ class PlanRobots(Command):
             target=target,
             missing=missing,
             removable_only_if_clear=True,
-            allow_regrasp=self.allow_regrasp,
-            **widest_exits(self.exits, *([] if begun is None else [begun])),  # what that allows goes on
+            allow_regrasp=self.allow_regrasp or (begun is not None and begun.regrasps),
+            **self.exits.exits(*before),
         )
 
     def _report(

@@ -184,7 +184,7 @@ def sheet(assembly: AnyStructure, plan: Plan) -> AssemblyInstructions:
 
 
 def describe_motion(way: NDArray[np.float64]) -> str:
-    """Describe the insertion direction, such as `from above`; `way` is the exit direction, shape (3,)."""
+    """Describe a motion along a vector, shape (3,), by where it comes from, such as `from above`."""
     sides = [f"{'-' if way[axis] > 0 else '+'}{'xy'[axis]}" for axis in (0, 1) if abs(way[axis]) > _LEANS]
     if abs(way[2]) > _LEANS:
         sides.append("above" if way[2] < 0 else "below")

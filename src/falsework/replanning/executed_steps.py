@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +13,6 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import no_such_step
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import STAGE, Task
-from falsework.search.task_rules import widest_exits
 from falsework.search.together.exits import exit_path
 from falsework.stability.contact.history import Presses
 
@@ -92,5 +91,4 @@ class ExecutedSteps:
     def with_ways(self, whole: Plan) -> Plan:
         """Return a plan that begins with these steps, with the ways of several moves on which they were done."""
         ways = (self.plan.exit_paths or ((),) * len(self.plan))[: self.steps]
-        ways = (*ways, *(whole.exit_paths or ((),) * len(whole))[self.steps :])
-        return replace(whole, exit_paths=ways, **widest_exits(self.plan, whole)) if any(ways) else whole
+        return whole.with_ways((*ways, *(whole.exit_paths or ((),) * len(whole))[self.steps :]), self.plan, whole)

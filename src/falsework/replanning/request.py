@@ -19,7 +19,7 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.deadline import check_deadline
 from falsework.search.problem.task import STAGE, Direction, Task
-from falsework.search.task_rules import TaskRules, widest_exits
+from falsework.search.task_rules import TaskRules, exit_rules
 from falsework.utils.quantity import check_seed
 
 MOST_PLANS = 1000
@@ -183,7 +183,7 @@ class Request:
             "removable_only_if_clear": self.removable_only_if_clear
             or (plan is not None and plan.removable_only_if_clear),
             "allow_regrasp": bool(assembly.props) or (plan is not None and plan.allow_regrasp and not once),
-            **widest_exits(self, *([] if plan is None else [plan])),
+            **exit_rules(self, *([] if plan is None else [plan])),
         }
 
     def _props_at_once(self, state: States, assembly: Assembly) -> int:

@@ -25,7 +25,7 @@ class ExitRules(TypedDict, total=False):
     out, where what waits stands; needs `moves` above 1."""
 
 
-class AllowsExits(Protocol):
+class Exits(Protocol):
     """What says on which ways parts leave, as `ExitRules`: options, a request or a plan."""
 
     @property
@@ -49,8 +49,8 @@ class AllowsExits(Protocol):
         ...
 
 
-def widest_exits(*several: AllowsExits) -> ExitRules:
-    """Return the ways on which parts leave where one of several allows it, such as a plan and what follows it."""
+def exit_rules(*several: Exits) -> ExitRules:
+    """Return rules that allow all that one of several allows, such as a plan and what follows it."""
     return {
         "parts_at_once": max(one.parts_at_once for one in several),
         "moves": max(one.moves for one in several),

@@ -87,12 +87,15 @@ class HoldSettings:
         return replace(self, force=force, moment=moment, mode=self.mode if self.presses else HoldMode.LOCKED)
 
     def within(self, others: HoldSettings) -> HoldSettings:
-        """Return the settings with no larger force and moment than those of others that give them."""
+        """Return the settings with no larger force and moment than those of others that give them.
+
+        Robots that never press, which a force of 0 says too, still do not.
+        """
         least = {}
         for name in ("force", "moment"):
             mine, theirs = getattr(self, name), getattr(others, name)
             least[name] = min(mine or np.inf, theirs) if theirs else mine
-        return replace(self, **least)
+        return replace(self, **least, mode=self.mode if self.presses else HoldMode.LOCKED)
 
     def __post_init__(self) -> None:
         if self.mode not in tuple(HoldMode):

@@ -68,6 +68,12 @@ def test_built_in_cells_can_work(name: str, shared_assembly) -> None:
             r"home cannot be reached: joint_2 is 170 degrees, outside its limits -95 to 155",
         ),
         (("cup = 0.02\n", ""), r"grippers\.cup\.cup is missing"),
+        (("cup = 0.02\n", "cup = 1e300\n"), r"grippers\.cup\.cup is 1e\+300; give a number <= 100"),
+        (("scale = 0.5", "scale = 1e300"), r"structure\.scale is 1e\+300; give a number <= 1000000"),
+        (
+            ('gripper = "cup"\n', 'gripper = "cup"\nacceleration = [1e-300, 1, 1, 1, 1, 1]\n'),
+            r"robots\[0\]: the acceleration of joint_1 is 1e-300; give at least 0\.01, in degrees \(or m\) per s2",
+        ),
         (('kind = "suction"', 'kind = "magnet"'), r"grippers\.cup\.kind is 'magnet'; give one of suction, jaw"),
         (
             ("payload = 5.0", "payload = -1"),
@@ -209,3 +215,17 @@ def test_cells_follow_their_schema(name: str) -> None:
     jsonschema.validate(tomllib.loads(text), cell_schema())
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(tomllib.loads(text.replace("payload", "paylaod")), cell_schema())
+
+
+@pytest.mark.parametrize("rpy", [[0, 0, 40], [180, 0, 0], [0, 180, 30], [90, 0, 20], [10, -70, 30]])
+def test_tools_point_down_at_places_however_an_arm_is_mounted(rpy: list[float]) -> None:
+    """On a ceiling and on a wall, too; the place itself is in the frame of the base."""
+    tilted = GOOD.replace(
+        "base = { position = [0.0, 0.0, 0.0], yaw = 90 }", f"base = {{ position = [0, 0, 3], rpy = {rpy} }}"
+    )
+    (robot,) = read(tilted).robots
+    np.testing.assert_allclose(robot.places[:, :3, 2], [[0, 0, -1]] * len(robot.places), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(robot.places[:, :3, :3]), 1.0)
+    np.testing.assert_allclose(robot.places[:, :3, 3], [robot.base[:3] @ [0.1, -0.9, 0.5, 1.0]] * len(robot.places))
+    angles = np.sort(np.arctan2(robot.places[:, 1, 0], robot.places[:, 0, 0]))
+    np.testing.assert_allclose(np.diff(angles), 2 * np.pi / len(angles), atol=1e-9)

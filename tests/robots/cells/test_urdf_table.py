@@ -384,8 +384,13 @@ def test_accelerations_of_a_cell(tmp_path: Path) -> None:
         warnings.simplefilter("error")
         cell = parse_cell(CELL + "acceleration = [180, 2.0]\n", "cell.toml", tmp_path)
     np.testing.assert_allclose(cell.robots[0].model.acceleration, [np.pi, 2.0])
-    with pytest.raises(CellError, match=r"robots\[0\]\.acceleration is .*; give numbers above 0"):
-        parse_cell(CELL + "acceleration = [180, 0.0]\n", "cell.toml", tmp_path)
+    for least in ("0.0", "-1", "1e-300"):
+        with pytest.raises(CellError, match=r"robots\[0\]: the acceleration of slide is .*; give at least 0\.01"):
+            parse_cell(CELL + f"acceleration = [180, {least}]\n", "cell.toml", tmp_path)
+    arm = tmp_path / "arm.urdf"
+    arm.write_text(arm.read_text().replace('velocity="1"', 'velocity="1e-300"'))
+    with pytest.raises(CellError, match=r"robots\[0\]: the velocity of slide is 1e-300; give at least 0\.01"):
+        parse_cell(CELL + "acceleration = [180, 2.0]\n", "cell.toml", tmp_path)
 
 
 def test_what_a_cell_file_states_twice_or_for_nobody(tmp_path: Path) -> None:

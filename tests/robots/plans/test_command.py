@@ -204,13 +204,15 @@ def test_options_of_the_structure_count_only_with_the_callers_word(
     run: Callable, cell_file: Path, tmp_path: Path
 ) -> None:
     """As in `falsework check`: a robot plan must not say how rough, loaded or supported its structure is."""
-    out, options = tmp_path / "robot_plan.json", ("--friction", 0.9, "--load", "block-1=0,0,5")
+    out = tmp_path / "robot_plan.json"
+    options = ("--density", 200, "--friction", 0.9, "--load", "block-1=0,0,5")
     assert run("robots", "plan", STACK, *options, "--cell", cell_file, "--out", out)[0] == 0
     code, answer, error = run("robots", "check", out, "--json")
     assert code == 3
     assert answer["outcome"] in ("verified", "conditional")
-    assert answer["overrides"] == {"friction": 0.9, "loads": [{"part": "block-1", "force": [0.0, 0.0, 5.0]}]}
-    shown = "--friction 0.9 --load block-1=0.0,0.0,5.0"
+    loads = [{"part": "block-1", "force": [0.0, 0.0, 5.0]}]
+    assert answer["overrides"] == {"density": 200.0, "friction": 0.9, "loads": loads}
+    shown = "--density 200.0 --friction 0.9 --load block-1=0.0,0.0,5.0"
     assert f"good only with options of the structure that the plan sets itself: {shown}; give them too" in error
     for more in (options, ("--accept-overrides",)):
         assert run("robots", "check", out, "--motions-only", *more)[0] == 0
@@ -485,6 +487,24 @@ def test_go_on_from_an_interruption(run: Callable, cell_file: Path, tmp_path: Pa
         )
         code, _, error = run("robots", "check", rest, "--motions-only")  # finds structure and cell from where it lies
         assert code == 0, error
+
+
+def test_what_robots_can_do_and_the_reserve_go_on(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    """As in `falsework replan`; options given take their place. The cell makes parts so light that 100 N suffice."""
+    small = CELL.replace("density = 200", "density = 200\nscale = 0.5\nposition = [-0.3, 0.0, 0.0]")
+    cell_file.write_text(small)
+    first, rest = tmp_path / "first.json", tmp_path / "rest.json"
+    weak = ("--hold-stiffness", 1e6, "--hold-force", "100N", "--reserve", 1.2)
+    assert run("robots", "plan", STACK, "--cell", cell_file, *weak, "--out", first)[0] == 0
+    plan = load_robot_plan(first).plan
+    begun = ("robots", "plan", "--from", first, "--at", "1s", "--out", rest)
+    assert run(*begun)[0] == 0
+    claim = load_robot_plan(rest).plan.claim
+    assert claim.reserve == plan.claim.reserve == 1.2
+    for name in ("stiffness", "force", "moment"):
+        assert getattr(claim.holds, name) == pytest.approx(getattr(plan.claim.holds, name))
+    assert run(*begun, "--reserve", 1.1)[0] == 0
+    assert load_robot_plan(rest).plan.claim.reserve == 1.1
 
 
 @pytest.mark.parametrize("order", ["assembly", "disassembly"])

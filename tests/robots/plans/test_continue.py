@@ -14,6 +14,7 @@ import pytest
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
 from falsework import Assembly, Direction, StabilityOracle, Task, plan_robots
+from falsework.assembly import HELD
 from falsework.errors import InputError, PlanError, StateError
 from falsework.robots import Cell, RobotPlan, interruption, schedule_plan
 from falsework.robots.checks.check import check_robot_plan
@@ -267,6 +268,10 @@ def test_where_the_arms_cannot_be(building: RobotPlan, column: Assembly, cell: C
         go(values, held, [gripped[robot]] * 2)
     with pytest.raises(InputError, match=r"grip of arm . has shape"):
         go(values, held, [[0.0] if k == robot else None for k in range(2)])
+    ends = np.array(building.states[-1])
+    ends[1] = HELD
+    with pytest.raises(StateError, match="part block-1 is held in the state in which the assembly ends"):
+        plan_robots(column, cell, task=Task.from_rules(column.boundary, 2, start=ends, identity=column.identity))
     with pytest.raises(StateError, match="two robots hold one part"):
         go(values, [held[robot]] * 2, [gripped[robot]] * 2)
     with pytest.raises(InputError, match="outside its limits"):

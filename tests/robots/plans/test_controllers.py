@@ -25,6 +25,7 @@ from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.cell import maker_of
 from falsework.robots.model.shapes import block
 from falsework.robots.plans.robot_plan_file import save_robot_plan
+from tests.robots.plans.program_grammar import Rapid
 
 
 def renamed(cell: Cell, name: str, **changes: Any) -> Cell:
@@ -178,6 +179,82 @@ def test_a_load_that_the_cell_lacks(cell: Cell) -> None:
     np.testing.assert_allclose(load.center, [0.05, 0.05, 0.2], atol=1e-9)
     assert rapid_load(load).startswith("[0.0010,[50.000,50.000,200.000],[1,0,0,0],0,0,0]")
     assert ur_payload(load) == "set_target_payload(0.0000, [0.050000, 0.050000, 0.200000], [0, 0, 0, 0, 0, 0])"
+
+
+def with_seventh(plan: RobotPlan, cell: Cell, place: int, names: list[str], *, slides: bool) -> tuple[RobotPlan, Cell]:
+    """The plan and the cell with one more joint in each arm, at a place of its chain, that stays at 0.5."""
+
+    def more(values: np.ndarray, value: float) -> np.ndarray:
+        return np.insert(values, place, value, axis=-1)
+
+    def wider(robot: CellRobot) -> CellRobot:
+        model, home = robot.model, more(robot.home, 0.5)
+        limits = {name: more(getattr(model, name), 1.0) for name in ("upper", "velocity", "acceleration")}
+        chain = {
+            name: np.insert(getattr(model, name), place, getattr(model, name)[0], 0) for name in ("origins", "axes")
+        }
+        links = {name: (*getattr(model, name), getattr(model, name)[-1]) for name in ("link_names", "pieces")}
+        prismatic = np.insert(model.prismatic, place, slides)
+        shape = {"joint_names": tuple(names), "prismatic": prismatic, "lower": more(model.lower, -1.0), "home": home}
+        return replace(robot, model=replace(model, **limits, **chain, **links, **shape), home=home)
+
+    cell = replace(cell, robots=tuple(map(wider, cell.robots)))
+    frames = [
+        replace(frame, configurations=tuple(more(values, 0.5) for values in frame.configurations))
+        for frame in plan.keyframes
+    ]
+    steps = [
+        replace(
+            step,
+            trajectories=tuple(
+                replace(leg, positions=more(leg.positions, 0.5), velocities=more(leg.velocities, 0.0))
+                for leg in step.trajectories
+            ),
+        )
+        for step in plan.steps
+    ]
+    return planned_for(replace(plan, keyframes=tuple(frames), steps=tuple(steps)), cell), cell
+
+
+@pytest.mark.parametrize(
+    ("place", "names", "slides", "external"),
+    [
+        (0, ["rail", *(f"joint_{k}" for k in range(1, 7))], True, "500.00000"),
+        (2, [f"yumi_joint_{k}_l" for k in (1, 2, 7, 3, 4, 5, 6)], False, f"{np.degrees(0.5):.5f}"),
+    ],
+    ids=["track", "seventh axis"],
+)
+def test_rapid_has_tracks_and_seventh_axes_apart(
+    robot_plan: RobotPlan, cell: Cell, tmp_path: Path, place: int, names: list[str], slides: bool, external: str
+) -> None:
+    """A track in mm, whatever its place in the chain; the axes of the arm are those of the plan without it."""
+    plan, wide = with_seventh(robot_plan, cell, place, names, slides=slides)
+    for robot, path in enumerate(export_plan(plan, tmp_path, "rapid", cell=wide, force=True)):
+        text = path.read_text()
+        Rapid(text)
+        assert f"  ! joint {names[place]} is external axis a" in text
+        targets = re.findall(r"CONST jointtarget \w+ := \[\[([^\]]*)\],\[([^,]*),9E9", text)
+        knots = [knot for _, arm, leg in robot_plan.moves() if arm == robot for knot in leg.positions[1:]]
+        assert {seventh for _, seventh in targets} == {external}
+        shown = np.array([[float(value) for value in six.split(",")] for six, _ in targets])
+        np.testing.assert_allclose(shown, np.degrees(knots), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("form", "names", "slides", "message"),
+    [
+        ("rapid", list("abcdefg"), False, "its joints do not tell which one that is: a, b, c, d, e, f, g; give them"),
+        ("urscript", list("abcdefg"), True, "urscript programs are for arms of six turning joints; arm 1 has 7 joints"),
+    ],
+)
+def test_axes_that_a_language_cannot_move(
+    robot_plan: RobotPlan, cell: Cell, tmp_path: Path, form: str, names: list[str], slides: bool, message: str
+) -> None:
+    plan, wide = with_seventh(robot_plan, cell, 0, names, slides=slides)
+    with pytest.raises(InputError, match=message) as caught:
+        export_plan(plan, tmp_path / "no", form, cell=wide, force=True)
+    assert "\n" not in str(caught.value)
+    assert not list((tmp_path / "no").glob("*"))
 
 
 def test_signals_of_grippers_are_settings(robot_plan: RobotPlan, cell: Cell, tmp_path: Path) -> None:

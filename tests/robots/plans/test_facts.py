@@ -14,9 +14,9 @@ import pytest
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
 from falsework import Assembly
-from falsework.errors import PlanError
+from falsework.errors import CellError, PlanError
 from falsework.geometry.clearance.moves import PathMove
-from falsework.robots import Cell, Obstacle, RobotPlan, Trajectory
+from falsework.robots import Cell, Obstacle, Placement, RobotPlan, Trajectory
 from falsework.robots.checks.check import check_robot_plan
 from falsework.robots.keyframes.keyframes import PathSegment
 from falsework.robots.keyframes.trajectory_assembly import timed_legs
@@ -259,6 +259,14 @@ def pressing(case: Case, step: int, *, held: bool = False) -> Case:
     return replace(case, plan=replace(case.plan, plan=plan, keyframes=tuple(frames)))
 
 
+def evened(case: Case) -> Case:
+    """Let the cell give parts of two materials one density."""
+    assembly = case.assembly.replace(density=np.arange(100.0, 100.0 + case.assembly.part_count))
+    even = case.in_cell(placement=Placement(density=100.0))
+    plan = replace(even.plan, plan=replace(even.plan.plan, identity=assembly.identity))
+    return replace(even, plan=plan, assembly=assembly)
+
+
 def wrong_numbers(case: Case) -> str:
     data = robot_plan_to_dict(case.plan)
     data["steps"][HOLD]["trajectories"][0]["positions"][0][0] = "0.1"
@@ -387,6 +395,7 @@ FORGED: dict[str, Callable[[Case], Case | str]] = {
     ),
     "bases stand where the cell has them": lambda case: case.recorded(base=np.eye(4)),
     "grippers are those of the cell": lambda case: case.recorded(gripper="welder"),
+    "scale and density of the cell change all weights, and nothing else, by one factor": evened,
     "tool frames are those of the cell": lambda case: case.recorded(tool=np.eye(4)),
     "an arm is the one that its URDF file describes": wrong_urdf,
     "arms begin where the plan says": lambda case: case.framed(0, 1, np.array([0.0, 3.0, 0.0, 0.0, 0.0, 0.0])),
@@ -459,7 +468,7 @@ def test_a_forged_fact_is_refused(case: Case, fact: str, message: str) -> None:
             report = check_robot_plan(forged.plan, forged.assembly, forged.cell)
             assert not report.good
             said = "; ".join(map(str, report.problems))
-        except PlanError as error:
+        except (PlanError, CellError) as error:
             said = str(error)
     assert message in said, said
     assert "\n" not in said

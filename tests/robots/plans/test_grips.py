@@ -18,6 +18,7 @@ from falsework.robots.grasping.grasp import candidates
 from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.model.shapes import block, cylinder, pose
+from tests.robots.plans.beam_in_turn import BEAM, bridge_with
 from tests.robots.plans.orders import APART
 
 CUBE = 0.2
@@ -91,6 +92,15 @@ def test_what_the_planner_proposes_is_a_grip(name: str, gripper: Gripper) -> Non
             tried += 1
             assert surface_fault(gripper, grasp.tool, parts.meshes[part].triangles, "it") == ""
     assert tried > 3
+
+
+def test_no_grasp_reaches_through_another_side_of_the_part(cell_of: Callable[..., Cell]) -> None:
+    """Between the sides of a channel there is less room than the gripper is long."""
+    assembly, gripper = bridge_with(), cell_of(1).robots[0].gripper
+    found = candidates(assembly, place_parts(assembly), BEAM, gripper)
+    sides = [abs(float(grasp.tool[1, 3])) for grasp in found if abs(grasp.approach[1]) > 0.9]
+    assert sides
+    assert min(sides) > 0.1
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ FORMAT = "falsework.cell/1"
 
 Text = Annotated[str, Meta(min_length=1)]
 Vector = Annotated[list[float], Meta(min_length=3, max_length=3)]
-Length = Annotated[float, Meta(ge=1e-4)]
+Length = Annotated[float, Meta(ge=1e-4, le=100)]
 Limit = Annotated[float, Meta(ge=0)]
 _SIGNALS = Signals()
 
@@ -48,7 +48,7 @@ class BoxEntry(FileModel, frozen=True):
 class CylinderEntry(FileModel, frozen=True):
     """Cylinder along z."""
 
-    radius: Annotated[float, Meta(ge=0.0001)]
+    radius: Length
     """Metres."""
     low: float
     """Height of its lower end, metres."""
@@ -85,16 +85,16 @@ class _GripperEntry(FileModel, frozen=True, tag_field="kind"):
 class SuctionEntry(_GripperEntry, frozen=True, tag="suction", kw_only=True):
     """Suction gripper."""
 
-    cup: Annotated[float, Meta(ge=0.0001)]
+    cup: Length
     """Radius of the cup, metres."""
 
 
 class JawEntry(_GripperEntry, frozen=True, tag="jaw", kw_only=True):
     """Gripper with two parallel jaws."""
 
-    opening: Annotated[float, Meta(ge=0.0001)]
+    opening: Length
     """Largest opening, metres."""
-    depth: Annotated[float, Meta(ge=0.0001)]
+    depth: Length
     """Contact length of the jaws along z, metres."""
 
 
@@ -102,7 +102,7 @@ GripperEntry = SuctionEntry | JawEntry
 
 
 class PlaceEntry(FileModel, frozen=True):
-    """Place at which parts may be put down, in the frame of the base of the robot."""
+    """Place at which parts may be put down by a tool that points down, in the frame of the base of the robot."""
 
     position: Vector
     """Metres."""
@@ -160,7 +160,7 @@ class PlacementEntry(FileModel, frozen=True):
     """Metres; the origin if not given."""
     yaw: float = 0.0
     """Degrees."""
-    scale: Annotated[float, Meta(ge=1e-6)] = 1.0
+    scale: Annotated[float, Meta(ge=1e-6, le=1e6)] = 1.0
     density: Annotated[float, Meta(ge=1e-06)] | None = None
     """kg/m3, of every part."""
 

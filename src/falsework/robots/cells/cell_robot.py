@@ -20,6 +20,8 @@ from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
 from falsework.robots.model.shapes import Array, looking_down
 from falsework.utils.quantity import format_number
 
+LEAST_RATE = 0.01
+"""Least limit of speed and acceleration of a joint, degrees or m per s and s2: with less, motions take hours."""
 PLACE_TURNS = 8
 """Rotations about the vertical in which a part may be put down at a drop-off pose."""
 
@@ -35,8 +37,6 @@ def read_robot(
     model = _model(entry, place, folder)
     if entry.acceleration is not None:
         given = _joint_values(entry.acceleration, place, "acceleration", model)
-        if not (given > 0).all():
-            raise place.fail("acceleration", f"is {given.tolist()}; give numbers above 0, in degrees (or m) per s2")
         model = replace(model, acceleration=given * model.units)
     elif model.assumed:
         some = "" if len(model.assumed) == model.joints else f" of {', '.join(model.assumed)}"
@@ -46,6 +46,14 @@ def read_robot(
             CellWarning,
             stacklevel=4,
         )
+    for rate, unit in (("velocity", "s"), ("acceleration", "s2")):
+        limits = getattr(model, rate) / model.units
+        slow = int(np.argmin(limits))
+        if not limits[slow] >= LEAST_RATE:
+            raise CellError(
+                f"{place.source}: {place.where}: the {rate} of {model.joint_names[slow]} is {limits[slow]:g}; give at "
+                f"least {LEAST_RATE:g}, in degrees (or m) per {unit}"
+            )
     if entry.gripper not in grippers:
         known = ", ".join(grippers) or "none"
         raise place.fail("gripper", f"is {entry.gripper!r}, which [grippers] does not have; there are: {known}")
@@ -57,7 +65,7 @@ def read_robot(
             raise
         faults.append(f"{error} (robot {entry.name} is shown in another one)")
     turns = [2 * np.pi * turn / PLACE_TURNS for turn in range(PLACE_TURNS)]
-    places = [base @ looking_down(put.position, turn) for put in entry.places for turn in turns]
+    places = [looking_down(base, put.position, turn) for put in entry.places for turn in turns]
     given = entry.signals
     signals = Signals(grip=given.grip, closed=bool(given.closed), seconds=given.seconds, address=given.address)
     gripper = grippers[entry.gripper]

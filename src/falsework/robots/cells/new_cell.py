@@ -153,7 +153,7 @@ def _places(robot: CellRobot) -> list[tuple[float, float, float]]:
     for side in (-1.0, 1.0):
         for share in _PLACES:
             at = (0.1 * robot.model.reach, side * share * robot.model.reach, 0.3 * robot.model.reach)
-            if len(inverse(robot, (robot.base @ looking_down(at))[None])[0]):
+            if len(inverse(robot, looking_down(robot.base, at)[None])[0]):
                 found.append(at)
                 break
     return found

@@ -88,7 +88,7 @@ def _in_front(cell: Cell, view: CollisionQuery, robot: int) -> Array | None:
     model = entry.model
     at = [(ahead * model.reach, 0.0, height * model.reach) for ahead in _AHEAD for height in _HEIGHTS]
     turns = 2 * np.pi * np.arange(_TURNS) / _TURNS
-    tools = [entry.base @ looking_down(place, turn) for place in at for turn in turns]
+    tools = [looking_down(entry.base, place, turn) for place in at for turn in turns]
     solutions = _rounded(model, np.concatenate(inverse(entry, np.array(tools))))
     free = solutions[model.within_limits(solutions)]
     free = free[~view.collides(free)] if len(free) else free

@@ -22,6 +22,7 @@ from falsework.robots.checks.grips import GripChecker
 from falsework.robots.checks.handling import HandlingChecker, hand_faults, place_lines, put_down_faults
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.model.cell import Cell
+from falsework.robots.model.cell_holds import CellScale
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.loads import load_of, loads_at, loads_beside, moved_aside, step_fault
@@ -317,6 +318,7 @@ def check_robot_plan(
         raise InputError(f"a step of {step:g} rad is not positive or too coarse; give up to 0.5, such as 0.01")
     assembly, cell = as_assembly(assembly), as_cell(cell)
     plan.check_identity(assembly, cell)
+    CellScale.from_cell(assembly, cell)  # which refuses a cell in which other states are stable
     began = time.perf_counter()
     checker = _Checker(plan, assembly, cell, step)
     checker.surroundings()

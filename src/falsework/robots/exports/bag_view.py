@@ -29,7 +29,7 @@ WORLD = "world"
 _TRIANGLES, _ADD, _DELETE = 11, 0, 2
 """Of markers: a list of triangles, and what becomes of it."""
 _STONE = (0.86, 0.80, 0.70)
-_IDENTITY = {"orientation": {"w": 1.0}}
+IDENTITY = {"orientation": {"w": 1.0}}
 
 Write = Callable[[str, str, dict[str, Any], float], None]
 """Adds a message to a bag: topic, type, content and time."""
@@ -62,7 +62,7 @@ def write_view(plan: RobotPlan, placed: PlacedParts, write: Write) -> None:
         row = int(np.searchsorted(reached, now, side="right"))
         state, loads = plan.states[row], dict(plan.keyframes[row].waits) | loads
         there = {*np.flatnonzero(state != REMOVED).tolist(), *loads}
-        for part in sorted((there - shown) | moved | set(loads)):
+        for part in sorted((there - shown) | (there & moved) | set(loads)):
             pose = loads.get(part, np.eye(4)).copy()
             pose[:3, 3] += pose[:3, :3] @ centers[part]
             frames.append((f"part_{plan.plan.part_names[part]}", pose))
@@ -113,7 +113,7 @@ def _marker(
         "id": number,
         "type": _TRIANGLES,
         "action": action,
-        "pose": _IDENTITY,
+        "pose": IDENTITY,
         "scale": dict.fromkeys("xyz", 1.0),
         "color": dict(zip("rgba", (*color, 1.0), strict=True)),
         "frame_locked": True,

@@ -49,6 +49,34 @@ def grip_signal(robot: CellRobot, name: str, language: Language) -> str:
     return given
 
 
+def program_axes(robot: CellRobot, language: Language) -> list[int]:
+    """Return the joints of a robot in the order in which a language has them: six axes, in RAPID perhaps one more.
+
+    That is a track, the only joint that slides, or the seventh axis of an arm, which is not the last one of its chain;
+    the names of the joints tell which one it is. InputError for an arm that the language cannot move.
+    """
+    model, axes = robot.model, range(robot.model.joints)
+    sliding = [joint for joint in axes if model.prismatic[joint]]
+    if model.joints == 6 and not sliding:
+        return [*axes]
+    if language == "rapid" and model.joints == 7 and len(sliding) == 1:
+        return [joint for joint in axes if joint not in sliding] + sliding
+    if language == "rapid" and model.joints == 7 and not sliding:
+        found = [re.fullmatch(r"\D*([1-7])\D*", name) for name in model.joint_names]
+        numbers = [int(number[1]) - 1 for number in found if number is not None]
+        if sorted(numbers) == [*axes]:
+            return [numbers.index(joint) for joint in axes]
+        raise InputError(
+            f"RAPID has the seventh axis of {robot.name} apart from the others, and its joints do not tell which one "
+            f"that is: {', '.join(model.joint_names)}; give them names with the numbers 1 to 7 in its URDF file"
+        )
+    more = ", and perhaps a track or a seventh axis" if language == "rapid" else ""
+    raise InputError(
+        f"{language} programs are for arms of six turning joints{more}; {robot.name} has {model.joints} joints, "
+        f"{len(sliding)} of which slide"
+    )
+
+
 def program_notes(cell: Cell, language: Language) -> list[str]:
     """Return what programs take for granted, and could be wrong, each in one line."""
     notes = []
@@ -88,6 +116,8 @@ def controller_settings(plan: RobotPlan, cell: Cell, robot: int, language: Langu
         if robot in joint:
             tasks = ", ".join(f"{names[k]} {rapid_task(k)}" for k in sorted(joint))
             lines.append(f"arms of one MultiMove controller, with the motion tasks {tasks}")
+        if len(axes := program_axes(entry, language)) > 6:
+            lines.append(f"joint {entry.model.joint_names[axes[6]]} is external axis a")
         reads = [f"group output go_{names[robot]}_count, 16 bits, counts its motions"]
         reads += [f"group input gi_{names[k]}_count, 16 bits, is connected to go_{names[k]}_count" for k in others]
     return lines + reads * bool(others)

@@ -23,7 +23,7 @@ import numpy as np
 
 from falsework.assembly.state import REMOVED
 from falsework.geometry.mesh.mesh import TriangleMesh
-from falsework.robots.exports.bag_view import WORLD, PlacedParts, write_view
+from falsework.robots.exports.bag_view import IDENTITY, WORLD, PlacedParts, write_view
 from falsework.robots.exports.controller import program_names
 from falsework.robots.exports.ros2 import NANO, duration, joint_names, joint_trajectory
 from falsework.robots.kinematics.forward import flange_pose
@@ -40,7 +40,6 @@ from falsework.utils.lazy import importing
 _ADD, _REMOVE = 0, 1
 _MOST_NAME = 200
 """Most characters of the name of a robot in a topic; topics have 255 at most."""
-_IDENTITY = {"orientation": {"w": 1.0}}
 
 
 @cache
@@ -207,7 +206,7 @@ def _scene(
         "attached_collision_objects": attached,
         "is_diff": True,
     }
-    octomap = {"header": nowhere, "origin": _IDENTITY, "octomap": {"header": nowhere}}
+    octomap = {"header": nowhere, "origin": IDENTITY, "octomap": {"header": nowhere}}
     return {"robot_state": state, "world": {"collision_objects": things, "octomap": octomap}, "is_diff": True}
 
 
@@ -219,6 +218,6 @@ def _part(
     if mesh is not None:
         corners = [dict(zip("xyz", corner, strict=True)) for corner in mesh.vertices.tolist()]
         surface = {"triangles": [{"vertex_indices": row} for row in mesh.faces], "vertices": corners}
-        shape = {"meshes": [surface], "mesh_poses": [_IDENTITY]}
-    about = {"header": _header(frame, now), "pose": _IDENTITY, "id": name, "type": {"key": name}}
+        shape = {"meshes": [surface], "mesh_poses": [IDENTITY]}
+    about = {"header": _header(frame, now), "pose": IDENTITY, "id": name, "type": {"key": name}}
     return {**about, **shape, "operation": operation}

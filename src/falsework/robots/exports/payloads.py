@@ -10,6 +10,7 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.cell import Cell, Gripper
+from falsework.robots.model.part_shapes import placed_mass
 from falsework.robots.model.shapes import Array, Pieces, inverse_pose, move, principal_axes, wxyz_of
 from falsework.robots.plans.loads import load_of
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -67,8 +68,7 @@ def ur_payload(load: ToolLoad) -> str:
 def part_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> PartLoads:
     """Return the loads of all motions that carry a part, in a cell that may scale the structure and its density."""
     placement, own = cell.placement, assembly.mass
-    ratio = 1.0 if placement.density is None else placement.density / assembly.density
-    mass = own.mass * ratio * placement.scale**3
+    mass = placed_mass(assembly, placement)
     inertia = own.inertia * (mass / own.mass * placement.scale**2)[:, None, None]
     center = move(placement.pose, placement.scale * own.center)
     found: PartLoads = {}

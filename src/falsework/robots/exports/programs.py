@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.robots.exports.commands import (
@@ -28,6 +29,7 @@ from falsework.robots.exports.controller import (
     ascii_text,
     controller_settings,
     grip_signal,
+    program_axes,
     program_names,
     rapid_task,
 )
@@ -54,7 +56,7 @@ def rapid_modules(
 ) -> Iterator[tuple[str, str]]:
     """Yield file names and RAPID modules, one for each arm, with the loads of carried parts if given.
 
-    Knots become joint targets in degrees for `MoveAbsJ` with the durations of the plan. An arm sets the
+    Knots become joint targets for `MoveAbsJ`, in degrees and mm, with the durations of the plan. An arm sets the
     group output `go_NAME_count`, and reads those of others as `gi_NAME_count`. An arm that presses moves its set point
     by force and moment over its stiffness, on a slow line from where it holds the part, and stays there. Arms that move
     at the same instant are those of one MultiMove controller, which keeps them in step from knot to knot.
@@ -63,13 +65,14 @@ def rapid_modules(
     for robot, name in enumerate(names):
         record, signals = plan.robots[robot], cell.robots[robot].signals
         output, closed = grip_signal(cell.robots[robot], name, "rapid"), int(signals.closed)
-        if len(record.joint_names) not in (6, 7):
-            raise InputError(f"RAPID supports robots of 6 or 7 joints; {record.name} has {len(record.joint_names)}")
+        axes = program_axes(cell.robots[robot], "rapid")
+        slides = cell.robots[robot].model.prismatic[axes]
         targets: list[str] = []
         carried, number, meeting, step, order = "", 0, "", 0, 0
         offset = np.zeros(6)  # of what the arm has pressed since it last moved
         body: list[str] = []
-        run = [f"    MoveAbsJ {_jointtarget(plan.keyframes[0].configurations[robot])}, v200, fine, {name}_tool;"]
+        begin = _jointtarget(plan.keyframes[0].configurations[robot][axes], slides)
+        run = [f"    MoveAbsJ {begin}, v200, fine, {name}_tool;"]
         others = [other for other in names if other != name]
         if others:
             run += [f"    SetGO go_{name}_count, 1;"]
@@ -98,7 +101,7 @@ def rapid_modules(
                     offset = offset + command.press.offset
                     target = f"{name}_p{len(targets) + 1}"
                     held = plan.keyframes[command.press.step].configurations[robot]
-                    targets.append(f"  CONST jointtarget {target} := {_jointtarget(held)};")
+                    targets.append(f"  CONST jointtarget {target} := {_jointtarget(held[axes], slides)};")
                     place = f"RelTool(CalcRobT({target}, {name}_tool), {_shift(offset)})"
                     body += [f"    MoveL {place}, v5, fine, {name}_tool;", "    WaitTime\\InPos, 0.5;"]
             elif isinstance(command, AtOnce):
@@ -119,7 +122,8 @@ def rapid_modules(
                 body += [f"    SyncMoveOn {meeting}_on, {meeting}_tasks;"] * bool(meeting)
                 for knot in range(1, last + 1):
                     target = f"{name}_j{len(targets) + 1}"
-                    targets.append(f"  CONST jointtarget {target} := {_jointtarget(command.positions[knot])};")
+                    values = _jointtarget(command.positions[knot][axes], slides)
+                    targets.append(f"  CONST jointtarget {target} := {values};")
                     seconds = max(command.times[knot] - command.times[knot - 1], 0.001)
                     zone = "fine" if knot == last else "z0"
                     same = f"\\ID:={knot}" if meeting else ""
@@ -166,8 +170,7 @@ def ur_scripts(
     for robot, name in enumerate(names):
         record, signals = plan.robots[robot], cell.robots[robot].signals
         kind, number = grip_signal(cell.robots[robot], name, "urscript").split()
-        if len(record.joint_names) != 6:
-            raise InputError(f"URScript supports robots of 6 joints; {record.name} has {len(record.joint_names)}")
+        program_axes(cell.robots[robot], "urscript")
         others = [other for other in names if other != name]
         tool = tool_load(cell.robots[robot].gripper)
         own_load = carried = ur_payload(tool)
@@ -289,11 +292,11 @@ def _names(plan: RobotPlan, presses: Sequence[TimedPress]) -> list[str]:
     return program_names(plan)
 
 
-def _jointtarget(values: Array) -> str:
-    degrees = np.degrees(values)
-    robax = ",".join(f"{value:.5f}" for value in degrees[:6])
-    seventh = f"{degrees[6]:.5f}" if len(degrees) > 6 else "9E9"
-    return f"[[{robax}],[{seventh},9E9,9E9,9E9,9E9,9E9]]"
+def _jointtarget(values: Array, slides: NDArray[np.bool_]) -> str:
+    """Return a joint target of six axes, and perhaps an external one: degrees, mm of those that slide."""
+    shown = [f"{value:.5f}" for value in np.where(slides, 1000 * values, np.degrees(values))]
+    external = shown[6] if len(shown) > 6 else "9E9"
+    return f"[[{','.join(shown[:6])}],[{external},9E9,9E9,9E9,9E9,9E9]]"
 
 
 def _tooldata(tool: Array, robot: CellRobot) -> str:

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull
 
 from falsework.assembly.model import Assembly
 from falsework.errors import StateError
+from falsework.geometry.mesh.collision import shrink
 from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.robots.grasping.planar_faces import Face, faces_of
 from falsework.robots.kernels.collision import CLEAR, Bodies, Chain, Rules, check_many, make_query
 from falsework.robots.kernels.kernel_arrays import bounds_of, make_obstacles
 from falsework.robots.model.cell import GRIP_TILT, CellRobot, Gripper
 from falsework.robots.model.part_shapes import PartShapes
-from falsework.robots.model.shapes import Array
+from falsework.robots.model.shapes import Array, Pieces
 from falsework.utils.quantity import format_quantity
 
 SUCTION_TURNS = 8
@@ -66,6 +68,10 @@ class Grasp:
     """Opening of the jaws, metres; 0 for suction."""
 
 
+Test = Callable[[Sequence[Grasp]], NDArray[np.bool_]]
+"""Test of grasps, shape (grasps,)."""
+
+
 def grasps(
     assembly: Assembly, parts: PartShapes, part: int, present: ArrayLike, robot: CellRobot, *, limit: int = 64
 ) -> list[Grasp]:
@@ -86,7 +92,7 @@ def grasps(
 
 
 def candidates(assembly: Assembly, parts: PartShapes, part: int, gripper: Gripper) -> list[Grasp]:
-    """Return grasps of a part that is alone, in the order of `grasps`; a gripper of the same size has the same ones."""
+    """Return grasps of a part that is alone, in the order of `grasps`."""
     faces = faces_of(parts.surface(part), smallest=np.pi * gripper.cup**2 if gripper.kind == "suction" else 0.0)
     table = assembly.clearance
     ways = table.directions[table.start[part] : table.start[part + 1]] @ parts.turn.T
@@ -97,7 +103,13 @@ def candidates(assembly: Assembly, parts: PartShapes, part: int, gripper: Grippe
         groups = _between_faces(gripper, faces, part, parts, ways, size)
     groups = [group for group in groups if group]
     groups.sort(key=lambda group: -round(group[0].quality, 6))
-    return [grasp for turn in itertools.zip_longest(*groups) for grasp in turn if grasp is not None]
+    found = [grasp for turn in itertools.zip_longest(*groups) for grasp in turn if grasp is not None]
+    mesh = parts.meshes[part]
+    if np.isclose(ConvexHull(mesh.vertices).volume, mesh.volume, rtol=1e-6):
+        return found
+    # Nor may the gripper reach through another side of the part, into which it presses as deep as checks allow.
+    corners = shrink(mesh, min(gripper.press_depth, mesh.thickness / 4))
+    return _clear(found, _free_approaches([tuple(corners[mesh.faces])], gripper, 0.0), len(found))
 
 
 def grasp_fault(parts: PartShapes, part: int, gripper: Gripper, *, blocked: bool) -> str:
@@ -108,6 +120,8 @@ def grasp_fault(parts: PartShapes, part: int, gripper: Gripper, *, blocked: bool
     faces = faces_of(parts.surface(part))
     if gripper.kind == "suction":
         largest = max((_radius(face) for face in faces), default=0.0)
+        if largest >= gripper.cup and not blocked:
+            what = f"{what}, since the part itself is in its way"
         return (
             f"{what}: its cup has a radius of {format_quantity(gripper.cup, 'length')}, the largest face takes one of "
             f"{format_quantity(largest, 'length')}"
@@ -146,8 +160,13 @@ def clear_grasps(
     tried: Sequence[Grasp], parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper, *, limit: int
 ) -> list[Grasp]:
     """Return the first grasps of a part with which the gripper keeps clear of other parts, those of a mask (parts,)."""
+    others = [parts.pieces[other] for other in np.flatnonzero(there).tolist() if other != part]
+    return _clear(tried, _free_approaches(others, gripper, GRIPPER_MARGIN), limit)
+
+
+def _clear(tried: Sequence[Grasp], open_ways: Test, limit: int) -> list[Grasp]:
+    """Return the first grasps that pass a test of `_free_approaches`."""
     found: list[Grasp] = []
-    open_ways = _free_approaches(parts, part, there, gripper)
     while tried and len(found) < limit:
         some, tried = tried[:_BATCH], tried[_BATCH:]
         found += [some[row] for row in np.flatnonzero(open_ways(some)).tolist()]
@@ -261,17 +280,17 @@ def _tools(point: Array, z: Array, x: Array, turns: Array) -> Array:
     return made
 
 
-def _free_approaches(parts: PartShapes, part: int, there: NDArray[np.bool_], gripper: Gripper):
-    """Return a test which grasps leave the gripper alone clear of all other parts, there and on the approach."""
-    obstacles, _ = make_obstacles([parts.pieces[other] for other in np.flatnonzero(there).tolist() if other != part])
+def _free_approaches(bodies: Sequence[Pieces], gripper: Gripper, margin: float) -> Test:
+    """Return a test which grasps leave the gripper alone clear of some bodies, there and on the approach."""
+    obstacles, _ = make_obstacles(bodies)
     # The gripper as the last link of a chain that reaches every pose: three slides along x, y, z, turns about z, y, x.
     start, vertices, center, radius = bounds_of([piece @ _TO_X for piece in gripper.pieces])
     count = len(center)
-    bodies = Bodies(np.full(count, 6), start, vertices, center, radius, np.zeros((count, 6)))
+    moving = Bodies(np.full(count, 6), start, vertices, center, radius, np.zeros((count, 6)))
     pairs = np.ones((count, len(obstacles.low)), bool)
-    rules = Rules(pairs, np.zeros((0, 2), np.int64), -1e9, np.zeros(count, bool), GRIPPER_MARGIN)
+    rules = Rules(pairs, np.zeros((0, 2), np.int64), -1e9, np.zeros(count, bool), margin)
     chain = Chain(np.eye(4)[:3].copy(), _FREE_FLIGHT.copy(), np.arange(6) < 3)
-    query = make_query(chain, bodies, obstacles, rules)
+    query = make_query(chain, moving, obstacles, rules)
     back = np.linalg.inv(gripper.tool)
 
     def clear(poses: Array, approach: Array, distance: float) -> NDArray[np.bool_]:

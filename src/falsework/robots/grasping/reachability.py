@@ -122,7 +122,8 @@ def propose_bases(
 ) -> BaseProposal:
     """Search for bases with more parts within reach, by kinematics alone.
 
-    One robot after the other is tried on rings around the structure, facing its centre, with the others fixed.
+    One robot after the other is tried on rings around the structure, facing its centre, with the others fixed. Bases
+    that are not upright, such as on a wall or a ceiling, stay where they are.
     Check the result with `reach_table`, which includes collisions.
 
     Args:
@@ -147,11 +148,12 @@ def propose_bases(
 
     reached = [count(robot, base) for robot, base in enumerate(bases)]
     before = int(sum(row.sum() for row in reached))
-    total = PLACEMENT_SWEEPS * cell.robot_count * BASE_ANGLES * len(BASE_DISTANCES)
+    upright = [k for k, base in enumerate(bases) if base[2, 2] > 1 - 1e-6]
+    total = PLACEMENT_SWEEPS * len(upright) * BASE_ANGLES * len(BASE_DISTANCES)
     done = 0
     for _ in range(PLACEMENT_SWEEPS):
-        for robot, entry in enumerate(cell.robots):
-            others = [base for k, base in enumerate(bases) if k != robot]
+        for robot in upright:
+            entry, others = cell.robots[robot], [base for k, base in enumerate(bases) if k != robot]
             best = _score(reached)
             for share in BASE_DISTANCES:
                 for turn in range(BASE_ANGLES):

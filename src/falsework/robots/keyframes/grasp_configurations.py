@@ -43,8 +43,8 @@ class GraspConfigurations:
         """Parts that are held in one way only, as robots hold them when an assembly is continued."""
         self._grips: dict[tuple[int, int, bytes, bytes], list[GraspConfiguration]] = {}
         self._places: dict[int, Array] = {}
-        self._candidates: dict[tuple[int, str, float, float, float], list[Grasp]] = {}
-        self._faults: dict[tuple[int, str, float, float, float], str] = {}
+        self._candidates: dict[tuple[int, Gripper], list[Grasp]] = {}
+        self._faults: dict[tuple[int, Gripper], str] = {}
 
     def get(self, robot: int, part: int, state: States, pose: Array | None = None) -> list[GraspConfiguration]:
         """Return all grasps of a part by a robot among the parts of a state; other robots are ignored.
@@ -159,7 +159,7 @@ class GraspConfigurations:
 
     def _fault(self, part: int, gripper: Gripper) -> str:
         """Return why a gripper has no grasp of a part among others."""
-        key = _size(part, gripper)
+        key = part, gripper
         if key not in self._faults:
             self._faults[key] = grasp_fault(self.parts, part, gripper, blocked=bool(self._candidates[key]))
         return self._faults[key]
@@ -170,15 +170,10 @@ class GraspConfigurations:
 
     def _tried(self, part: int, gripper: Gripper) -> list[Grasp]:
         """Return grasps of a part that is alone, best first."""
-        key = _size(part, gripper)
+        key = part, gripper
         if key not in self._candidates:
             self._candidates[key] = candidates(self.assembly, self.parts, part, gripper)
         return self._candidates[key]
-
-
-def _size(part: int, gripper: Gripper) -> tuple[int, str, float, float, float]:
-    """Return a part, and what of a gripper its grasps depend on."""
-    return part, gripper.kind, gripper.cup, gripper.opening, gripper.depth
 
 
 def _spread(grips: list[GraspConfiguration], count: int) -> list[GraspConfiguration]:

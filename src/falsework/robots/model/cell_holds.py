@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.errors import CellError
 from falsework.robots.model.cell import Cell
+from falsework.robots.model.part_shapes import placed_mass
+from falsework.stability.holds import HoldSettings
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.quantity import format_quantity
 
@@ -25,10 +28,28 @@ class CellScale:
 
     @classmethod
     def from_cell(cls, assembly: Assembly, cell: Cell) -> CellScale:
-        """Return the factors for a structure; of parts that become heavier by different factors the largest counts."""
-        placement, own = cell.placement, assembly.mass.mass
-        placed = own if placement.density is None else assembly.replace(density=placement.density).mass.mass
-        return cls(placement.scale, placement.scale**3 * float((placed / own).max()))
+        """Return the factors for a structure, in which all forces grow as the weights of its parts do.
+
+        CellError if they do not: what is proven of the structure then does not hold for the one in the cell.
+        """
+        placement, movable = cell.placement, ~assembly.immovable
+        factors = (placed_mass(assembly, placement) / assembly.mass.mass)[movable]
+        force = float(factors.max(initial=0.0)) or placement.scale**3
+        if not all(math.isclose(factor, force) for factor in factors.tolist()):
+            own = assembly.density[movable]
+            raise CellError(
+                f"{cell.name} gives all parts of {assembly.name} a density of {placement.density:g} kg/m3, of which "
+                f"some have {own.min():g} and others {own.max():g}, and which states are stable depends on that; leave "
+                "density out of [structure], or give the structure one density (--density)"
+            )
+        given = _unscaled(assembly)
+        if given and not (math.isclose(force, 1) and math.isclose(placement.scale, 1)):
+            raise CellError(
+                f"{cell.name} changes the weights of {assembly.name}, but its {given} stay as they are, so that other "
+                "states are stable; leave scale and density out of [structure], and give the structure its true size "
+                "and density"
+            )
+        return cls(placement.scale, force)
 
     @property
     def moment(self) -> float:
@@ -39,6 +60,27 @@ class CellScale:
     def stiffness(self) -> float:
         """Factor of stiffness."""
         return self.force / self.length
+
+    @property
+    def inverse(self) -> CellScale:
+        """Factors from the cell to the structure."""
+        return CellScale(1 / self.length, 1 / self.force)
+
+    def holds(self, holds: HoldSettings) -> HoldSettings:
+        """Return what robots can do, given in the units of the structure, in those of the cell."""
+        factors = {"force": self.force, "moment": self.moment}
+        limits = {name: getattr(holds, name) for name in factors}
+        scaled = {name: None if limit is None else limit * factors[name] for name, limit in limits.items()}
+        return replace(holds, stiffness=holds.stiffness * self.stiffness, **scaled)
+
+
+def _unscaled(assembly: Assembly) -> str:
+    """Return in words what a structure has besides weights and friction; empty if there is nothing."""
+    loads, joints = assembly.loads, assembly.joints
+    found = ["loads"] if loads is not None and loads.wrench[~assembly.immovable].any() else []
+    if joints is not None and (np.nan_to_num(joints.cohesion).any() or joints.tension.any()):
+        found.append("joints with a strength")
+    return " and ".join(found)
 
 
 def boundless(cell: Cell) -> str:
@@ -55,8 +97,8 @@ def stability_in(cell: Cell, assembly: Assembly, settings: StabilitySettings) ->
     The least force and moment that a gripper of the cell bears limit those of all holds: which robot holds which part
     is open when states are judged. CellError if a gripper bears less than the weight of a part.
     """
-    scale, holds = CellScale.from_cell(assembly, cell), settings.holds
-    weight = scale.force * settings.gravity * assembly.mass.mass * ~assembly.immovable
+    scale = CellScale.from_cell(assembly, cell)
+    weight = settings.gravity * placed_mass(assembly, cell.placement) * ~assembly.immovable
     heaviest = int(weight.argmax())
     weakest = min(cell.robots, key=lambda robot: robot.gripper.force)
     if weakest.gripper.force < weight[heaviest]:
@@ -67,11 +109,6 @@ def stability_in(cell: Cell, assembly: Assembly, settings: StabilitySettings) ->
         )
     if settings.criterion == "equilibrium":  # in which robots hold with any force
         return settings
-    force = min(weakest.gripper.force, np.inf if holds.force is None else holds.force)
-    moment = min(robot.gripper.moment for robot in cell.robots)
-    moment = min(moment, np.inf if holds.moment is None else holds.moment)
-    limits = {
-        "force": None if np.isinf(force) else force / scale.force,
-        "moment": None if np.isinf(moment) else moment / scale.moment,
-    }
-    return replace(settings, holds=replace(holds, stiffness=holds.stiffness / scale.stiffness, **limits))
+    limits = weakest.gripper.force, min(robot.gripper.moment for robot in cell.robots)
+    tools = HoldSettings(np.inf, *(None if np.isinf(limit) else limit for limit in limits))
+    return replace(settings, holds=scale.inverse.holds(settings.holds.within(tools)))

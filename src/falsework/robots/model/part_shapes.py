@@ -166,14 +166,19 @@ def place_parts(assembly: Assembly, placement: Placement = Placement(), *, toler
     pieces = tuple(
         move_pieces(world, tuple(scale * piece for piece in convex_pieces(mesh, tolerance))) for mesh in assembly.meshes
     )
-    density = 1.0 if placement.density is None else placement.density / assembly.density
-    mass = assembly.mass.mass * density * scale**3
+    mass = placed_mass(assembly, placement)
     center = move(world, scale * assembly.mass.center)
     for array in (mass, center):
         array.setflags(write=False)
     groups = groups_of(assembly)
     gripped = {} if groups is None else groups.carried_faces
     return PartShapes(assembly.names, assembly.boundary, meshes, pieces, mass, center, world[:3, :3], gripped)
+
+
+def placed_mass(assembly: Assembly, placement: Placement) -> Array:
+    """Return the masses of the parts in a cell, which may scale them and change their density, kg, shape (parts,)."""
+    density = 1.0 if placement.density is None else placement.density / assembly.density
+    return assembly.mass.mass * density * placement.scale**3
 
 
 def placed_move(move: PathMove, placement: Placement) -> PathMove:

@@ -96,10 +96,24 @@ def pose(position: ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Array:
     return _frozen(made)
 
 
-def looking_down(position: ArrayLike, turn: float = 0.0) -> Array:
-    """Return a frame whose z points down, with its x rotated about the vertical by `turn` radians. Shape (4, 4)."""
+def looking_down(base: Array, position: ArrayLike, turn: float = 0.0) -> Array:
+    """Return a frame in the world whose z points down, as tools do where parts are put down. Shape (4, 4).
+
+    Args:
+        base: pose of the frame that the position is in; it may be tilted, as that of an arm on a wall or a ceiling.
+        position: shape (3,).
+        turn: rotation about the vertical, rad, from x of the base where that is upright.
+    """
     made = np.array(pose(position, turn))
     made[:3, 1:3] *= -1
+    made = base @ made
+    x, y, cosine = base[:3, 2]
+    if cosine < -1 + 1e-9:  # upside down
+        upright = 2 * np.outer(base[:3, 0], base[:3, 0]) - np.eye(3)
+    else:
+        cross = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+        upright = np.eye(3) + cross + cross @ cross / (1 + cosine)
+    made[:3, :3] = upright @ made[:3, :3]
     return made
 
 

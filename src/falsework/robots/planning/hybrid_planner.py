@@ -17,12 +17,13 @@ from numpy.typing import ArrayLike
 from falsework.assembly.groups import groups_of, join_parts
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import REMOVED
+from falsework.assembly.state import HELD, REMOVED
+from falsework.errors import StateError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.keyframes.failure_report import Explanation
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
-from falsework.robots.model.cell_holds import stability_in
+from falsework.robots.model.cell_holds import CellScale, stability_in
 from falsework.robots.planning.boundary_motions import BoundaryMotions, graph_parts, leading_insertions
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.hybrid_search import HybridSearch
@@ -97,7 +98,8 @@ def plan_robots(
         forces: keep the contact forces that prove each state in the plan.
 
     Raises:
-        CellError: a gripper bears less than the weight of a part, or no gripper can carry a part that moves.
+        CellError: a gripper bears less than the weight of a part, no gripper can carry a part that moves, or the cell
+            scales the structure, or changes its density, so that other states are stable.
         InputError: configurations that do not fit the robots, or in which something collides.
         StateError: held parts that do not go with the state that is begun with.
         DependencyError: robots are to move at the same time, and OR-Tools is missing.
@@ -105,6 +107,7 @@ def plan_robots(
     if concurrent:
         import_ortools()
     assembly, cell = as_assembly(assembly), as_cell(cell)
+    CellScale.from_cell(assembly, cell)  # which refuses a cell in which other states are stable
     begun = any(given is not None for given in (configurations, held, gripped, oracle, guide, graph))
     if task is not None and task.together is not None and begun:  # of which parts are joined is not known
         task = replace(task, together=task.together.held)
@@ -138,6 +141,12 @@ def plan_robots(
     def search(limits: HybridSettings, graph: KeyframeGraph | None, clock: Deadline) -> HybridResult:
         graph = graph or KeyframeGraph(assembly, cell, settings=limits.keyframes, seed=limits.seed, **needed)
         within = task_in_cell(assembly, cell, task, graph.exits, oracle)
+        held_last = np.flatnonzero((within.start == HELD) & ~assembly.immovable)
+        if settings.direction is Direction.ASSEMBLY and len(held_last):
+            raise StateError(
+                f"part {assembly.names[int(held_last[0])]} is held in the state in which the assembly ends, and robots "
+                "let go of all parts there; let it be installed"
+            )
         if groups_of(assembly) is None:  # parts that are joined may also be carried one by one
             leaving = np.flatnonzero((within.target == REMOVED) & (within.start != REMOVED)).tolist()
             graph.grasp_configurations.check(part for part in leaving if part not in (held or ()))

@@ -13,7 +13,6 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.proofs import prove_route
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
-from falsework.search.task_rules import widest_exits
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 
@@ -43,7 +42,7 @@ def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) 
         return rest, whole.replay.falls_at
     ways, told = (plan.exit_paths or ((),) * len(plan) for plan in (rest.plan, begun.plan))
     ways = (*told[:done], *ways) if builds else (*ways, *told[len(told) - done :])
-    whole = replace(whole, exit_paths=ways if any(ways) else (), **widest_exits(rest.plan, begun.plan))
+    whole = whole.with_ways(ways, rest.plan, begun.plan)
     robots = (*begun.done_by, *(step.robot for step in begun.steps if acts(step)))[:done]
     before, after = (robots, ()) if builds else ((), robots[::-1])
     return replace(rest, plan=replace(whole, source=rest.plan.source), before=before, after=after), None

@@ -250,7 +250,8 @@ class Interruption:
 def interruption(plan: RobotPlan, seconds: float) -> Interruption:
     """Return where a plan stands that is interrupted at a time; motions that have begun then are finished.
 
-    So are those after which parts that were moved aside are back in place.
+    So are those that follow until nothing is left half way: until parts that were moved aside are back in place, a part
+    has made all moves of its way, and one that is put down has been delivered, or is in place.
 
     Args:
         plan: the robot plan; without a schedule its motions come one after the other.
@@ -260,16 +261,21 @@ def interruption(plan: RobotPlan, seconds: float) -> Interruption:
         PlanError: a part is aside to the end.
     """
     graph, events = schedule_of(plan), nodes_of(plan)[1]
-    starts, row = graph.starts(), -1
+    starts = graph.starts()
     while True:
-        before, begun = row, starts <= seconds
+        begun = starts <= seconds
         row = int(sum(begun[event.node] for event in events))  # a motion begins after the events before its own
-        if not plan.aside(row) and not plan.keyframes[row].waits:
+        aside = bool(plan.aside(row) or plan.keyframes[row].waits)
+        left = [
+            k
+            for k, node in enumerate(graph.nodes)
+            if not begun[k] and ((aside and node.step <= row) or (begun[k - 1] and _leads_on(plan, graph, k)))
+        ]
+        if not left:
             break
-        if row == before:
-            raise PlanError("a part that is moved aside never comes back, so the plan cannot be continued")
-        # Arms go on until what is aside is back in place.
-        seconds = max(starts[k] for k, node in enumerate(graph.nodes) if node.step <= row)
+        seconds = float(starts[left].max())
+    if aside:
+        raise PlanError("a part that is moved aside never comes back, so the plan cannot be continued")
     held, configurations, grips = list(plan.keyframes[row].held), [], []
     for robot, segments in enumerate(segments_of(plan)):
         rest = [one for one in segments if one.trajectory is None and (one.begun is None or begun[one.begun])][-1]
@@ -277,3 +283,14 @@ def interruption(plan: RobotPlan, seconds: float) -> Interruption:
         grips.append(None if rest.load is None else rest.load.grip)
         held[robot] = held[robot] if rest.load is None else rest.load.part
     return Interruption(plan.states[row], tuple(configurations), tuple(held), tuple(grips), int(plan.done[row]))
+
+
+def _leads_on(plan: RobotPlan, graph: TemporalPlanGraph, index: int) -> bool:
+    """Return whether a robot cannot stop before a node: in its step a part is put down, or it is between two moves."""
+    node, former = graph.nodes[index], graph.nodes[index - 1]
+    if not index or former.step != node.step:
+        return False
+    step, number = plan.steps[node.step], node.trajectory
+    moves = step.trajectories[number - 1 : number + 1] if number else ()
+    on_way = bool(moves) and all(leg.kind == "line" and leg.part is not None for leg in moves)
+    return on_way or step.put_down is not None

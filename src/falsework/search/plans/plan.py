@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, overload
@@ -250,6 +250,19 @@ class Plan(Displayed):
         if Direction(direction) is Direction.ASSEMBLY:
             return self.steps
         return undone(self.steps, self.states[0], self.verdicts[0])
+
+    def with_ways(self, ways: Iterable[ExitPath], *others: Plan) -> Plan:
+        """Return the plan with the ways of its steps, and the rules of the plans that the ways are of."""
+        ways = tuple(ways)
+        if not any(ways):
+            return self
+        return replace(
+            self,
+            exit_paths=ways,
+            moves=max(plan.moves for plan in others),
+            turns=any(move.turns for way in ways for move in way),
+            waiting=any(plan.waiting for plan in others),
+        )
 
     @cached_property
     def holders(self) -> NDArray[np.int64]:
