@@ -35,7 +35,9 @@ MEET = [[True, False], [False, True], [False, False]]
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The archive of one group, made here."""
     path = tmp_path_factory.mktemp("archive") / "kernels.zip"
-    make(path, ["sets"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FALSEWORK_CACHE", str(tmp_path_factory.mktemp("cache")))
+        make(path, ["sets"])
     return path
 
 
@@ -83,8 +85,9 @@ def test_the_archive_of_the_package_has_all_groups_of_the_present_sources() -> N
     assert [group for group in GROUPS if not ARCHIVE.fits(group)] == [], "run `make kernels`"
 
 
-def test_an_archive_that_fits_stays(archive: Path, tmp_path: Path) -> None:
-    """One of other sources is made anew."""
+def test_an_archive_that_fits_stays(archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of other sources is made anew, and what has been made of the present ones is not made again."""
+    monkeypatch.setenv("FALSEWORK_CACHE", str(tmp_path / "cache"))
     here = Path(shutil.copy(archive, tmp_path / "kernels.zip"))
     before = here.stat().st_mtime_ns
     make(here, ["sets"])
@@ -96,6 +99,10 @@ def test_an_archive_that_fits_stays(archive: Path, tmp_path: Path) -> None:
     make(here, ["sets"])
     assert Archive(here).fits("sets")
     assert Archive(here).bitcode("sets")
+    monkeypatch.setattr("kernels.archive.record", lambda: pytest.fail("made again"))
+    make(tmp_path / "other.zip", ["sets"])
+    assert Archive(tmp_path / "other.zip").index == Archive(here).index
+    assert Archive(tmp_path / "other.zip").bitcode("sets") == Archive(here).bitcode("sets")
 
 
 @pytest.mark.usefixtures("without_numba")
