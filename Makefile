@@ -135,7 +135,7 @@ types: $(VENV)/.lint $(VENV)/.test $(VENV)/.docs
 	$(BIN)/pyrefly check --output-format min-text
 
 docs: $(VENV)/.docs
-	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
+	$(BIN)/python -m sphinx -W --keep-going --quiet -b html $(SPHINXOPTS) docs docs/_build/html
 	@echo "the documentation is in docs/_build/html/index.html"
 
 # The wheel is built from the sdist, as distributions do, and runs where nothing else is installed.
