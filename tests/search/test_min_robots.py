@@ -172,7 +172,7 @@ def test_a_plan_with_too_few_robots_ends_with_the_proof(
     """The search alone finds nothing in minutes; what the core proves ends it, and is said."""
     assembly = load_structure(public_structure_path("dome-90"))
     oracle = StabilityOracle(assembly)
-    planning = find_plans(assembly, robots=2, oracle=oracle, deadline=60, settings=PlannerSettings(bound_after=0.5))
+    planning = find_plans(assembly, robots=2, oracle=oracle, deadline=60, settings=PlannerSettings(bound_after=1.0))
     assert planning.result.outcome is Outcome.PROVED_IMPOSSIBLE
     assert not planning.result.interrupted
     assert not planning.deadline_passed
