@@ -14,9 +14,7 @@ and simplifies the code, without regard to a processor.
 from __future__ import annotations
 
 import argparse
-import ast
 import hashlib
-import inspect
 import json
 import re
 import sys
@@ -54,10 +52,11 @@ from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
-from falsework.utils import bits, vectors
+from falsework.utils import bits
 from falsework.utils.cache.folder import read_cache, write_cache
+from falsework.utils.cache.kernel_sources import callees, sources
 from falsework.utils.files.output_file import write_whole
-from falsework.utils.kernel_code import ARCHIVE, PACKAGE, Archive, add_symbols, digest
+from falsework.utils.kernel_code import ARCHIVE, Archive, add_symbols, digest
 from falsework.utils.kernels import Kernel, flatten
 from falsework.viewer.pictures import raster
 from falsework.viewer.pictures.render import Camera, ColoredSolid, render
@@ -225,32 +224,6 @@ def text_of(library: Any) -> str:
     text = str(library._final_module).replace("@sqrt(", "@llvm.sqrt.f64(")
     text = re.sub(r"^declare double @llvm\.sqrt\.f64.*$", "", text, flags=re.MULTILINE)
     return text + "\ndeclare double @llvm.sqrt.f64(double)\n"
-
-
-def callees(kernel: Kernel) -> set[Kernel]:
-    """Return a kernel and all that it calls, directly or not."""
-    found, ahead = set(), [kernel]
-    while ahead:
-        function = ahead.pop()
-        if function not in found:
-            found.add(function)
-            known = inspect.getclosurevars(function.py_func)
-            ahead += [
-                value for value in (*known.globals.values(), *known.nonlocals.values()) if isinstance(value, Kernel)
-            ]
-    return found
-
-
-def sources(kernels: set[Kernel]) -> list[str]:
-    """Return the files, by their paths in the package, that kernels and the constants in them come from."""
-    files = {Path(vectors.__file__), *(Path(kernel.py_func.__code__.co_filename) for kernel in kernels)}
-    names = {name for kernel in kernels for name in kernel.py_func.__code__.co_names}
-    for file in list(files):
-        for line in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(line, ast.ImportFrom) and names & {alias.name for alias in line.names}:
-                origin = PACKAGE.parent / (str(line.module).replace(".", "/") + ".py")
-                files |= {origin} if origin.is_file() else set()
-    return sorted(file.relative_to(PACKAGE).as_posix() for file in files)
 
 
 def simplify(texts: list[str], entries: list[str]) -> bytes:
