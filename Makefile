@@ -20,8 +20,9 @@ BIN    := $(VENV)/bin
 unexport PYTHONDONTWRITEBYTECODE
 PIP    := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
 # uv installs in half the processor time of pip, which takes over where there is no uv, or an index that uv cannot read.
+# Dependency groups need pip 25.1.
 UV     := $(BIN)/python -m uv pip install --quiet --python $(BIN)/python
-install = $(UV) $(1) 2>/dev/null || $(PIP) $(1)
+install = $(UV) $(1) 2>/dev/null || { $(PIP) --upgrade 'pip>=25.1' && $(PIP) $(1); }
 OUT    ?= out
 
 # Numba and BLAS would each start a thread per core inside the solvers' own threads, torch one for networks this small.
@@ -58,17 +59,16 @@ $(BIN)/python:
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(v < (3, 11) and f"falsework needs Python 3.11 or newer, $(PYTHON) is {v[0]}.{v[1]}; run: make PYTHON=python3.11 $(MAKECMDGOALS)")'
 	@$(PYTHON) -m venv $(VENV) || { echo "$(PYTHON) cannot make a virtual environment; install its venv package (Debian: apt install python3-venv)" >&2; rm -rf $(VENV); exit 1; }
 
-# Dependency groups need pip 25.1.
-$(VENV)/.pip: $(BIN)/python
-	@$(PIP) --upgrade 'pip>=25.1' uv || $(PIP) --upgrade 'pip>=25.1'
+$(VENV)/.uv: $(BIN)/python
+	@$(PIP) uv || echo "uv could not be installed; pip installs the rest" >&2
 	@touch $@
 
-$(VENV)/.core: $(VENV)/.pip pyproject.toml
+$(VENV)/.core: $(VENV)/.uv pyproject.toml
 	@echo "installing the core into $(VENV)"
 	@$(call install,--editable .)
 	@touch $@
 
-$(VENV)/.torch: $(VENV)/.pip
+$(VENV)/.torch: $(VENV)/.uv
 	@if command -v nvidia-smi >/dev/null 2>&1 && nvidia-smi >/dev/null 2>&1; then \
 		echo "installing torch for the NVIDIA GPU"; $(PIP) torch; \
 	else \
