@@ -46,7 +46,7 @@ def plan(arch: Assembly) -> Plan:
 
 @pytest.fixture
 def read_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Read Rhino and STEP files in this process, not in one of their own each, which takes longer to start than to read.
+    """Read Rhino and STEP files in this process, not in one of their own each, which takes long to start.
 
     Tests of damaged files, and of files of others, leave that out.
     """
