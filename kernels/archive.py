@@ -2,8 +2,9 @@
 
     python kernels/archive.py
 
-Building a wheel makes it (`backend.py`), and so does `make kernels`; one that fits the sources stays. Without it numba
-compiles the kernels where they are called.
+Building a wheel makes it (`backend.py`), and so does `make kernels`; one that fits the sources stays, and groups that
+were made of the same sources before come from the user's cache. Without it numba compiles the kernels where they are
+called.
 
 Numba translates each kernel with everything that it calls to LLVM's intermediate code, for the types that it is called
 with here. What numba would have its own run time do, memory for arrays, `allocate` and `release` do. LLVM then inlines
@@ -13,9 +14,7 @@ and simplifies the code, without regard to a processor.
 from __future__ import annotations
 
 import argparse
-import ast
 import hashlib
-import inspect
 import json
 import re
 import sys
@@ -53,9 +52,11 @@ from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
-from falsework.utils import bits, vectors
+from falsework.utils import bits
+from falsework.utils.cache.folder import read_cache, write_cache
+from falsework.utils.cache.kernel_sources import callees, sources
 from falsework.utils.files.output_file import write_whole
-from falsework.utils.kernel_code import ARCHIVE, PACKAGE, Archive, add_symbols, digest
+from falsework.utils.kernel_code import ARCHIVE, Archive, add_symbols, digest
 from falsework.utils.kernels import Kernel, flatten
 from falsework.viewer.pictures import raster
 from falsework.viewer.pictures.render import Camera, ColoredSolid, render
@@ -225,32 +226,6 @@ def text_of(library: Any) -> str:
     return text + "\ndeclare double @llvm.sqrt.f64(double)\n"
 
 
-def callees(kernel: Kernel) -> set[Kernel]:
-    """Return a kernel and all that it calls, directly or not."""
-    found, ahead = set(), [kernel]
-    while ahead:
-        function = ahead.pop()
-        if function not in found:
-            found.add(function)
-            known = inspect.getclosurevars(function.py_func)
-            ahead += [
-                value for value in (*known.globals.values(), *known.nonlocals.values()) if isinstance(value, Kernel)
-            ]
-    return found
-
-
-def sources(kernels: set[Kernel]) -> list[str]:
-    """Return the files, by their paths in the package, that kernels and the constants in them come from."""
-    files = {Path(vectors.__file__), *(Path(kernel.py_func.__code__.co_filename) for kernel in kernels)}
-    names = {name for kernel in kernels for name in kernel.py_func.__code__.co_names}
-    for file in list(files):
-        for line in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(line, ast.ImportFrom) and names & {alias.name for alias in line.names}:
-                origin = PACKAGE.parent / (str(line.module).replace(".", "/") + ".py")
-                files |= {origin} if origin.is_file() else set()
-    return sorted(file.relative_to(PACKAGE).as_posix() for file in files)
-
-
 def simplify(texts: list[str], entries: list[str]) -> bytes:
     """Return kernels as one module of bitcode that keeps only its entries visible."""
     module = llvm.parse_assembly(texts[0])
@@ -296,7 +271,7 @@ def build(groups: Iterable[str], given: dict[str, tuple[Any, ...]]) -> dict[str,
 def build_group(group: str, given: dict[str, tuple[Any, ...]]) -> tuple[dict[str, Any], bytes]:
     """Return what the index says of a group, and its bitcode."""
     kernels = {f"{kernel.__module__}.{kernel.__name__}": kernel for kernel in GROUPS[group]}
-    called = set().union(*map(callees, kernels.values()))
+    called = called_in(group)
     for kernel in called:
         kernel.options |= {"cache": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     texts = [text for name, kernel in kernels.items() for text in translate(kernel, name, given[name])]
@@ -306,22 +281,53 @@ def build_group(group: str, given: dict[str, tuple[Any, ...]]) -> tuple[dict[str
     return {"entries": kinds, "sources": files, "digest": digest(files), "made": made()}, code
 
 
+def called_in(group: str) -> set[Kernel]:
+    """Return the kernels of a group and all that they call."""
+    return set().union(*map(callees, GROUPS[group]))
+
+
+def cached_as(group: str) -> str:
+    """Return the name under which the user's cache has a group of the present sources, for other clones."""
+    return f"{group}-{hashlib.sha256(repr((digest(sources(called_in(group))), made())).encode()).hexdigest()[:24]}.bc"
+
+
+def pack(content: dict[str, Any], code: bytes) -> bytes:
+    """Return a group as the user's cache has it: what the index says of it in a line, and its bitcode."""
+    return json.dumps(content).encode() + b"\n" + code
+
+
+def unpack(packed: bytes) -> tuple[dict[str, Any], bytes]:
+    """Return a group from the user's cache."""
+    head, _, code = packed.partition(b"\n")
+    return json.loads(head), code
+
+
 def made() -> str:
     """Return what the archive depends on besides its sources."""
     return f"numba {numba.__version__}, {hashlib.sha256(Path(__file__).read_bytes()).hexdigest()[:12]}"
 
 
 def make(path: Path, groups: Iterable[str]) -> None:
-    """Write an archive of groups, in two processes, unless there is one that is made of the present sources."""
+    """Write an archive of groups, in two processes, unless there is one that is made of the present sources.
+
+    Groups that were made of the same sources before, in another clone perhaps, come from the user's cache.
+    """
     present = Archive(path)
     if list(present.index) == list(groups) and all(
         content["made"] == made() and present.fits(group) for group, content in present.index.items()
     ):
         return
-    given = record()
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        halves = [[group for group in groups if (group in STABILITY) is chosen] for chosen in (True, False)]
-        done = dict(item for half in pool.map(build, filter(None, halves), repeat(given)) for item in half.items())
+    names = {group: cached_as(group) for group in groups}
+    done = {group: unpack(content) for group in groups if (content := read_cache(names[group])) is not None}
+    missing = [group for group in groups if group not in done]
+    if missing:
+        given = record()
+        halves = [[group for group in missing if (group in STABILITY) is chosen] for chosen in (True, False)]
+        with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+            for half in pool.map(build, filter(None, halves), repeat(given)):
+                done |= half
+                for group in half:
+                    write_cache(names[group], pack(*half[group]))
     built = {group: done[group] for group in groups}
 
     def write(file: IO[bytes]) -> None:

@@ -14,7 +14,7 @@ import tracemalloc
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -105,6 +105,20 @@ def read_answer() -> Callable[[str], dict[str, Any]]:
         return answer
 
     return read
+
+
+@pytest.fixture(scope="session")
+def planned_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., bytes]:
+    """Return the plan file that `falsework plan` writes for its arguments; each worker plans once."""
+    from falsework.cli.main import main
+
+    @cache
+    def plan(*arguments: str) -> bytes:
+        out = tmp_path_factory.mktemp("planned") / "plan.json"
+        assert main(["plan", *arguments, "--out", str(out)]) == 0
+        return out.read_bytes()
+
+    return plan
 
 
 @pytest.fixture

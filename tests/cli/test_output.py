@@ -79,25 +79,35 @@ def test_controls_in_names_errors_and_warnings(
 
 
 @pytest.mark.skipif(os.name != "posix", reason="file names are bytes on POSIX")
-@pytest.mark.parametrize("settings", [{}, {"PYTHONUTF8": "0", "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}])
+@pytest.mark.parametrize("locale", ["of the tests", "C"])
 def test_paths_that_are_no_text_do_not_lose_a_plan(
-    write_structure: Callable[..., Path], tmp_path: Path, settings: dict[str, str]
+    falsework: Callable[..., Any],
+    write_structure: Callable[..., Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    locale: str,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     folder = os.fsencode(tmp_path) + b"/parts \xff \xc3\xa9"
     write_structure(tmp_path / "parts").rename(os.fsdecode(folder))
 
-    def run(*arguments: bytes | str) -> Any:
+    def run(*arguments: bytes | str) -> tuple[int, str]:
+        if locale == "of the tests":
+            finished = falsework(*map(os.fsdecode, arguments))
+            return finished.code, finished.error
+        settings = {"PYTHONUTF8": "0", "LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}
         command = [sys.executable, "-m", "falsework", *arguments]
-        return subprocess.run(command, cwd=tmp_path, capture_output=True, env=os.environ | settings, check=False)
+        done = subprocess.run(command, capture_output=True, env=os.environ | settings, check=False)
+        return done.returncode, done.stderr.decode("ascii")
 
-    planned = run("plan", folder, "--out", b"plan \xfe.json")
-    assert planned.returncode == 0, planned.stderr
-    assert json.loads((tmp_path / os.fsdecode(b"plan \xfe.json")).read_text(encoding="utf-8"))["steps"]
-    checked = run("check", b"plan \xfe.json")
-    assert checked.returncode == 0, checked.stderr
-    gone = run("check", b"other \xfe.json")
-    assert gone.returncode == 2
-    assert rb"other \udcfe.json" in gone.stderr
+    code, error = run("plan", folder, "--out", b"plan \xfe.json")
+    assert code == 0, error
+    assert json.loads(Path(os.fsdecode(b"plan \xfe.json")).read_text(encoding="utf-8"))["steps"]
+    code, error = run("check", b"plan \xfe.json")
+    assert code == 0, error
+    code, error = run("check", b"other \xfe.json")
+    assert code == 2
+    assert r"other \udcfe.json" in error
 
 
 @pytest.mark.skipif(os.name != "posix", reason="streams have paths on POSIX")

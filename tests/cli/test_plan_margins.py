@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 Run = Callable[..., Any]
+Planned = Callable[..., bytes]
 
 
 def test_a_plan_keeps_its_margins_and_check_verifies_them(falsework: Run, tmp_path: Path) -> None:
@@ -41,12 +42,10 @@ def test_a_plan_keeps_its_margins_and_check_verifies_them(falsework: Run, tmp_pa
     ],
 )
 def test_an_overstated_margin_is_found(
-    falsework: Run, tmp_path: Path, kind: str, value: float | None, words: str
+    falsework: Run, planned_once: Planned, tmp_path: Path, kind: str, value: float | None, words: str
 ) -> None:
     plan = tmp_path / "plan.json"
-    demands = "friction=1.1,tilt=1deg,push=5N"
-    assert falsework("plan", "arch:blocks=5", "--out", plan, "--margin", demands).code == 0
-    data = json.loads(plan.read_text())
+    data = json.loads(planned_once("arch:blocks=5", "--margin", "friction=1.1,tilt=1deg,push=5N"))
     data["margins"]["measured"][kind][-1] = value
     plan.write_text(json.dumps(data))
     checked = falsework("check", plan)
@@ -112,10 +111,11 @@ def test_wrong_margins(falsework: Run, stack: Path, tmp_path: Path, options: tup
         ({"more": 1}, "margins.more is not known"),
     ],
 )
-def test_damaged_margins_in_a_plan(falsework: Run, tmp_path: Path, change: dict[str, Any], words: str) -> None:
+def test_damaged_margins_in_a_plan(
+    falsework: Run, planned_once: Planned, tmp_path: Path, change: dict[str, Any], words: str
+) -> None:
     plan = tmp_path / "plan.json"
-    assert falsework("plan", "arch:blocks=3", "--out", plan, "--margin", "friction=1.05").code == 0
-    data = json.loads(plan.read_text())
+    data = json.loads(planned_once("arch:blocks=3", "--margin", "friction=1.05"))
     data["margins"] |= change
     plan.write_text(json.dumps(data))
     refused = falsework("check", plan)

@@ -44,6 +44,20 @@ def plan(arch: Assembly) -> Plan:
     return find_plans(arch, make_task(arch)).plans[0]
 
 
+@pytest.fixture
+def read_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read Rhino and STEP files in this process, not in one of their own each, which takes long to start.
+
+    Tests of damaged files, and of files of others, leave that out.
+    """
+
+    def read(function: Callable[..., Any], path: Path, *arguments: object, library: str) -> Any:
+        return function(path, *arguments)
+
+    for module in ("rhino_read", "step_read"):
+        monkeypatch.setattr(f"falsework.interop.{module}.read_apart", read)
+
+
 @pytest.fixture(scope="session")
 def validate_gltf() -> Callable[[bytes], dict[str, Any]]:
     """The report of the validator of the Khronos Group on a file; `make test` installs it."""

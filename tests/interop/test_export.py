@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,10 +18,11 @@ def run(*words: str | Path | int | float) -> int:
 
 
 @pytest.fixture
-def plan_file(tmp_path: Path) -> Path:
+def plan_file(planned_once: Callable[..., bytes], tmp_path: Path) -> Path:
     """A plan for a small arch."""
-    assert run("plan", "arch:blocks=3", "--out", tmp_path / "plan.json") == 0
-    return tmp_path / "plan.json"
+    out = tmp_path / "plan.json"
+    out.write_bytes(planned_once("arch:blocks=3"))
+    return out
 
 
 @pytest.mark.parametrize(

@@ -91,6 +91,7 @@ def test_every_row_has_a_case_and_every_case_a_row() -> None:
     assert {row[:2] for row in rows()} == set(CASES)
 
 
+@pytest.mark.usefixtures("read_here")
 @pytest.mark.parametrize(("section", "content", "treatment"), rows(), ids=[f"{a}: {b}" for a, b, _ in rows()])
 def test_what_becomes_of(
     section: str, content: str, treatment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,10 @@ from tests.search.test_waiting import dodge
 
 GAP = 0.5
 """Seconds of the processor between two questions at most, once kernels are compiled: numba cannot be interrupted."""
-LONG = 2.0
+LONG = 1.0
 """Seconds of the processor after which a computation is ended here."""
+RUNS = 4
+"""Runs in which the same gap must be long: one in which a kernel is compiled, others on a busy machine."""
 SETTINGS = StabilitySettings(criterion="equilibrium")
 
 
@@ -90,27 +93,29 @@ KINDS = {
 }
 
 
-def longest_gap(run: Callable[[], Any]) -> float:
-    """Seconds of the processor between two questions of a computation, which is ended where it is long."""
-    begun = last = time.process_time()
-    gap = 0.0
+def gaps(run: Callable[[], Any]) -> list[float]:
+    """Seconds of the processor between the questions of a computation, which is ended where it is long."""
+    times = [time.process_time()]
 
     def ask() -> None:
-        nonlocal last, gap
-        now = time.process_time()
-        gap, last = max(gap, now - last), now
-        if now - begun > LONG:
+        times.append(time.process_time())
+        if times[-1] - times[0] > LONG:
             raise DeadlineExceeded
 
     with interrupted_by(ask), suppress(DeadlineExceeded):
         run()
-    return max(gap, time.process_time() - last)
+    return np.diff([*times, time.process_time()]).tolist()
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_long_computations_ask_often_whether_they_are_to_end(kind: str) -> None:
-    """At the latest for the second time, if a kernel is compiled meanwhile."""
-    assert any(longest_gap(KINDS[kind]()) < GAP for _ in range(2))
+    """Each run asks the same questions, so that a gap is as short as in its shortest run."""
+    least: list[float] = []
+    for _ in range(RUNS):
+        least = list(map(min, zip_longest(least, gaps(KINDS[kind]()), fillvalue=np.inf)))
+        if max(least) < GAP:
+            return
+    pytest.fail(f"{max(least):.2g} s of the processor after {int(np.argmax(least))} questions")
 
 
 def test_a_deadline_ends_the_table_of_straight_ways_which_then_goes_on() -> None:

@@ -18,16 +18,17 @@ from tests.search.test_together import EveryStateStands, plans_of
 FLOOR: Cells = frozenset(product(range(-1, 4), range(-1, 4), [-1]))
 
 
-def drawn(seed: int, count: int) -> list[Cells]:
+def drawn(seed: int, count: int) -> tuple[Cells, ...]:
     """A cube of cells cut into pieces at random."""
     rng = np.random.default_rng(seed)
     while True:
         pieces = grow_pieces([(x, y, z) for x, y, z in product(range(3), repeat=3)], count, rng)
         if pieces:
-            return [frozenset(piece) for piece in pieces]
+            return tuple(frozenset(piece) for piece in pieces)
 
 
-def counted(pieces: list[Cells], robots: int, most: int, largest: int = 1) -> int:
+@lru_cache(None)
+def counted(pieces: tuple[Cells, ...], robots: int, most: int, largest: int = 1) -> int:
     """Orders of holding and removing pieces; those that are held leave in so many moves, others held may move aside.
 
     Up to `largest` leave together where no fewer of them do, in one move or in so many.

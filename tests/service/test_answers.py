@@ -48,7 +48,7 @@ def plans_of(answer: dict[str, Any]) -> list[Plan]:
 def test_a_plan_leads_where_it_shall_and_every_state_stands(
     question: dict[str, Any], first: Any, last: Any, direction: str | None, live: Any
 ) -> None:
-    reply = live.post("/replan", {"robots": 2, **question})
+    reply = live.post("/replan", {"robots": 2, "deadline": 60_000, **question})
     assert reply.status_code == 200
     answer = reply.json()
     if direction is None:  # two blocks of an arch are gone and nobody holds the others: that state has fallen

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -112,9 +113,9 @@ def test_any_tolerance(scenes: Any, simplex: Callable[..., float], tolerance: fl
     assert (close > 0) == (tolerance == 1e-2)
 
 
-@pytest.mark.parametrize("cone", ["octagon", "quadratic"])
-@pytest.mark.parametrize("name", REAL)
+@pytest.mark.parametrize(("name", "cone"), list(zip(REAL, cycle(["octagon", "quadratic"]))))
 def test_real_structures(scenes: Any, shared_assembly: Callable[[str], Path], name: str, cone: str) -> None:
+    """With either cone in turn."""
     assembly = load_structure(shared_assembly(name))
     states = mixed_states(scenes, assembly, 3, seed=16)
     compare(assembly, states, cone)

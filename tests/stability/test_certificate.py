@@ -142,7 +142,7 @@ def test_a_force_changed_anywhere_along_a_plan_is_rejected(
     random = np.random.default_rng(0)
     places = np.argwhere(active)
     before = residual_of_forces(assembly, states, forces, EQUILIBRIUM.claim)
-    for row, point in places[random.permutation(len(places))[:8]]:
+    for row, point in places[random.permutation(len(places))[:4]]:
         rows = slice(row, None if until_the_end else row + 1)
         tampered = forces.copy()
         force = forces[row, point]
@@ -175,7 +175,7 @@ def test_a_part_that_is_gone_or_let_go_of_along_a_plan_is_rejected(along_a_plan:
     gone = np.argwhere(bears & (states == 1))
     held = np.argwhere((states == 2) & ~assembly.boundary)
     for value, places in ((0, gone), (1, held)):
-        for row, part in places[random.permutation(len(places))[:40]]:
+        for row, part in places[random.permutation(len(places))[:20]]:
             tampered = states.copy()
             tampered[row, part] = value
             residual = residual_of_forces(assembly, tampered, forces, claim)

@@ -76,27 +76,22 @@ def test_a_box_slides_where_either_of_two_faces_is_too_steep(
 @pytest.mark.filterwarnings("ignore::falsework.assembly.touching.ContactWarning")
 @pytest.mark.parametrize("surface", ["circle", "sphere", "cone", "quadric"])
 def test_no_pair_is_stable_that_has_no_equilibrium_on_one_of_its_surfaces(pairs: Any, surface: str) -> None:
-    """Neither within tolerances nor with a fitted joint, and with a little more than enough friction most stand."""
+    """Neither within tolerances nor with a fitted joint, and with a little more than enough friction it stands."""
     curved = import_module("curved_pairs")
-    rng = np.random.default_rng(9)
-    near, stands = 0, [0, 0]
-    for _ in range(2):
-        pair = pairs.random_inclined_pair(rng, surface)
-        needed = curved.critical_friction(pair, EQUILIBRIUM.tolerance, steps=7)
-        near += bool(0.0 < needed < np.inf)
-        below = [
-            friction for friction in (0.0, min(needed, 1.5) - 0.012) if pair.residual(friction) > EQUILIBRIUM.tolerance
-        ]
-        for fitted in (False, True):
-            body = pair.assembly(0.0, fitted=fitted)
-            assert body.contacts.point_lean.max() <= np.radians(pair.angle.max() / 2) + 1e-6
-            for friction in below:
-                for criterion in CRITERIA:
-                    assert verdict_of(body.replace(friction=friction), criterion) != Verdict.STABLE
-            if needed < np.inf:
-                stands[fitted] += verdict_of(body.replace(friction=needed + 0.15), "equilibrium") == Verdict.STABLE
-    assert near >= 1
-    assert min(stands) >= 1
+    pair = pairs.random_inclined_pair(np.random.default_rng(9), surface)
+    needed = curved.critical_friction(pair, EQUILIBRIUM.tolerance, steps=7)
+    assert 0.0 < needed < np.inf
+    below = [
+        friction for friction in (0.0, min(needed, 1.5) - 0.012) if pair.residual(friction) > EQUILIBRIUM.tolerance
+    ]
+    assert below
+    for fitted in (False, True):
+        body = pair.assembly(0.0, fitted=fitted)
+        assert body.contacts.point_lean.max() <= np.radians(pair.angle.max() / 2) + 1e-6
+        for friction in below:
+            for criterion in CRITERIA:
+                assert verdict_of(body.replace(friction=friction), criterion) != Verdict.STABLE
+        assert verdict_of(body.replace(friction=needed + 0.15), "equilibrium") == Verdict.STABLE
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)

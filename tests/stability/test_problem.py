@@ -198,7 +198,7 @@ def test_verdicts_on_joined_parts_are_verdicts_on_states() -> None:
     """Of states that differ in a part from stable ones; held parts divide the others into pieces."""
     assembly = load_structure("vault:parts=40")
     problem, rng = build_problem(assembly), np.random.default_rng(0)
-    origins = np.repeat(complete_state(assembly.boundary)[None], 120, axis=0)
+    origins = np.repeat(complete_state(assembly.boundary)[None], 60, axis=0)
     loose = np.flatnonzero(~assembly.boundary)
     for origin in origins:
         origin[rng.choice(loose, len(loose) // 2, replace=False)] = HELD

@@ -96,7 +96,7 @@ def test_its_iterates_are_the_papers(scenes: Any, inverse: Any, iterations: int)
 @pytest.mark.parametrize("structure", ["arch:blocks=5", "stack:blocks=4", "stack:blocks=4,overhang=1.1"])
 def test_it_agrees_with_the_exact_solver_on_small_structures(scenes: Any, structure: str) -> None:
     assembly = library.build(structure)
-    states = np.unique(scenes.few_changes(assembly, 16, seed=42, most=2), axis=0)
+    states = np.unique(scenes.few_changes(assembly, 8, seed=42, most=2), axis=0)
     verdicts = SharedInverse(assembly).check(states)
     np.testing.assert_array_equal(
         verdicts.verdict, ExactSolver(assembly, StabilitySettings(criterion="equilibrium")).check(states).verdict

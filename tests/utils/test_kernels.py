@@ -35,7 +35,9 @@ MEET = [[True, False], [False, True], [False, False]]
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The archive of one group, made here."""
     path = tmp_path_factory.mktemp("archive") / "kernels.zip"
-    make(path, ["sets"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FALSEWORK_CACHE", str(tmp_path_factory.mktemp("cache")))
+        make(path, ["sets"])
     return path
 
 
@@ -83,8 +85,9 @@ def test_the_archive_of_the_package_has_all_groups_of_the_present_sources() -> N
     assert [group for group in GROUPS if not ARCHIVE.fits(group)] == [], "run `make kernels`"
 
 
-def test_an_archive_that_fits_stays(archive: Path, tmp_path: Path) -> None:
-    """One of other sources is made anew."""
+def test_an_archive_that_fits_stays(archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of other sources is made anew, and what has been made of the present ones is not made again."""
+    monkeypatch.setenv("FALSEWORK_CACHE", str(tmp_path / "cache"))
     here = Path(shutil.copy(archive, tmp_path / "kernels.zip"))
     before = here.stat().st_mtime_ns
     make(here, ["sets"])
@@ -96,6 +99,10 @@ def test_an_archive_that_fits_stays(archive: Path, tmp_path: Path) -> None:
     make(here, ["sets"])
     assert Archive(here).fits("sets")
     assert Archive(here).bitcode("sets")
+    monkeypatch.setattr("kernels.archive.record", lambda: pytest.fail("made again"))
+    make(tmp_path / "other.zip", ["sets"])
+    assert Archive(tmp_path / "other.zip").index == Archive(here).index
+    assert Archive(tmp_path / "other.zip").bitcode("sets") == Archive(here).bitcode("sets")
 
 
 @pytest.mark.usefixtures("without_numba")
@@ -149,6 +156,7 @@ def test_damaged_files_of_numba_are_made_anew(
 ) -> None:
     (tmp_path / "doubling.py").write_text(SOURCE)
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("FALSEWORK_CACHE", str(tmp_path / "cache"))
 
     def hits() -> int:
         """Call the function as a new process would; return how often its code was in a file."""
@@ -158,13 +166,52 @@ def test_damaged_files_of_numba_are_made_anew(
         return sum(twice.dispatcher.stats.cache_hits.values())
 
     assert [hits(), hits()] == [0, 1]
-    files = [file for file in (tmp_path / "__pycache__").iterdir() if file.suffix in (".nbi", ".nbc")]
-    assert len(files) == 2
+    files = list((tmp_path / "cache/numba").iterdir())
+    assert sorted(file.suffix for file in files) == [".nbc", ".nbi"]
     for file in files:
         file.write_bytes(damage(file.read_bytes()))
         with pytest.warns(cache_folder.CacheWarning, match="is damaged"):
             assert hits() == 0
         assert hits() == 1
+
+
+INNER = """
+from falsework.utils.kernels import njit
+
+@njit(cache=True, inline="always")
+def scale(value):
+    return {factor} * value
+"""
+OUTER = """
+from inner import scale
+from falsework.utils.kernels import njit
+
+@njit(cache=True)
+def scaled(value):
+    return scale(value)
+"""
+
+
+def test_code_of_numba_is_found_by_all_sources_that_it_comes_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In another folder too, but not where a function of another file that is inlined has changed."""
+    monkeypatch.setenv("FALSEWORK_CACHE", str(tmp_path / "cache"))
+
+    def hits(folder: str, factor: int) -> int:
+        here = tmp_path / folder
+        here.mkdir()
+        (here / "inner.py").write_text(INNER.format(factor=factor))
+        (here / "outer.py").write_text(OUTER)
+        with monkeypatch.context() as patch:
+            patch.syspath_prepend(here)
+            for name in ("inner", "outer"):
+                patch.delitem(sys.modules, name, raising=False)
+            scaled = importlib.import_module("outer").scaled
+        assert scaled(3) == 3 * factor
+        return sum(scaled.dispatcher.stats.cache_hits.values())
+
+    assert [hits("one", 2), hits("two", 2), hits("three", 5)] == [0, 1, 0]
 
 
 @pytest.mark.usefixtures("without_numba")

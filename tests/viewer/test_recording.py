@@ -78,18 +78,18 @@ def test_the_command_and_the_function_write_it(arch: Any, tmp_path: Path, capsys
 
 
 def test_four_hundred_parts_are_a_small_file() -> None:
-    vault = fw.load_structure("vault:parts=390")
-    states = [empty_state(vault.boundary)]
+    wall = fw.load_structure("wall:bricks=20,courses=19")
+    states = [empty_state(wall.boundary)]
     actions = []
-    for part in np.flatnonzero(~vault.boundary)[np.argsort(vault.mass.center[~vault.boundary, 2], kind="stable")]:
-        for action, value in ((part + vault.part_count, HELD), (part, INSTALLED)):  # as a plan looks, proven or not
+    for part in np.flatnonzero(~wall.boundary)[np.argsort(wall.mass.center[~wall.boundary, 2], kind="stable")]:
+        for action, value in ((part + wall.part_count, HELD), (part, INSTALLED)):  # as a plan looks, proven or not
             states.append(states[-1].copy())
             states[-1][part] = value
             actions.append(int(action))
     rows = np.array(states)
-    who = holders(rows, vault.immovable)
-    page = record(ViewerState(Timeline(vault, rows, np.array(actions), who, Direction.ASSEMBLY, 1)))
-    assert 380 < len(vault.names) <= EDGES_UP_TO
+    who = holders(rows, wall.immovable)
+    page = record(ViewerState(Timeline(wall, rows, np.array(actions), who, Direction.ASSEMBLY, 1)))
+    assert 380 < len(wall.names) <= EDGES_UP_TO
     assert len(page) < 2e6
 
 

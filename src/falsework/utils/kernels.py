@@ -56,13 +56,14 @@ class Kernel:
         import numba
 
         from falsework.utils.cache.compilation import announce_compilation
+        from falsework.utils.cache.kernel_sources import callees, sources
         from falsework.utils.cache.numba_files import SealedCacheFile
 
         announce_compilation()
         compiler: Any = numba.njit
         try:
             compiled = compiler(**self.options)(self.py_func)
-            SealedCacheFile.replace_in(compiled)
+            SealedCacheFile.replace_in(compiled, lambda: kernel_code.digest(sources(callees(self))))
             return compiled
         except RuntimeError:  # numba has found no folder that it can write
             warn_of_no_cache(str(Path(self.py_func.__code__.co_filename).parent))

@@ -152,7 +152,7 @@ def test_a_policy_of_two_states_learns_targets(method: Any, tmp_path: Path) -> N
             replace(one, batch=64) if isinstance(one, ImitationPhase) else one
             for one in {"default": phases_of(), "imitation": (ImitationPhase(),)}[method]
         ),
-        steps={"imitation": 300, "default": 60}[method],
+        steps={"imitation": 150, "default": 30}[method],
         policy=PolicySettings("resmlp", goal_conditioned=True, channels=32, layers=1),
         random_tries=2,
         widths=(8,),

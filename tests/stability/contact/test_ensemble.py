@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
@@ -63,10 +62,10 @@ def test_histories_are_those_of_single_replays(stiffness: float) -> None:
 
 
 def test_a_replay_ends_where_one_of_the_settings_fails() -> None:
-    """With so little friction that a plan stands under its own settings alone."""
-    structures = [load_structure(name) for name in ("vault", "vault:parts=40")]
-    plans = [(assembly, planned(assembly, 1, 1.0)) for assembly in structures]
-    for (assembly, plan), reserve in product(plans, np.arange(1.0, 2.0, 0.05).tolist()):
+    """With so little friction that a plan just stands under its own settings alone."""
+    assembly = load_structure("vault:parts=40")
+    plan, first = planned(assembly, 1, 1.0), None
+    for reserve in np.arange(2.0, 1.0, -0.05).tolist():
         ensemble = EnsembleReplayer(assembly, replace(CONTACT, reserve=reserve))
         if not ensemble.replay(plan.states, presses=plan.presses_before).good:
             continue

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from settling import replay_by_discrete_elements
 
-from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, find_plans, load_structure, make_task
+from falsework import Assembly, Plan, StabilityOracle, StabilitySettings, find_plans, make_task
 from falsework.assembly import INSTALLED, complete_state, library
 from falsework.errors import InputError
 from falsework.search import BeamSearch, BeamSettings
@@ -183,14 +181,6 @@ def test_plans_are_replayed_side_by_side(dome: Assembly, dome_states: NDArray) -
         first, second = pool.map(replayer.replay, [dome_states, dome_states[:10]])
     assert (first.good, second.good) == (True, True)
     np.testing.assert_array_equal(first.moved[:10], second.moved)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["bottle-12", "dog-35", "dome-37", "vault-62", "dome-72", "tetris-17", "cube-17"])
-def test_plans_of_real_structures_stand(shared_assembly: Callable[[str], Path], name: str) -> None:
-    assembly = load_structure(shared_assembly(name))
-    states = plan_states(assembly)
-    assert Replayer(assembly).replay(states).good
 
 
 def test_parts_that_settle_first_near_a_change_end_where_the_whole_would(dome: Assembly, dome_states: NDArray) -> None:

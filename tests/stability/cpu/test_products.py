@@ -17,7 +17,7 @@ from falsework.utils.kernels import njit
 _subtract, _set, _add_square = product(-1), product(1, adds=False), square_product()
 
 
-@njit()
+@njit(cache=True)
 def multiply(left, right, less, only, square, rows, point, matrices, sums):
     """Run all operations; the factors have rows of 20 and 30 numbers and begin at the second."""
     sixes, columns = len(left) // 6, less.shape[1] - 3

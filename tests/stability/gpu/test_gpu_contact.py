@@ -45,7 +45,7 @@ def test_points_may_differ_in_friction(scenes: Any, cone: Any, make_solver: Call
 def compare(scenes: Any, assembly: Assembly, cone: Any, make_solver: Callable[..., GpuSolver]) -> None:
     """Check that both solvers say the same and that every certificate is accepted."""
     settings = replace(CONTACT, cone=cone)
-    states = states_of(scenes, assembly, 60, seed=11)
+    states = states_of(scenes, assembly, 30, seed=11)
     solver = make_solver(assembly, settings)
     verdicts = solver.check(states)
     expected = ContactSolver(assembly, solver.problem, settings).check(states, certificates=False)

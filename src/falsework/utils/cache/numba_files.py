@@ -7,32 +7,39 @@ with an exception, one with a changed bit perhaps without. Files with a digest a
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from numba.core.caching import IndexDataCacheFile
 
 from falsework.errors import InputError
-from falsework.utils.cache.folder import read_sealed, warn_of_no_cache, write_sealed
+from falsework.utils.cache.folder import cache_folder, read_sealed, warn_of_no_cache, write_sealed
 
 
 class SealedCacheFile(IndexDataCacheFile):
     """Index and data files of one function, each after its digest."""
 
     @classmethod
-    def replace_in(cls, dispatcher: Any) -> None:
-        """Make a function of numba that caches itself use such files."""
+    def replace_in(cls, dispatcher: Any, digest: Callable[[], str]) -> None:
+        """Make a function of numba that caches itself use such files, in the user's cache.
+
+        Args:
+            digest: digest of all sources of its code; another clone with the same ones finds it.
+        """
         cache = dispatcher._cache
         plain = getattr(cache, "_cache_file", None)  # none where nothing is cached
         if plain is not None:
-            base = plain._index_name.removesuffix(".nbi") + "-sealed"
-            cache._cache_file = cls(plain._cache_path, base, plain._source_stamp)
+            stamp = digest()
+            base = f"{plain._index_name.removesuffix('.nbi')}-{stamp[:24]}"
+            cache._cache_file = cls(str(cache_folder() / "numba"), base, stamp)
 
     def save(self, key: Any, data: Any) -> None:
         """Keep the code of one combination of types, where there is room."""
         try:
+            Path(self._cache_path).mkdir(parents=True, exist_ok=True)
             super().save(key, data)
-        except InputError:
+        except (OSError, InputError):
             warn_of_no_cache(self._cache_path)
 
     def _load_index(self) -> dict[Any, str]:
