@@ -149,7 +149,8 @@ def test_joined_parts_have_no_loads_joints_or_fasteners() -> None:
     joined = shelf()
     loads = Loads.from_arrays(joined.part_count, acceleration=(0.1, 0.0, 0.0))
     joints = Joints.from_arrays(joined.contacts, friction=0.4)
-    for given, name in (({"loads": loads}, "loads"), ({"joints": joints}, "joints")):
+    cases: list[tuple[dict[str, Any], str]] = [({"loads": loads}, "loads"), ({"joints": joints}, "joints")]
+    for given, name in cases:
         with pytest.raises(AssemblyError, match=f"joined parts, and {name} are of single parts"):
             joined.replace(**given)
     place = joined.contacts.points[0].tolist()

@@ -85,8 +85,9 @@ class JoinedAssembly(ProppedAssembly):
     def at_friction(self, friction: float) -> Assembly:
         """As of `Assembly`, with joined and with loose parts."""
         assert self.groups is not None
-        loose = self.groups.loose.at_friction(friction)
-        return _replace(super().at_friction(friction), groups=_replace(self.groups, loose=loose))
+        joined = super().at_friction(friction)
+        assert isinstance(joined, JoinedAssembly)
+        return _replace(joined, groups=_replace(self.groups, loose=self.groups.loose.at_friction(friction)))
 
     def with_ground(self) -> Assembly:
         """As of `Assembly`, with joined and with loose parts."""

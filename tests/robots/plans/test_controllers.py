@@ -189,13 +189,22 @@ def with_seventh(plan: RobotPlan, cell: Cell, place: int, names: list[str], *, s
 
     def wider(robot: CellRobot) -> CellRobot:
         model, home = robot.model, more(robot.home, 0.5)
-        limits = {name: more(getattr(model, name), 1.0) for name in ("upper", "velocity", "acceleration")}
-        chain = {
+        limits: dict[str, Any] = {
+            name: more(getattr(model, name), 1.0) for name in ("upper", "velocity", "acceleration")
+        }
+        chain: dict[str, Any] = {
             name: np.insert(getattr(model, name), place, getattr(model, name)[0], 0) for name in ("origins", "axes")
         }
-        links = {name: (*getattr(model, name), getattr(model, name)[-1]) for name in ("link_names", "pieces")}
+        links: dict[str, Any] = {
+            name: (*getattr(model, name), getattr(model, name)[-1]) for name in ("link_names", "pieces")
+        }
         prismatic = np.insert(model.prismatic, place, slides)
-        shape = {"joint_names": tuple(names), "prismatic": prismatic, "lower": more(model.lower, -1.0), "home": home}
+        shape: dict[str, Any] = {
+            "joint_names": tuple(names),
+            "prismatic": prismatic,
+            "lower": more(model.lower, -1.0),
+            "home": home,
+        }
         return replace(robot, model=replace(model, **limits, **chain, **links, **shape), home=home)
 
     cell = replace(cell, robots=tuple(map(wider, cell.robots)))

@@ -68,10 +68,9 @@ class CellScale:
 
     def holds(self, holds: HoldSettings) -> HoldSettings:
         """Return what robots can do, given in the units of the structure, in those of the cell."""
-        factors = {"force": self.force, "moment": self.moment}
-        limits = {name: getattr(holds, name) for name in factors}
-        scaled = {name: None if limit is None else limit * factors[name] for name, limit in limits.items()}
-        return replace(holds, stiffness=holds.stiffness * self.stiffness, **scaled)
+        force = None if holds.force is None else holds.force * self.force
+        moment = None if holds.moment is None else holds.moment * self.moment
+        return replace(holds, stiffness=holds.stiffness * self.stiffness, force=force, moment=moment)
 
 
 def _unscaled(assembly: Assembly) -> str:
@@ -110,5 +109,6 @@ def stability_in(cell: Cell, assembly: Assembly, settings: StabilitySettings) ->
     if settings.criterion == "equilibrium":  # in which robots hold with any force
         return settings
     limits = weakest.gripper.force, min(robot.gripper.moment for robot in cell.robots)
-    tools = HoldSettings(np.inf, *(None if np.isinf(limit) else limit for limit in limits))
+    force, moment = (None if np.isinf(limit) else limit for limit in limits)
+    tools = HoldSettings(np.inf, force, moment)
     return replace(settings, holds=scale.inverse.holds(settings.holds.within(tools)))

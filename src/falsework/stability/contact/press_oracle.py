@@ -8,6 +8,7 @@ increments, while the others press. The wrench is chosen as in a replay, and mus
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,6 +59,11 @@ class PressOracle:
     def settings(self) -> StabilitySettings:
         """Settings of the verdicts."""
         return self.oracle.settings
+
+    @property
+    def premises(self) -> dict[str, Any]:
+        """As of the oracle, and that robots press."""
+        return {**self.oracle.premises, "presses": True}
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """Return verdicts, see `StabilityOracle.verdicts`; states for which robots press have no certificate."""
