@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from falsework.search.plans.plan import PartDeadline, Plan
     from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Direction, Task
-    from falsework.search.task_rules import ExitRules, Exits, TaskRules
+    from falsework.search.task_rules import ExitRules, AllowsExits, TaskRules
     from falsework.stability.contact.hold_loads import Loads
     from falsework.stability.criterion import Cone
     from falsework.stability.judges.judgement import Judgement
@@ -96,7 +96,7 @@ class ExitOptions:
     """Let robots also carry aside parts that they do not hold, and let go of a part half way out, where what waits
     stands. Needs --moves above 1."""
 
-    def exits(self, *others: Exits) -> ExitRules:
+    def exits(self, *others: AllowsExits) -> ExitRules:
         """Return these options as rules, with all that others allow."""
         from falsework.search.task_rules import exit_rules
 

@@ -25,7 +25,7 @@ class ExitRules(TypedDict, total=False):
     out, where what waits stands; needs `moves` above 1."""
 
 
-class Exits(Protocol):
+class AllowsExits(Protocol):
     """What says on which ways parts leave, as `ExitRules`: options, a request or a plan."""
 
     @property
@@ -49,7 +49,7 @@ class Exits(Protocol):
         ...
 
 
-def exit_rules(*several: Exits) -> ExitRules:
+def exit_rules(*several: AllowsExits) -> ExitRules:
     """Return rules that allow all that one of several allows, such as a plan and what follows it."""
     return {
         "parts_at_once": max(one.parts_at_once for one in several),

@@ -95,7 +95,8 @@ class HoldSettings:
         for name in ("force", "moment"):
             mine, theirs = getattr(self, name), getattr(others, name)
             least[name] = min(mine or np.inf, theirs) if theirs else mine
-        return replace(self, **least, mode=self.mode if self.presses else HoldMode.LOCKED)
+        same = self.presses or not least["force"]
+        return replace(self, **least, mode=self.mode if same else HoldMode.LOCKED)
 
     def __post_init__(self) -> None:
         if self.mode not in tuple(HoldMode):
