@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from falsework.search.plans.plan import PartDeadline, Plan
     from falsework.search.problem.guide import Guide
     from falsework.search.problem.task import Direction, Task
-    from falsework.search.task_rules import ExitRules, AllowsExits, TaskRules
+    from falsework.search.task_rules import AllowsExits, ExitRules, TaskRules
     from falsework.stability.contact.hold_loads import Loads
     from falsework.stability.criterion import Cone
     from falsework.stability.judges.judgement import Judgement
