@@ -113,7 +113,7 @@ def _propose(output: Output, proposal: BaseProposal | None) -> None:
             "yaw_deg": round(float(np.degrees(np.arctan2(robot.base[1, 0], robot.base[0, 0]))), 1),
         }
         for robot in proposal.cell.robots
-        if robot.base[2, 2] > 1 - 1e-6  # others stay where they are
+        if robot.is_upright  # others stay where they are
     }
     counts = {"bases": bases if better else None, "before": proposal.before, "after": proposal.after}
     output.record({"proposal": {**counts, "pairs": proposal.pairs}})

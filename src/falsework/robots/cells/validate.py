@@ -195,7 +195,7 @@ def check_bases(cell: Cell, parts: PartShapes | None = None) -> None:
 
 def _stands_on(robot: CellRobot, floor: float) -> bool:
     """Return whether the frame of a base is upright on the floor, which is how descriptions have it."""
-    return bool(abs(robot.base[2, 3] - floor) <= BASE_DEPTH and robot.base[2, 2] > 1 - 1e-6)
+    return robot.is_upright and bool(abs(robot.base[2, 3] - floor) <= BASE_DEPTH)
 
 
 def _check_homes(cell: Cell, parts: PartShapes | None) -> None:

@@ -148,7 +148,7 @@ def propose_bases(
 
     reached = [count(robot, base) for robot, base in enumerate(bases)]
     before = int(sum(row.sum() for row in reached))
-    upright = [k for k, base in enumerate(bases) if base[2, 2] > 1 - 1e-6]
+    upright = [k for k, robot in enumerate(cell.robots) if robot.is_upright]
     total = PLACEMENT_SWEEPS * len(upright) * BASE_ANGLES * len(BASE_DISTANCES)
     done = 0
     for _ in range(PLACEMENT_SWEEPS):

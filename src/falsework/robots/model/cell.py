@@ -122,6 +122,11 @@ class CellRobot:
         arm = np.inf if self.model.payload is None else self.model.payload - self.gripper.mass
         return float(min(arm, self.gripper.payload))
 
+    @property
+    def is_upright(self) -> bool:
+        """Whether its base stands upright, not on a wall or a ceiling."""
+        return bool(self.base[2, 2] > 1 - 1e-6)
+
 
 def maker_of(robot: CellRobot) -> tuple[str | None, bool]:
     """Return the maker of an arm, and whether it is only taken from the name in a URDF file; None if it is unknown."""

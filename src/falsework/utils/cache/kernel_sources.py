@@ -12,7 +12,7 @@ from typing import Any
 from falsework.utils.kernel_code import PACKAGE
 
 VECTORS = PACKAGE / "utils/vectors.py"
-"""What instructions of vectors mean, which kernels name through numba."""
+"""Module of the vector instructions that kernels use through numba, and do not call by name."""
 
 
 def callees(kernel: Any) -> set[Any]:
