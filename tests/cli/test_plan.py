@@ -117,17 +117,22 @@ def test_a_plan_that_discrete_elements_build(falsework: Run, tmp_path: Path) -> 
     assert judgement.items() <= checked.answer["judgement"].items()
 
 
+@pytest.mark.parametrize("options", [(), ("--allow-regrasp",), ("--robots", "auto"), ("--maximise-margin", "push")])
 def test_a_plan_that_discrete_elements_do_not_build(
-    falsework: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    falsework: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[Any, ...]
 ) -> None:
     """The plan that they build farthest is written, with exit code 1, and a check that asks them refuses it."""
     out = tmp_path / "plan.json"
-    soft = partial(discrete_elements.DiscreteElementSettings, stiffness=1e-4)  # parts sink by more than they may
+    soft = partial(discrete_elements.DiscreteElementSettings, stiffness=1e-5)  # parts sink by more than they may
     monkeypatch.setattr(discrete_elements, "Build", partial(discrete_elements.Build, settings=soft()))
-    planned = falsework("plan", "arch:blocks=7", "--judge", "--deadline", 20, "--out", out, "--json")
+    limit = "--deadline", 20
+    planned = falsework("plan", "arch:blocks=3", "--judge", *limit, *options, "--out", out, "--json")
     assert planned.code == 1
     assert "no plan was found that discrete elements build; in this one " in planned.error
-    judgement = planned.answer["plans"][0]["replay"]["judgement"]
+    replay = load_plan(out).replay
+    assert replay is not None
+    assert replay.judgement is not None
+    judgement = replay.judgement.to_dict()
     assert judgement["falls_at"] == judgement["built"] < judgement["of"]
     checked = falsework("check", out, "--judge")
     assert checked.code == 1
@@ -135,10 +140,33 @@ def test_a_plan_that_discrete_elements_do_not_build(
 
 
 @pytest.mark.parametrize(
-    "options", [("--criterion", "equilibrium"), ("--allow-regrasp",), ("--alternatives", 2), ("--robots", "auto")]
+    "options",
+    [
+        ("--alternatives", 2),
+        ("--allow-regrasp",),
+        ("--ground", "--allow-regrasp", "--props", 3, "--robots", 1),
+        ("--parts-at-once", 2),
+        ("--margin", "friction=1.2"),
+        ("--maximise-margin", "push"),
+        ("--robots", "auto"),
+    ],
 )
-def test_what_a_judge_does_not_go_with(falsework: Run, tmp_path: Path, options: tuple[Any, ...]) -> None:
-    refused = falsework("plan", "arch:blocks=5", "--judge", *options, "--out", tmp_path / "plan.json")
+def test_discrete_elements_build_every_plan_that_is_delivered(
+    falsework: Run, tmp_path: Path, options: tuple[Any, ...]
+) -> None:
+    planned = falsework("plan", "arch:blocks=5", "--judge", *options, "--out", tmp_path / "plan.json", "--json")
+    assert planned.code == 0, planned.error
+    plans = [load_plan(path) for path in sorted(tmp_path.glob("plan*.json"))]
+    assert len(plans) == (2 if "--alternatives" in options else 1)
+    for plan in plans:
+        assert plan.replay is not None
+        assert plan.replay.judgement is not None
+        assert plan.replay.judgement.built == plan.replay.judgement.of == len(plan.states)
+
+
+def test_the_judge_builds_as_the_criterion_contact_does(falsework: Run, tmp_path: Path) -> None:
+    out = tmp_path / "plan.json"
+    refused = falsework("plan", "arch:blocks=5", "--judge", "--criterion", "equilibrium", "--out", out)
     assert refused.code == 2
     assert "--judge" in refused.error
 

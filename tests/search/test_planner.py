@@ -386,7 +386,6 @@ def test_a_rule_that_does_not_exist_is_named() -> None:
         ({"width": 0}, "a beam of width 0 keeps nothing"),
         ({"directions": ()}, "no direction to search in"),
         ({"alternatives": 0}, "0 alternatives is not a number of plans"),
-        ({"judge": True, "alternatives": 2}, "the judge takes minutes for alternatives"),
         ({"patience": 0.0}, "the patience of a search must be above 0"),
         ({"bound_after": -1.0}, "the seconds before a bound not below 0"),
     ],

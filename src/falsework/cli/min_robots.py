@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import lacks_changes, lacks_reserve, reserve_lines
+from falsework.cli.planning import lacks_changes, lacks_judge, lacks_reserve, reserve_lines
 from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
@@ -17,11 +17,12 @@ _SHARED = ("verdicts", "seconds", "interrupted")
 """Fields that the answer on any plan has."""
 
 
-def report(answer: MinRobots, reserve: float, path: Path | None, output: Output) -> Exit:
+def report(answer: MinRobots, reserve: float, path: Path | None, output: Output, *, judged: bool) -> Exit:
     """Print the answer, and return the exit code.
 
     Args:
         path: of the plan, where it was saved.
+        judged: whether the judge was asked for.
     """
     fields = answer.to_dict()
     output.record({"fewest": {name: value for name, value in fields.items() if name not in _SHARED}})
@@ -57,6 +58,7 @@ def report(answer: MinRobots, reserve: float, path: Path | None, output: Output)
     plan, lacking = answer.plan, ""
     if plan is not None:
         lacking = lacks_reserve(plan, reserve) or lacks_changes(plan, asked=plan.claim.reserve > 1)
+        lacking = lacking or lacks_judge(plan, asked=judged)
     if lacking:
         output.outcome("weaker")
         output.note(lacking)

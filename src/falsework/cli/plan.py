@@ -50,14 +50,14 @@ if TYPE_CHECKING:
 _COMPARED = ("maximise_margin", "resume", "guide", "robust", "judge")
 _WIDER = ("--allow-regrasp", "--props")
 _EXCLUDED: dict[str, tuple[str, ...]] = {
-    "--robots auto": ("--alternatives", "--resume", "--margin", "--maximise-margin", "--judge", "--guide"),
+    "--robots auto": ("--alternatives", "--resume", "--margin", "--maximise-margin", "--guide"),
     "--parts-at-once": ("--resume",),
     "--allow-regrasp": ("--missing", "--alternatives", "--resume", "--margin", "--maximise-margin"),
     "--props": ("--missing", "--alternatives", "--resume", "--margin", "--maximise-margin"),
     "--maximise-margin": ("--alternatives", "--resume"),
     "--guide": (*_WIDER, "--maximise-margin"),
     "--robust": ("--criterion equilibrium",),
-    "--judge": ("--criterion equilibrium", *_WIDER, "--alternatives", "--maximise-margin"),
+    "--judge": ("--criterion equilibrium",),
 }
 """Options that exclude others."""
 
@@ -271,7 +271,7 @@ class MakePlan(Command):
                 **self.task.rules(assembly),
             )
         path = None if answer.plan is None else self._save([answer.plan])[0][0]
-        return report(answer, stability.reserve, path, output)
+        return report(answer, stability.reserve, path, output, judged=self.judge)
 
     def _robot_count(self) -> int:
         try:

@@ -291,7 +291,7 @@ def _choose(
         graph = graph_with_sets(task, oracle, states, name=assembly.name)
         found = choose_alternatives(graph, settings.alternatives, given=planner.routes, seed=settings.seed, stop=stop)
         tests = [
-            states[:0] if route.states.tobytes() in known else _weak_states(route.states, planner, oracle)
+            states[:0] if route.states.tobytes() in known else _weak_states(route.states, planner, oracle, stop)
             for route in found.routes
         ]
         weak = {state.tobytes() for failed in tests if failed is not None for state in failed}
@@ -302,14 +302,18 @@ def _choose(
         states = states[[state.tobytes() not in weak for state in states]]
 
 
-def _weak_states(route: States, planner: Planner, oracle: StabilityOracle) -> States | None:
+def _weak_states(route: States, planner: Planner, oracle: StabilityOracle, stop: Stop) -> States | None:
     """Return the states of a route, shape (steps + 1, parts), that fail or have no proof; None if time is up before."""
     if oracle.replayer is None:
         return route[~prove(route, oracle, forces=False)[0].stable]
     before = len(planner.tests.forbidden)
     try:
-        planner.tests.passes(Route.from_states(route))
+        planner.tests.passes(Route.from_states(route), stop=stop)
     except DeadlineExceeded:
+        return None
+    except KeyboardInterrupt:
+        if not stop():
+            raise
         return None
     return planner.tests.forbidden[before:]
 

@@ -80,8 +80,8 @@ def maximise_margin(
     if np.isinf(bound):
         reached = _least(oracle, kind, first.plans[0].states)
     stronger: list[_Stronger] = []
-    cut = False
-    while missed > reached * (1 + _CLOSE) and bound > reached * (1 + 4 * _ASIDE):
+    cut, refused = False, settings.judge and not first.accepted  # what the judge refuses with smaller margins too
+    while not refused and missed > reached * (1 + _CLOSE) and bound > reached * (1 + 4 * _ASIDE):
         cut = stop is not None and stop()
         if cut:
             break

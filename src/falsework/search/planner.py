@@ -65,7 +65,7 @@ class Planner:
             wide: beams are as wide as they may be from the beginning, see `Portfolio.from_settings`.
 
         Raises:
-            InputError: a judge or alternatives, where parts are held again.
+            InputError: alternatives, where parts are held again.
         """
         self.regrasps, self.together = regrasps(task, settings), task.together is not None
         """Whether plans may hold parts again, and whether steps may move several parts."""

@@ -44,8 +44,6 @@ class PlannerSettings:
             raise InputError("no direction to search in; give assembly, disassembly or both")
         if self.alternatives < 1:
             raise InputError(f"{self.alternatives} alternatives is not a number of plans; ask for at least 1")
-        if self.judge and self.alternatives > 1:
-            raise InputError("the judge takes minutes for alternatives; ask for one plan, or leave the judge out")
         if self.patience <= 0 or self.bound_after < 0:
             raise InputError("the patience of a search must be above 0, and the seconds before a bound not below 0")
         check_seed(self.seed)

@@ -184,14 +184,13 @@ def regrasps(task: Task, settings: PlannerSettings) -> bool:
     which nothing is held, and without props, repeated holds allow it nothing more.
 
     Raises:
-        InputError: they do, and the settings ask for a judge or for alternatives.
+        InputError: they do, and the settings ask for alternatives.
     """
     nothing_held = not held_count(np.stack([task.start, task.target]), task.boundary).any()
     if not task.allow_regrasp or (task.robots == 1 and not task.prop_limit and nothing_held):
         return False
-    if settings.judge or settings.alternatives > 1:
-        what = "judge yet; leave it out" if settings.judge else "alternatives yet; ask for one plan"
-        raise InputError(f"plans with repeated holds have no {what}")
+    if settings.alternatives > 1:
+        raise InputError("plans with repeated holds have no alternatives yet; ask for one plan")
     return True
 
 
