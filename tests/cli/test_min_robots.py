@@ -39,7 +39,7 @@ def test_plan_with_the_fewest_robots(falsework: Run, tmp_path: Path) -> None:
     finished = falsework("plan", "arch:blocks=5", "--robots", "auto", "--out", out)
     assert finished.code == 0, finished.error
     assert load_plan(out).robots == 2
-    assert f"the plan is in {out}" in finished.out
+    assert f"{out}: 10 steps with 2 robots, every state proven stable as built" in finished.out
 
 
 @pytest.mark.parametrize("command", [("plan", "--robots", "auto"), ("plan",)])

@@ -12,6 +12,7 @@ import pytest
 
 Run = Callable[..., Any]
 Planned = Callable[..., bytes]
+_DEMANDED = "--margin", "friction=1.2,push=50N"
 
 
 def test_a_plan_keeps_its_margins_and_check_verifies_them(falsework: Run, tmp_path: Path) -> None:
@@ -30,6 +31,27 @@ def test_a_plan_keeps_its_margins_and_check_verifies_them(falsework: Run, tmp_pa
     more = falsework("check", plan, "--margin", "tilt=30deg")
     assert more.code == 1
     assert "does not keep tilt=30deg" in more.error
+
+
+@pytest.mark.parametrize(
+    ("structure", "search"),
+    [
+        ((), ("--allow-regrasp", *_DEMANDED)),
+        ((), ("--allow-regrasp", "--maximise-margin", "friction")),
+        (("--ground",), ("--allow-regrasp", "--props", 3, "--robots", 1, *_DEMANDED)),
+        ((), ("--robots", "auto", *_DEMANDED)),
+    ],
+)
+def test_margins_of_plans_that_other_searches_find(
+    falsework: Run, tmp_path: Path, structure: tuple[Any, ...], search: tuple[Any, ...]
+) -> None:
+    plan = tmp_path / "plan.json"
+    done = falsework("plan", "arch:blocks=5", *structure, *search, "--out", plan)
+    assert done.code == 0, done.error
+    weakest = [value for value in json.loads(plan.read_text())["margins"]["measured"]["friction"] if value is not None]
+    assert 0 < max(weakest) <= 0.55 / 1.2
+    checked = falsework("check", plan, *structure)
+    assert checked.code == 0, checked.error
 
 
 @pytest.mark.parametrize(

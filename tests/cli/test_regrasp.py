@@ -56,7 +56,6 @@ def test_support(falsework: Run, tmp_path: Path) -> None:
         (("--props", "1"), "no part has a place for a prop"),
         (("--allow-regrasp", "--missing", "2"), "--allow-regrasp takes no --missing yet"),
         (("--allow-regrasp", "--alternatives", "2"), "--allow-regrasp takes no --alternatives yet"),
-        (("--allow-regrasp", "--margin", "tilt=1deg"), "--allow-regrasp takes no --margin yet"),
         (("--allow-regrasp", "--resume"), "--allow-regrasp takes no --resume yet"),
     ],
 )

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import lacks_changes, lacks_judge, lacks_reserve, reserve_lines
+from falsework.cli.planning import lacks_changes, lacks_judge, lacks_reserve
 from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
@@ -17,18 +16,15 @@ _SHARED = ("verdicts", "seconds", "interrupted")
 """Fields that the answer on any plan has."""
 
 
-def report(answer: MinRobots, reserve: float, path: Path | None, output: Output, *, judged: bool) -> Exit:
-    """Print the answer, and return the exit code.
+def report(answer: MinRobots, reserve: float, output: Output, *, judged: bool) -> Exit:
+    """Print the answer without the plan, and return the exit code.
 
     Args:
-        path: of the plan, where it was saved.
         judged: whether the judge was asked for.
     """
     fields = answer.to_dict()
     output.record({"fewest": {name: value for name, value in fields.items() if name not in _SHARED}})
     output.record({name: fields[name] for name in _SHARED})
-    if path is not None and answer.plan is not None:
-        output.file(path)
     spent = f"{answer.seconds:.1f} s, {counted(answer.verdicts, 'verdict')}"
     fewer = [f"with {n}: {reason}" for n, reason in enumerate(answer.reasons, 1)]
     if answer.value is not None:
@@ -38,10 +34,6 @@ def report(answer: MinRobots, reserve: float, path: Path | None, output: Output,
         output.say(f"{counted(answer.value, 'robot')}: a plan was found; {least} ({spent})")
         for line in fewer[-1:] if answer.proven else fewer[answer.bound - 2 if answer.bound > 1 else 0 :]:
             output.say(line)
-        if path is not None and answer.plan is not None:
-            output.say(f"the plan is in {path}")
-            for line in reserve_lines(answer.plan):
-                output.say(line)
     elif answer.impossible:
         output.outcome("impossible" if answer.certain else "not_found")
         word = "no number of robots suffices" if answer.certain else "no plan was found with any number of robots"

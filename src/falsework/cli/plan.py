@@ -42,7 +42,8 @@ from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
-    from falsework.search.planning import Planning
+    from falsework.search.margins.demands import Demands
+    from falsework.search.plans.alternatives import Alternatives
     from falsework.search.plans.plan import Plan
     from falsework.search.settings import PlannerSettings
 
@@ -50,10 +51,10 @@ if TYPE_CHECKING:
 _COMPARED = ("maximise_margin", "resume", "guide", "robust", "judge")
 _WIDER = ("--allow-regrasp", "--props")
 _EXCLUDED: dict[str, tuple[str, ...]] = {
-    "--robots auto": ("--alternatives", "--resume", "--margin", "--maximise-margin", "--guide"),
+    "--robots auto": ("--alternatives", "--resume", "--maximise-margin", "--guide"),
     "--parts-at-once": ("--resume",),
-    "--allow-regrasp": ("--missing", "--alternatives", "--resume", "--margin", "--maximise-margin"),
-    "--props": ("--missing", "--alternatives", "--resume", "--margin", "--maximise-margin"),
+    "--allow-regrasp": ("--missing", "--alternatives", "--resume"),
+    "--props": ("--missing", "--alternatives", "--resume"),
     "--maximise-margin": ("--alternatives", "--resume"),
     "--guide": (*_WIDER, "--maximise-margin"),
     "--robust": ("--criterion equilibrium",),
@@ -154,7 +155,7 @@ class MakePlan(Command):
         writable(self.out)
         check_deadline(self.deadline)
         if self.robots == "auto":
-            return self._with_fewest_robots(output)
+            return self._with_fewest_robots(demands, output)
         settings, checkpoint = self._settings(), self._checkpoint() if saves else None
         assembly = self.task.with_places(self.structure.load())
         output.record(settlement_record(assembly))
@@ -205,7 +206,8 @@ class MakePlan(Command):
             stronger = self.maximise_margin is not None and planning.found
             saved = f"{'a stronger plan may exist; ' * stronger}the same command begins anew"
         if planning.found:
-            self._report(self._save(planning.plans), planning, output)
+            spent = result.seconds, result.counters.asked
+            self._report(self._save(planning.plans), planning.alternatives, *spent, output)
             if result.interrupted:
                 output.note(f"{cut}; {saved}")
             first = planning.plans[0]
@@ -252,17 +254,25 @@ class MakePlan(Command):
             if wrong:
                 raise InputError(f"{option} takes no {' and no '.join(wrong)} yet; leave one of the two out")
 
-    def _with_fewest_robots(self, output: Output) -> Exit:
+    def _with_fewest_robots(self, demands: Demands, output: Output) -> Exit:
         """Search for the fewest robots, and save the plan found with them."""
+        from falsework.cli.demands import refuse_weak_end
         from falsework.cli.min_robots import report
+        from falsework.search.find import make_task
+        from falsework.search.margins.demands import MarginOracle
         from falsework.search.min_robots import min_robots
 
         assembly = self.task.with_places(self.structure.load())
         output.record(settlement_record(assembly))
         stability = self.holds.settings(self.criterion, self.cone, self.solver)
+        demanding = MarginOracle(assembly, stability, demands) if demands else None
+        task = make_task(assembly, max(assembly.part_count, 1), **self.task.rules(assembly))
+        if demanding is not None and refuse_weak_end(demanding, task, output):
+            return Exit.NO
         with output.search_progress() as show:
             answer = min_robots(
                 assembly,
+                oracle=demanding,
                 stability=stability,
                 settings=self._settings(),
                 deadline=self.deadline,
@@ -270,8 +280,10 @@ class MakePlan(Command):
                 forces=self.proofs,
                 **self.task.rules(assembly),
             )
-        path = None if answer.plan is None else self._save([answer.plan])[0][0]
-        return report(answer, stability.reserve, path, output, judged=self.judge)
+        code = report(answer, stability.reserve, output, judged=self.judge)
+        if answer.plan is not None:
+            self._report(self._save([answer.plan]), None, answer.seconds, answer.verdicts, output)
+        return code
 
     def _robot_count(self) -> int:
         try:
@@ -311,14 +323,21 @@ class MakePlan(Command):
         where = describe_place(saved, saved.replay.falls_at)
         output.note(f"falsework: the best plan is in {path}: its replay fails {where}")
 
-    def _report(self, plans: list[tuple[Path, Plan]], planning: Planning, output: Output) -> None:
+    def _report(
+        self,
+        plans: list[tuple[Path, Plan]],
+        alternatives: Alternatives | None,
+        seconds: float,
+        asked: int,
+        output: Output,
+    ) -> None:
+        """Print saved plans, the first in full, and the effort of the search."""
         from msgspec import to_builtins
 
         from falsework.cli.demands import margin_lines
         from falsework.interop.instruction_table import describe_path
         from falsework.search.problem.task import Direction
 
-        seconds, asked, found = planning.result.seconds, planning.result.counters.asked, planning.alternatives
         for number, (path, plan) in enumerate(plans):
             output.file(path)
             record: dict[str, Any] = {"file": str(path), "steps": len(plan), "robots": plan.robots}
@@ -337,8 +356,8 @@ class MakePlan(Command):
                 record["props"] = to_builtins(plan.props)
             if plan.margins is not None:
                 record["margins"] = plan.margins.to_dict()
-            if self.alternatives > 1:
-                record["distances"] = [round(float(distance), 4) for distance in found.distance[number]]
+            if alternatives is not None and self.alternatives > 1:
+                record["distances"] = [round(float(distance), 4) for distance in alternatives.distance[number]]
             output.row("plans", record)
         output.record({"verdicts": asked, "seconds": seconds})
         path, first = plans[0]
@@ -366,7 +385,8 @@ class MakePlan(Command):
             output.say(line)
         for need in first.needs:
             output.say(need_text(first, need))
-        say_alternatives([path for path, _ in plans], found.least_distance, self.alternatives, output)
+        if alternatives is not None:
+            say_alternatives([path for path, _ in plans], alternatives.least_distance, self.alternatives, output)
 
 
 def _replay_record(plan: Plan) -> dict[str, Any] | None:
