@@ -92,6 +92,7 @@ def _kind(module: str, name: str) -> Any:
 
 
 _CONFLICTS = "search.beam.nogoods"
+_SELECTION = "search.beam.selection"
 _GUIDE, _MEMORY, _SOLVER = "search.problem.guide", "search.beam.failed_moves", "stability.cpu.solver"
 
 
@@ -112,6 +113,10 @@ def _patch_jumps() -> None:
 
 def _probe_jumps(note: Note) -> None:
     _watch(import_module(f"falsework.{_CONFLICTS}"), "luby", note, lambda distance, _: distance > 1)
+
+
+def _patch_hopeful() -> None:
+    _wrap(_kind(_SELECTION, "Selector"), "_hopeful_first", lambda _, this, fixed, count: fixed[:count])
 
 
 def _patch_supports() -> None:
@@ -149,6 +154,13 @@ RULES: dict[str, Rule] = {
         "Jumps back are of Luby's lengths; without it, each is as short as possible.",
         _patch_jumps,
         _probe_jumps,
+    ),
+    "hopeful": Rule(
+        "Half of the states ahead are candidates that are not known to fall at once; without it, all are the best.",
+        _patch_hopeful,
+        _shown_by(
+            _SELECTION, "Selector", "_hopeful_first", lambda kept, _, best, n: not np.array_equal(kept, best[:n])
+        ),
     ),
     "supports": Rule(
         "Verdicts under `equilibrium` change forces in a region; without it, anywhere.",

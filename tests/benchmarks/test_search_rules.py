@@ -73,9 +73,18 @@ def begin(what: str, name: str) -> None:
     getattr(SupportGuide(assembly), what)(task.judged_by(StabilityOracle(assembly, StabilitySettings())))
 
 
+def fall_again() -> None:
+    """Have a beam with few states ahead die where parts are known to fall."""
+    assembly, levels = load_structure("dome:rings=2,blocks=6"), iter(range(300))
+    task = Task.from_rules(assembly.boundary, 3, contacts=assembly.contacts.parts)
+    settings = BeamSettings.from_width(lookahead=2)
+    BeamSearch(task, Chance(0.3), settings, guide=SupportGuide(assembly)).run(stop=lambda: next(levels, None) is None)
+
+
 USES: dict[str, Callable[[], Any]] = {
     "edges": lambda: begin("edges_first", "vault:parts=120"),
     "beside-held": lambda: begin("held_neighbours", "dome:rings=2,blocks=6"),
+    "hopeful": fall_again,
     "supports": lambda: solver.CpuSolver(StabilityOracle(load_structure("arch:blocks=5"), EQUILIBRIUM).problem),
 }
 """Searches in which rules take effect; all others do in a beam that dies."""

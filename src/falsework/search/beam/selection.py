@@ -8,17 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import States
+from falsework.assembly.state import INSTALLED, REMOVED, States
 from falsework.search.beam.failed_moves import FailedMoves
 from falsework.search.beam.frontier import Frontier, Rows
 from falsework.search.beam.paths import BeamPaths
 from falsework.search.beam.scores import Scores
 from falsework.search.beam.settings import AHEAD
 from falsework.search.problem.oracle import CountingOracle
+from falsework.search.problem.task import Direction
 
 Clustering = Callable[[States, int, np.random.Generator], tuple[NDArray[np.integer], NDArray[np.number]]]
 """Method that puts points in a number of clusters, such as `k_means`: cluster and squared distance from its centre."""
 
+_CHOICE = 4
+"""Times as many states ahead are compared as are kept."""
 _VERDICT_BATCH = 2
 """Candidates asked for at once at least, once the first were not enough: the states beyond those wanted leave the next
 level a choice."""
@@ -107,8 +110,24 @@ class Selector:
             fixed = self.order(np.flatnonzero(frontier.fixing), promise, lookahead)
             fixed = fixed[frontier.held(fixed) <= most_held][:lookahead]
         else:
-            fixed = self.scores.best_fixing(lookahead, most_held, self.rng)
+            fixed = self._hopeful_first(self.scores.best_fixing(_CHOICE * lookahead, most_held, self.rng), lookahead)
         return self._selection(np.concatenate([proven, fixed]), rejected)
+
+    def _hopeful_first(self, fixed: Rows, count: int) -> Rows:
+        """Return some of the candidates that fixing a part leads to, given best first.
+
+        Half are the first; of the others those come first whose part was not found to fall, with the same parts around
+        it, when it was let go of at once.
+        """
+        if self.failures is None or len(fixed) <= count:
+            return fixed[:count]
+        frontier, rest = self.frontier, fixed[count // 2 :]
+        states, part = frontier.states(rest), frontier.part(rest)
+        loose = INSTALLED if frontier.direction is Direction.ASSEMBLY else REMOVED
+        states[np.arange(len(rest)), part] = loose
+        falls = self.failures.failed(self.failures.keys(states, part))
+        rest = rest[np.argsort(falls, kind="stable")]
+        return np.concatenate([fixed[: count // 2], rest[: count - count // 2]])
 
     def _verify_untried_first(self, waiting: Rows, wanted: int, paths: BeamPaths, *, waits: bool) -> tuple[Rows, Rows]:
         """As `_verify_in_order`; moves that failed before are tried last.
