@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from falsework import StabilitySettings, load_structure
+from falsework import StabilitySettings, find_plans, load_structure
 from falsework.assembly import HELD
+from falsework.cli.hold_options import HoldOptions
 from falsework.errors import InputError
+from falsework.robots.model.cell_holds import CellScale
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import load_plan
 from falsework.stability import HoldSettings
+from falsework.stability.holds import HoldMode
 
 Run = Callable[..., Any]
 ARCH = "arch:blocks=9"
@@ -142,6 +146,39 @@ def test_robots_of_no_force_never_press(falsework: Run, tmp_path: Path) -> None:
     assert done.code == 0, done.error
     assert "press" not in done.out
     assert json.loads(out.read_text())["stability"]["holds"]["mode"] == "locked"
+
+
+@pytest.mark.parametrize("scale", [CellScale(1.0, 1.0), CellScale(0.5, 0.125)], ids=["as it is", "in a cell"])
+@pytest.mark.parametrize("moment", [None, 2500.0], ids=["moment that follows", "moment given"])
+@pytest.mark.parametrize(
+    ("options", "given"),
+    [
+        ({"reserve": 1.2}, {}),
+        ({"hold_force": 7000}, {"force": 7000}),
+        ({"hold_moment": 5000}, {"moment": 5000}),
+        ({"hold_stiffness": math.inf}, {"stiffness": math.inf}),
+        ({"press_mode": "hybrid"}, {"mode": HoldMode.HYBRID}),
+        ({"no_press": True}, {"mode": HoldMode.LOCKED}),
+    ],
+    ids=lambda entry: next(iter(entry), ""),
+)
+def test_what_is_not_given_is_as_in_the_plan_that_goes_on(
+    options: dict[str, Any], given: dict[str, Any], moment: float | None, scale: CellScale
+) -> None:
+    """Also what no option says, such as gravity; a moment that followed from the force follows from the new one."""
+    assembly = load_structure("arch:blocks=5")
+    old = StabilitySettings(
+        gravity=9.0, tolerance=5e-5, reserve=1.3, holds=HoldSettings(1e7, 8000.0, moment, HoldMode.FORCE)
+    )
+    plan = find_plans(assembly, stability=old).unwrap()
+    units = {"hold_force": scale.force, "hold_moment": scale.moment}
+    texts = {name: str(value * units[name]) if name in units else value for name, value in options.items()}
+    found = HoldOptions(**texts).settings_from(plan, assembly, None, scale=scale)
+    holds = scale.inverse.holds(found.holds).resolved(assembly, 9.0)
+    assert holds == replace(old.holds, **given).resolved(assembly, 9.0)
+    assert replace(found, cone=None, holds=old.holds) == replace(old, reserve=options.get("reserve", 1.3))
+    other = HoldOptions().settings_from(plan, assembly, "equilibrium")
+    assert (other.gravity, other.tolerance, other.reserve) == (9.0, 5e-5, 1.0)
 
 
 def test_wrong_settings() -> None:

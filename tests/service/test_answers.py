@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from falsework import Plan, StabilityOracle, StabilitySettings
+from falsework import Plan, StabilityOracle, StabilitySettings, find_plans
 from falsework.assembly import complete_state, empty_state
 from falsework.assembly.props import with_props
 from falsework.search.plans.plan_check import validate_plan
-from falsework.search.plans.plan_file import plan_from_dict
+from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.plans.plan_model import plan_schema
+from falsework.stability import HoldSettings
 
 HALF = [1, 2, 0, 2, 1, 2, 2]
 """The keystone is not in, and robots hold its neighbours."""
@@ -194,6 +195,24 @@ def test_a_plan_goes_on_from_its_step_without_a_late_part(live: Any) -> None:
     (rest,) = plans_of(plain)
     np.testing.assert_array_equal(rest.states[0], old.states[2])
     assert plain["built"] == 0
+
+
+def test_a_plan_goes_on_under_its_own_gravity_and_tolerance(live: Any) -> None:
+    """And with its own holds, which may be too weak for another gravity, where the request gives no others."""
+    moon = StabilitySettings(gravity=1.62, tolerance=5e-5, cone="octagon", holds=HoldSettings(1e7, 600.0))
+    old = find_plans(live.assembly, stability=moon).unwrap()
+    (new,) = plans_of(live.post("/replan", {"plan": plan_to_dict(old), "step": 3, "deadline": 60_000}).json())
+    assert new.claim == old.claim
+    assert validate_plan(new, live.assembly, moon).good
+    strong = {"force": 1e6, "moment": 1e6}
+    asked = {"plan": plan_to_dict(old), "step": 3, "deadline": 60_000, "holds": strong}
+    (new,) = plans_of(live.post("/replan", asked).json())
+    assert new.claim == replace(old.claim, holds=HoldSettings(**strong))
+    heavy = plan_to_dict(old)
+    heavy["stability"]["gravity"] = 9.81
+    reply = live.post("/replan", {"plan": heavy, "step": 3})
+    assert reply.status_code == 422
+    assert "holds: robots that hold with at most 600 N cannot carry part voussoir-0" in reply.json()["error"]
 
 
 def test_props_and_holds_on_site_are_the_next_steps(grounded: Any) -> None:

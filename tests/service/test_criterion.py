@@ -81,7 +81,7 @@ def test_robots_have_limits_under_contact_alone(clamp: Assembly) -> None:
         ({"holds": {"force": 1e6, "mode": "locked"}}, HoldSettings(force=1e6, mode=HoldMode.LOCKED)),
         ({"holds": {"stiffness": None, "force": None}}, HoldSettings(np.inf, np.inf)),
     ):
-        assert read_holds(convert(given.get("holds", {}), Holds), clamp, "contact") == holds
-    assert read_holds(Holds(), clamp, "equilibrium") == HoldSettings()
+        assert read_holds(convert(given.get("holds", {}), Holds), "contact") == holds
+    assert read_holds(Holds(), "equilibrium") == HoldSettings()
     with pytest.raises(InputError, match="holds: under equilibrium robots hold with any force"):
-        read_holds(Holds(mode=HoldMode.LOCKED), clamp, "equilibrium")
+        read_holds(Holds(mode=HoldMode.LOCKED), "equilibrium")

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from falsework import Direction
+from falsework import Direction, StabilitySettings, find_plans, load_structure
 from falsework.assembly import HELD, INSTALLED, REMOVED
 from falsework.errors import InputError, StateError
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.steps import NO_ROBOT
+from falsework.stability import HoldSettings
+from falsework.stability.holds import HoldMode
 from falsework.utils.quantity import format_quantity
 from falsework.viewer import Timeline
 from falsework.viewer.appearance import SceneView, bounds_of
@@ -337,6 +339,23 @@ def test_a_senseless_question_is_refused(model: ViewerState) -> None:
     model.set_robots(1)
     with pytest.raises(StateError, match="held"):
         model.replan()
+
+
+@pytest.mark.parametrize("direction", Direction)
+def test_a_new_plan_keeps_to_what_the_old_one_kept_to(direction: Direction) -> None:
+    """Gravity, reserve and tolerance, robots and the ways of parts, also from a state that is not of the plan."""
+    holds = HoldSettings(1e7, 8000.0, mode=HoldMode.LOCKED)
+    stability = StabilitySettings(gravity=9.0, reserve=1.2, tolerance=5e-5, holds=holds)
+    assembly = load_structure("arch:blocks=5")
+    old = find_plans(assembly, stability=stability, removable_only_if_clear=True).unwrap()
+    model = ViewerState(Timeline.from_plan(old, assembly, direction), plan=old)
+    model.go_to(model.timeline.begin)
+    if direction is Direction.ASSEMBLY:
+        model.disruption = Disruption(there=frozenset({0}))  # an end, which stands by itself
+    new = model.replan().plan
+    assert new is not None
+    assert new.claim == old.claim
+    assert new.removable_only_if_clear
 
 
 def test_a_structure_without_a_plan_gets_one(arch) -> None:

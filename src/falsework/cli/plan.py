@@ -20,8 +20,8 @@ from falsework.cli.command import (
     settlement_record,
 )
 from falsework.cli.exit_code import Exit
+from falsework.cli.hold_options import HoldOptions
 from falsework.cli.planning import (
-    HoldOptions,
     RegraspOptions,
     first_steps,
     lacks_changes,

@@ -1,15 +1,15 @@
-"""Options of rules and holds, texts about plans, and the checks before a search, which several commands share."""
+"""Options of rules, texts about plans, and the checks before a search, which several commands share."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
-from falsework.cli.arguments import parse_limits, parse_parts, parse_state
+from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET
 from falsework.errors import InputError
 from falsework.utils.files.output_file import check_writable
@@ -23,11 +23,8 @@ if TYPE_CHECKING:
     from falsework.search.problem.task import Direction, Task
     from falsework.search.task_rules import AllowsExits, ExitRules, TaskRules
     from falsework.stability.contact.hold_loads import Loads
-    from falsework.stability.criterion import Cone
     from falsework.stability.judges.judgement import Judgement
     from falsework.stability.oracle import StabilityOracle
-    from falsework.stability.settings import SolverName, StabilitySettings
-    from falsework.stability.verdict import Criterion
 
 SHOWN = 8
 """First steps of a plan that are printed."""
@@ -141,59 +138,6 @@ class RegraspOptions(ExitOptions, RuleOptions):
         if self.props < 0:
             raise InputError(f"--props {self.props} is not a number of props; give 0 or more")
         return with_props(assembly, prop_places(assembly)) if self.props else assembly
-
-
-@dataclass(frozen=True, kw_only=True)
-class HoldOptions:
-    """What robots that hold parts can do, and the reserve that a plan keeps; under the criterion `contact`."""
-
-    rare: ClassVar[tuple[str, ...]] = ("hold_force", "hold_stiffness", "no_press", "reserve")
-
-    hold_force: Annotated[str | None, arg(metavar="FORCE", help_behavior_hint="(default: 50 weights)")] = None
-    """Largest force of a robot on a part that it holds, such as 300N or 1.5kN; by default fifty weights of the heaviest
-    part."""
-    hold_stiffness: Annotated[float, arg(metavar="N/m", help_behavior_hint="(default: inf)")] = float("inf")
-    """Stiffness of a robot at its gripper, N/m, where its controller does not keep the pose of the part that it holds.
-    An industrial arm has 1e6 to 1e8."""
-    hold_moment: Annotated[str | None, arg(metavar="MOMENT", help_behavior_hint=UNSET)] = None
-    """Largest moment of a robot about the centre of mass of a part that it holds, such as 40Nm; by default twice the
-    largest force times the largest radius of gyration of a part."""
-    press_mode: Literal["force", "hybrid"] = "hybrid"
-    """What a robot controls that presses on a part while another part is released: its force in all directions, or
-    along one direction only, with the position of the part across it."""
-    no_press: bool = False
-    """Robots only hold; they do not press on parts while another part is released."""
-    reserve: Annotated[float | None, arg(metavar="FACTOR", help_behavior_hint="(default: 1.1)")] = None
-    """Number by which friction is divided: every state must come to rest with that friction, and with the true one."""
-
-    def settings(self, criterion: Criterion, cone: Cone | None = None, solver: SolverName = "cpu") -> StabilitySettings:
-        """Return the settings of stability."""
-        from falsework.search.find import PLANS
-        from falsework.stability.holds import HoldMode, HoldSettings
-        from falsework.stability.settings import StabilitySettings
-
-        given = self != HoldOptions()
-        if criterion == "equilibrium" and given and self != HoldOptions(reserve=self.reserve):
-            raise InputError("under equilibrium robots hold with any force; leave out the options of holds")
-        if self.reserve is not None and not self.reserve >= 1:
-            raise InputError(f"--reserve is {self.reserve:g}; give 1 for none, or more")
-        if self.no_press and self.press_mode != HoldOptions.press_mode:
-            raise InputError("--press-mode is for robots that press; leave out one of --press-mode and --no-press")
-        mode = HoldMode.LOCKED if self.no_press else HoldMode(self.press_mode)
-        holds = HoldSettings(self.hold_stiffness, *parse_limits(self.hold_force, self.hold_moment), mode)
-        reserve = self.reserve or (PLANS.reserve if criterion == "contact" else 1.0)
-        return StabilitySettings(criterion=criterion, cone=cone, solver=solver, reserve=reserve, holds=holds)
-
-    def settings_from(
-        self, plan: Plan | None, criterion: Criterion | None, solver: SolverName = "cpu"
-    ) -> StabilitySettings:
-        """Return the settings that are given, else those of a plan that is carried out."""
-        from falsework.stability.settings import StabilitySettings
-
-        own = None if plan is None else StabilitySettings.from_claim(plan.claim)
-        if own is None or self != HoldOptions() or criterion not in (None, own.criterion):
-            return self.settings(criterion or ("contact" if own is None else own.criterion), solver=solver)
-        return replace(own, solver=solver)
 
 
 def reserve_lines(plan: Plan) -> list[str]:

@@ -14,8 +14,8 @@ from tyro.conf import arg
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, CriterionOfPlan, SolverOption, StructureOptions
 from falsework.cli.exit_code import Exit
+from falsework.cli.hold_options import HoldOptions
 from falsework.cli.planning import (
-    HoldOptions,
     PartRuleOptions,
     RareExitOptions,
     first_steps,
@@ -136,7 +136,7 @@ class MakeReplan(Command):
         if self.policy is not None:
             if policy is not None:
                 raise InputError(f"{self.structure.spec} is a run already; leave --policy out, or name the structure")
-            criterion = self.holds.settings_from(plan, self.criterion, self.solver).criterion
+            criterion = self.holds.settings_from(plan, assembly, self.criterion, self.solver).criterion
             policy = self._load_run(self.policy, assembly).policy.of_task(
                 robots, equilibrium=criterion == "equilibrium"
             )
@@ -149,7 +149,7 @@ class MakeReplan(Command):
             )
         request = self._request(plan, step, assembly, robots, clear)
         request.task(assembly)  # refuse bad input before anything is loaded
-        stability = self.holds.settings_from(plan, self.criterion, self.solver)
+        stability = self.holds.settings_from(plan, assembly, self.criterion, self.solver)
         options = {name: value for name, value in vars(request).items() if name != "plan"}
         subject, structure = (assembly, None) if plan is None or self.step is None else (plan, assembly)
         answer = replan(subject, structure=structure, policy=policy, stability=stability, **options)

@@ -13,8 +13,8 @@ from tyro.conf import Positional, arg
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.cli.command import UNSET, Command, CriterionOfPlan, SeedOption, StructureOptions
 from falsework.cli.exit_code import Exit
+from falsework.cli.hold_options import HoldOptions
 from falsework.cli.planning import (
-    HoldOptions,
     RareExitOptions,
     lacks_reserve,
     policy_guide,
@@ -198,9 +198,7 @@ class PlanRobots(Command):
             task = self._task(assembly, cell, parse_now(self.state or self._beginning, held, assembly), held)
             grips = parse_grips(self.grips, held, task.target if building else task.start, cell, assembly)
         own, scale = None if begun is None else begun.plan.plan, CellScale.from_cell(assembly, cell)
-        stability = self.holds.settings_from(own, self.criterion)
-        if own is not None and self.holds == HoldOptions():  # a plan has those in the structure's units
-            stability = replace(stability, holds=scale.holds(stability.holds))
+        stability = self.holds.settings_from(own, assembly, self.criterion, scale=scale)
         oracle = StabilityOracle(assembly, stability_in(cell, assembly, replace(stability, reserve=1.0)))
         if refuse_unstable(assembly, oracle, task, output, building=building):
             return Exit.NO

@@ -98,7 +98,7 @@ def _add_questions(app: FastAPI, assembly: Assembly, pool: Pool, settings: Servi
                 given["state"] = schema.state_of(start, assembly, "state")
             if wanted.plan is None or wanted.holds is not UNSET:
                 holds = Holds() if isinstance(wanted.holds, UnsetType) else wanted.holds
-                given["holds"] = schema.read_holds(holds, assembly, pool.settings.criterion)
+                given["holds"] = schema.read_holds(holds, pool.settings.criterion)
             if wanted.target is not None:
                 given["target"] = schema.state_of(wanted.target, assembly, "target")
             return given

@@ -14,7 +14,7 @@ from falsework.errors import InputError, StateError
 from falsework.replanning.named_state import named_state
 from falsework.search.plans.plan_model import PlanFile
 from falsework.service.settings import LONGEST_DEADLINE, ServiceSettings
-from falsework.stability.holds import HoldMode, HoldSettings, limits_of
+from falsework.stability.holds import HoldMode, HoldSettings
 from falsework.stability.verdict import Criterion
 from falsework.utils.json_text import parse_json
 from falsework.utils.models import FileModel, model_schemas, read_model
@@ -274,7 +274,7 @@ def read_states(values: list[Any], assembly: Assembly, settings: ServiceSettings
     return np.stack([state_of(value, assembly, f"states[{number}]") for number, value in enumerate(values)])
 
 
-def read_holds(given: Holds, assembly: Assembly, criterion: Criterion) -> HoldSettings:
+def read_holds(given: Holds, criterion: Criterion) -> HoldSettings:
     """Return what robots of a request for a plan can do."""
     if given != Holds() and criterion != "contact":
         raise InputError(f"holds: under {criterion} robots hold with any force; leave the entry out")
@@ -282,12 +282,7 @@ def read_holds(given: Holds, assembly: Assembly, criterion: Criterion) -> HoldSe
     finite: dict[str, Any] = {
         name: np.inf if value is None else value for name, value in limits.items() if value is not UNSET
     }
-    holds = HoldSettings(**finite, mode=given.mode)
-    try:
-        limits_of(assembly, holds)
-    except InputError as error:
-        raise InputError(f"holds: {error}") from None
-    return holds
+    return HoldSettings(**finite, mode=given.mode)
 
 
 def components() -> dict[str, Any]:

@@ -220,11 +220,21 @@ class _Planner:
                 pipe.send(Done(item.number, 422, refusal(str(error)), "refused"))
                 continue
             stability = {name: payload.pop(name) for name in ("holds", "reserve") if name in payload}
-            settings = replace(self._settings, **stability)
+            settings = self._settings
+            if (plan := payload.get("plan")) is not None:  # its gravity and tolerance, and its holds
+                own = StabilitySettings.from_claim(plan.claim, settings.criterion)
+                settings = replace(own, numerics=settings.numerics)
+            settings = replace(settings, **stability)
             some = groups.setdefault((assembly.identity, settings), (assembly, []))[1]
             some.append(replace(item, payload=payload))
         for (_, settings), (assembly, some) in groups.items():
-            replanner, passed = self._replanner(assembly, settings), time.monotonic() - begun
+            try:
+                replanner = self._replanner(assembly, settings)
+            except InputError as error:  # they cannot carry a part
+                for item in some:
+                    pipe.send(Done(item.number, 422, refusal(f"holds: {error}"), "refused"))
+                continue
+            passed = time.monotonic() - begun
             self._answer(replanner, [replace(item, seconds=item.seconds - passed) for item in some], pipe)
 
     def _answer(self, replanner: Replanner, items: Sequence[Item], pipe: Connection) -> None:
@@ -315,7 +325,7 @@ def read_plan(values: Mapping[str, Any], assembly: Assembly) -> tuple[Plan, Asse
 def _on_site(given: Mapping[str, Any], assembly: Assembly) -> tuple[Assembly, dict[str, Any]]:
     """Return the structure with the props on site, and a request for it with its plan read and gone on with.
 
-    Robots and holds are those of the plan where others are not given.
+    There are as many robots as in the plan where no other number is given.
     """
     since: SiteSteps | None = given.get("since")
     payload: dict[str, Any] = {name: value for name, value in given.items() if name != "since"}
@@ -327,8 +337,7 @@ def _on_site(given: Mapping[str, Any], assembly: Assembly) -> tuple[Assembly, di
         plan, wide = read_plan(payload["plan"], assembly)
     except InputError as error:
         raise InputError(f"plan: {error}") from None
-    defaults: dict[str, Any] = {"robots": plan.robots, "holds": plan.claim.holds}
-    payload = {**defaults, **payload, "plan": plan}
+    payload = {"robots": plan.robots, **payload, "plan": plan}
     if since:
         if payload["step"] is None:
             raise InputError("since: these steps follow a step of the plan; give step too")

@@ -86,6 +86,11 @@ class HoldSettings:
         force, moment = float(limits.force.max(initial=0.0)), float(limits.moment.max(initial=0.0))
         return replace(self, force=force, moment=moment, mode=self.mode if self.presses else HoldMode.LOCKED)
 
+    def changed(self, assembly: Assembly, gravity: float, **given: Any) -> HoldSettings:
+        """Return the settings with some others, where a moment that only followed from the force still does."""
+        followed = replace(self, moment=None).resolved(assembly, gravity).moment == self.moment
+        return replace(self, **{**({"moment": None} if followed else {}), **given})
+
     def within(self, others: HoldSettings) -> HoldSettings:
         """Return the settings with no larger force and moment than those of others that give them.
 

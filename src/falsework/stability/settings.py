@@ -99,9 +99,16 @@ class StabilitySettings(StabilityBounds):
             raise InputError(f"unknown solver {self.solver!r}; choose {', '.join(get_args(SolverName))}")
 
     @classmethod
-    def from_claim(cls, claim: StabilityCriterion) -> StabilitySettings:
-        """Return the settings under which a claim is made."""
-        return cls(**vars(claim))
+    def from_claim(cls, claim: StabilityCriterion, criterion: Criterion | None = None) -> StabilitySettings:
+        """Return the settings under which a claim is made.
+
+        Args:
+            criterion: another criterion, to which cone, reserve and holds of the claim do not apply.
+        """
+        if criterion in (None, claim.criterion):
+            return cls(**vars(claim))
+        own = {name: value for name, value in vars(claim).items() if name not in ("cone", "reserve", "holds")}
+        return cls(**{**own, "criterion": criterion})
 
     def under_gravity_of(self, claim: StabilityCriterion | None) -> StabilitySettings:
         """Return the same settings under the gravity of the claim of a plan, if there is one."""

@@ -17,6 +17,7 @@ from falsework.errors import InputError
 from falsework.replanning.since import places_under
 from falsework.search.problem.rollout import follow_scores
 from falsework.search.problem.task import Direction, Task
+from falsework.search.task_rules import exit_rules
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
@@ -79,7 +80,6 @@ class ViewerState:
         self._settings = StabilitySettings(criterion=criterion) if oracle is None else oracle.settings
         self.criterion: Criterion = criterion if oracle is None else oracle.settings.criterion
         self._proofs = ProofCache(contact=self.criterion == "contact")
-        self._replanner: Any = None
         self._guide: PolicyGuide | None = None
         self._before: list[tuple[Timeline, Plan | None, int, Disruption, float, Arms | None]] = []
 
@@ -328,7 +328,7 @@ class ViewerState:
 
     def replan(self) -> NewPlan:
         """Replan from the marked state, and show the new plan if there is one."""
-        from falsework.replanning.replanner import Replanner, replan
+        from falsework.replanning.replanner import replan
 
         begun = time.perf_counter()
         with self.lock:
@@ -348,9 +348,11 @@ class ViewerState:
                 done = {"step": place - self.built, "since": self.disruption.since(self.state)}
                 ask = partial(replan, old, **done, structure=assembly, policy=policy)
             else:
-                if self._replanner is None or self._replanner.assembly is not assembly:
-                    self._replanner = Replanner(assembly, policy, self.oracle)
-                ask = self._replanner.replan
+                stability = self._settings
+                if old is not None:  # what robots can do, and the ways of parts, stay as they were
+                    stability = StabilitySettings.from_claim(old.claim)
+                    question |= {"removable_only_if_clear": old.removable_only_if_clear, **exit_rules(old)}
+                ask = partial(replan, assembly, stability=stability, policy=policy)
         answer = ask(**question, deadline=self.deadline)
         found = new_plan(answer, assembly, time.perf_counter() - begun, old, before)
         if found.plan is not None:
