@@ -15,6 +15,8 @@ import pytest
 
 from falsework import Assembly, Plan, Task, find_plans, load_structure, make_task
 from falsework import sheet as make_sheet
+from falsework.assembly.joints import Joints
+from falsework.assembly.loads import Loads
 from falsework.cli.main import main
 from falsework.errors import PlanError
 from falsework.interop.instruction_table import COLUMNS, describe_motion, instructions_csv
@@ -269,3 +271,25 @@ def test_without_reportlab_the_extra_is_named(arch: Assembly, plan: Plan, monkey
     monkeypatch.setattr(instruction_pdf, "find_spec", lambda name: None)
     with pytest.raises(DependencyError, match=r"falsework\[sheet\].*\.csv"):
         instruction_pdf.instructions_pdf(make_sheet(arch, plan))
+
+
+def test_joints_and_loads_on_which_the_proofs_rest_are_said(arch: Assembly) -> None:
+    """A joint is made in the step that places the second of its parts; one of friction alone is none to be made."""
+    entries = [{"friction": 0.9, "parts": [0, 1]}, {"tension": 1e4, "cohesion": 1e4, "parts": [2, 3]}]
+    joints = Joints.from_entries(entries, None, arch.names, arch.contacts)
+    loads = Loads.from_entries([{"part": 3, "force": [0, 0, -700]}], [0.01], arch.names, arch.mass.center)
+    glued = arch.replace(joints=joints, loads=loads)
+    plan = find_plans(glued, robots=3).unwrap()
+    lines = table(plan, glued)
+    placed = {int(line["part"]): line["join"] for line in lines if line["do"] == "place"}
+    first, second = (part for part in placed if part in (2, 3))
+    assert placed == dict.fromkeys(placed, "") | {second: f"voussoir-{second} with voussoir-{first}"}
+    assert not any(line["join"] for line in lines if line["do"] == "release")
+    pytest.importorskip("reportlab", reason="needs reportlab; pip install 'falsework[sheet]'")
+    from falsework.interop.instruction_pdf import instructions_pdf
+
+    words = " ".join(text_of(instructions_pdf(make_sheet(glued, plan))).split())
+    assert words.count(f"JOIN voussoir-{second} with voussoir-{first}") == 1
+    assert f"friction of at least {arch.friction:g} (0.9 in joints that have their own)" in words
+    assert "the proofs hold with them only" in words
+    assert "loads beside the weight: 700 N on voussoir-3, an acceleration of (0.01, 0, 0) g on all parts." in words

@@ -167,8 +167,7 @@ def _cover(sheet: AssemblyInstructions, camera: Camera) -> list[Flowable]:
     rules = [
         "A support is a robot (support 1 is R1), a prop or a pair of hands that keeps a part exactly where it is.",
         "Keep to the order. Release no part before the sheet says so: the states of the steps were proved to stand.",
-        f"The proofs hold for friction of at least {assembly.friction:g} and parts of the masses given, at rest, "
-        "where the model has them.",
+        *sheet.premises,
         "Arrows show how a part comes in. Dark parts are fixed. Pictures show the state in which the part is held.",
     ]
     if any(step.presses for step in sheet.steps):
@@ -316,6 +315,8 @@ def _action(sheet: AssemblyInstructions, step: AssemblyInstruction, last: Assemb
         if carried:
             held = f"carried by {_supports(step)}, which holds {sheet.name(step.parts[0])}"
         told.append(_text(escape(held)))
+    if step.joins:
+        told.append(_text(f"<b>JOIN</b> {escape(sheet.joining(step))}"))
     if not last.place:
         lets_go = "and then lets go" if carried else "which then lets go"
         told.append(_text(lets_go if step.place else f"{_supports(step)} lets go and is free"))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.load import AnyStructure, as_assembly
-from falsework.assembly.state import REMOVED
+from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError, PlanError
 from falsework.geometry.clearance.moves import ExitPath
 from falsework.search.plans.plan import Plan
@@ -48,10 +48,14 @@ COLUMNS = (
     "placed",
     "needed",
     "margins",
+    "join",
 )
 """Of the table in CSV: metres and kilograms; `hold` names all parts that must be held when the step is done, `press`
-those that are pressed while a part is released. Where several parts are placed at once, semicolons separate them,
-`mass_kg` and the centre are those of all, and `way_x` to `way_z` those of the first."""
+those that are pressed while a part is released, `join` those that mortar, glue or fasteners join with the part. Where
+several parts are placed at once, semicolons separate them, `mass_kg` and the centre are those of all, and `way_x` to
+`way_z` those of the first."""
+_LISTED_LOADS = 12
+"""Loads in one line; the rest is a number."""
 _LEANS = 0.35
 """Components of a direction below this, the sine of about 20 degrees, are omitted."""
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -82,6 +86,8 @@ class AssemblyInstruction:
     """Whether the part was declared missing when the plan was made."""
     margins: str = ""
     """Margins of the state after the step, as far as the plan records them."""
+    joins: tuple[tuple[int, int], ...] = ()
+    """Parts that are placed, each with one that is there then and which a joint with a strength joins to it."""
 
     @property
     def verb(self) -> str:
@@ -117,6 +123,35 @@ class AssemblyInstructions:
         """Return the number and name of a part; only one of them if that suffices."""
         name = self.assembly.names[part]
         return name if name == str(part) or name.endswith((f"-{part}", f"_{part}")) else f"{part} {name}"
+
+    def joining(self, step: AssemblyInstruction) -> str:
+        """Describe what is joined in a step, such as `block-3 with block-2`; empty for nothing."""
+        return "; ".join(f"{self.name(part)} with {self.name(other)}" for part, other in step.joins)
+
+    @property
+    def premises(self) -> list[str]:
+        """Return what the proofs of the plan rest on beside its order, in sentences."""
+        assembly, joints, loads = self.assembly, self.assembly.joints, self.assembly.loads
+        own = [] if joints is None else np.unique(joints.friction[np.isfinite(joints.friction)]).tolist()
+        differs = f" ({', '.join(f'{value:g}' for value in own)} in joints that have their own)" if own else ""
+        said = [
+            f"The proofs hold for friction of at least {assembly.friction:g}{differs} and parts of the masses given, "
+            "at rest, where the model has them."
+        ]
+        if any(step.joins for step in self.steps):
+            said.append("JOIN: mortar, glue or fasteners of the model join parts; the proofs hold with them only.")
+        if loads is not None:
+            force, moment = (np.linalg.norm(loads.wrench[:, rows], axis=1) for rows in (slice(3), slice(3, 6)))
+            acts = [
+                f"{format_quantity(*((force[part], 'force') if force[part] else (moment[part], 'moment')))} on "
+                f"{self.name(part)}"
+                for part in np.flatnonzero(loads.wrench.any(axis=1)).tolist()
+            ]
+            if loads.acceleration.any():
+                shares = ", ".join(f"{value:g}" for value in loads.acceleration)
+                acts.append(f"an acceleration of ({shares}) g on all parts")
+            said.append(f"The proofs take into account loads beside the weight: {listed(acts, _LISTED_LOADS)}.")
+        return said
 
     def holding(self, place: int) -> tuple[tuple[int, int], ...]:
         """Return the part and support of everything that is held after so many steps."""
@@ -178,6 +213,7 @@ def sheet(assembly: AnyStructure, plan: Plan) -> AssemblyInstructions:
                 placed=int(((step.state != REMOVED) & ~assembly.boundary).sum()),
                 needed=place and not missing.isdisjoint(step.parts),
                 margins="" if plan.margins is None else plan.margins.words(number),
+                joins=_joins(step.parts, step.state, assembly) if place else (),
             )
         )
     return AssemblyInstructions(timeline, tuple(steps), int(timeline.holders.max(initial=NO_ROBOT)) + 1)
@@ -241,12 +277,31 @@ def _rows(sheet: AssemblyInstructions) -> Iterator[dict[str, Any]]:
             "placed": step.placed,
             "needed": "yes" if step.needed else "",
             "margins": step.margins,
+            "join": _harmless(sheet.joining(step)),
         }
 
 
 def _harmless(text: str) -> str:
     """Return a text that no spreadsheet takes for a formula."""
     return f"'{text}" if text.startswith(_FORMULA) else text
+
+
+def _joins(parts: Sequence[int], state: States, assembly: Assembly) -> tuple[tuple[int, int], ...]:
+    """Return the parts that come to a state, each with one that is there and which a joint with a strength joins to it.
+
+    Args:
+        state: with the parts, shape (parts,).
+    """
+    if assembly.joints is None:
+        return ()
+    owner = assembly.contacts.contact_of_point
+    strong = np.unique(owner[(np.nan_to_num(assembly.joints.cohesion) > 0) | (assembly.joints.tension > 0)])
+    found = set()
+    for pair in assembly.contacts.parts[strong].tolist():
+        part, other = pair if pair[0] in parts else pair[::-1]
+        if part in parts and state[other] != REMOVED:
+            found.add((part, other))
+    return tuple(sorted(found))
 
 
 def _holding(timeline: Timeline, place: int) -> tuple[tuple[int, int], ...]:
