@@ -12,6 +12,7 @@ from settling import settle
 from falsework import StabilityOracle, StabilitySettings, Verdict, find_plans, verify_certificates
 from falsework.assembly import Joints, complete_state, fasten, library
 from falsework.errors import InputError
+from falsework.search.margins.demands import Demands, MarginOracle
 from falsework.stability import ExactSolver
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.gpu.solver import GpuSolver
@@ -344,5 +345,8 @@ def test_joints_keep_their_strength_per_area_where_parts_are_placed_with_an_erro
 
 def test_what_is_fastened_at_points_takes_no_placement_errors(scenes: Any) -> None:
     block = fasten(hanging(scenes), [{"parts": [0, 1], "at": [0.5, 0.5, 1.0], "tension": 1e5}])
-    with pytest.raises(InputError, match="contacts of this structure were given, or have fasteners or studs"):
+    refused = "contacts of this structure were given, or have fasteners or studs"
+    with pytest.raises(InputError, match=refused):
         placement_curve(block, complete_state(block.boundary), [1e-3], lambda moved, states: states[:, 0] > 0, draws=1)
+    with pytest.raises(InputError, match=refused):
+        MarginOracle(block, demands=Demands(placement=1e-3))

@@ -18,7 +18,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import INSTALLED, States, as_states
 from falsework.errors import InputError
 from falsework.stability.margins.conditions import Answer, Condition
-from falsework.stability.margins.placement import moved_assembly
+from falsework.stability.margins.placement import check_detectable, moved_assembly
 from falsework.stability.margins.pushes import Pushes
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
@@ -101,7 +101,8 @@ class Demands(FileModel, frozen=True):
         """Return the structures in which states must be stable too, each with the margin that requires it.
 
         Raises:
-            InputError: displaced parts that make no assembly, or joints with friction in a structure without.
+            InputError: displaced parts that make no assembly, or contacts that were given, which cannot be detected
+                again for them, or joints with friction in a structure without.
         """
         found: list[tuple[str, Assembly]] = []
         if self.friction is not None and not assembly.has_common_friction:
@@ -120,6 +121,7 @@ class Demands(FileModel, frozen=True):
             pulled = self.horizontal / np.cos(np.pi / _CORNERS) * outwards
             found += [("horizontal", _accelerated(assembly, vector)) for vector in pulled]
         if self.placement is not None:
+            check_detectable(assembly)
             random = np.random.default_rng(0)
             for _ in range(_DRAWS):
                 moved = moved_assembly(assembly, self.placement, random)

@@ -67,11 +67,7 @@ def placement_curve(
     if draws < 1:
         raise InputError(f"the number of draws is {draws}; give at least 1")
     check_seed(seed)
-    if assembly.contacts_given:
-        raise InputError(
-            "contacts of this structure were given, or have fasteners or studs, so they cannot be detected again for "
-            "moved parts; leave out the placement error"
-        )
+    check_detectable(assembly)
     stands, refused = np.zeros((len(tolerances), len(batch))), np.zeros(len(tolerances), np.int64)
     for row, tolerance in enumerate(tolerances):
         random = np.random.default_rng(seed)
@@ -84,6 +80,19 @@ def placement_curve(
             if progress is not None:
                 progress(row * draws + draw + 1, draws * len(tolerances))
     return PlacementCurve(np.array(tolerances, float), stands / draws, refused, draws)
+
+
+def check_detectable(assembly: Assembly) -> None:
+    """Refuse a structure whose contacts cannot be detected again for moved parts.
+
+    Raises:
+        InputError: they were given, not detected.
+    """
+    if assembly.contacts_given:
+        raise InputError(
+            "contacts of this structure were given, or have fasteners or studs, so they cannot be detected again for "
+            "moved parts; leave out the placement error"
+        )
 
 
 def moved_assembly(assembly: Assembly, tolerance: float, random: np.random.Generator) -> Assembly | None:
