@@ -262,11 +262,19 @@ def test_plans_of_all_kinds_go_on(structure: str, options: tuple[str, ...], fals
         assert checked.code == 0, checked.error
 
 
-def test_margins_are_not_asked_again(falsework: Run, tmp_path: Path) -> None:
-    first = tmp_path / "first.json"
-    assert falsework("plan", "arch:blocks=5", "--margin", "tilt=1deg", "--out", first).code == 0
-    done = falsework("replan", first, "--step", 2, "--out", tmp_path / "new.json")
-    assert "the margins that the old plan keeps (tilt=1deg) are not asked of this one" in done.error
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--margin", "tilt=1deg"), "the margins that the old plan keeps (tilt=1deg) are not asked of this one"),
+        (("--judge",), "discrete elements build the old plan, but were not asked about this one"),
+    ],
+    ids=lambda entry: entry[0] if isinstance(entry, tuple) else "",
+)
+def test_what_is_not_asked_again_is_said(options: tuple[str, ...], words: str, falsework: Run, tmp_path: Path) -> None:
+    first, new = tmp_path / "first.json", tmp_path / "new.json"
+    assert falsework("plan", "arch:blocks=5", *options, "--out", first).code == 0
+    assert words in falsework("replan", first, "--step", 2, "--out", new).error
+    assert words not in falsework("replan", new, "--step", 3, "--out", tmp_path / "other.json").error
 
 
 def test_a_robot_that_has_failed(falsework: Run, tmp_path: Path) -> None:

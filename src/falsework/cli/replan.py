@@ -170,10 +170,8 @@ class MakeReplan(Command):
         self._tell(answer, paths, output)
         if changes is not None:
             output.say(f"compared with {self.compare or self.structure.spec}: {changes.text}")
-        if plan is not None and plan.margins is not None and plan.margins.demands:
-            output.note(
-                f"falsework: the margins that the old plan keeps ({plan.margins.demands}) are not asked of this one"
-            )
+        for text in () if plan is None else _not_asked(plan):
+            output.note(f"falsework: {text}")
         remarks = [_replay_remark(answer), lacks_reserve(answer.plans[0], stability.reserve)]
         for remark in filter(None, remarks):
             output.note(f"falsework: {remark}")
@@ -319,6 +317,18 @@ class MakeReplan(Command):
         if moving and answer.search is None:
             text = f"{text}; {describe(assembly, moving, limit=3)}"
         output.note(f"falsework: {text}")
+
+
+def _not_asked(plan: Plan) -> list[str]:
+    """Return what a plan was made to keep that is not asked of one that goes on with it."""
+    found = []
+    if plan.margins is not None and plan.margins.demands:
+        found.append(f"the margins that the old plan keeps ({plan.margins.demands}) are not asked of this one")
+    if plan.replay is not None and plan.replay.judgement is not None and plan.replay.judgement.stands:
+        found.append(
+            "discrete elements build the old plan, but were not asked about this one; falsework check --judge does"
+        )
+    return found
 
 
 def _record(answer: ReplanResult) -> dict[str, Any]:
