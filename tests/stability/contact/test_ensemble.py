@@ -9,6 +9,7 @@ import pytest
 
 from falsework import Assembly, Plan, PlannerSettings, StabilitySettings, find_plans, load_structure
 from falsework.search.beam.paths import PathHistories
+from falsework.stability import HoldSettings
 from falsework.stability.contact.history import Change, Presses
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.varied_replay import (
@@ -80,6 +81,19 @@ def test_a_replay_ends_where_one_of_the_settings_fails() -> None:
     assert found.falls_at == first
     assert len(found.histories) == len(found.presses) == first
     assert (found.stands[first + 1 :] == 0).all()
+
+
+def test_a_first_state_that_falls_under_a_change_ends_the_replay() -> None:
+    """Parts that soft robots hold from the start; under further changes there is nothing left to replay."""
+    assembly = load_structure("arch:blocks=7")
+    settings = StabilitySettings(holds=HoldSettings(stiffness=1e5))
+    states = np.array([[1, 1, 2, 0, 2, 1, 1, 2, 2], [1, 1, 2, 2, 2, 1, 1, 2, 2]], dtype=np.uint8)
+    ensemble = EnsembleReplayer(assembly, settings)
+    assert ensemble.replay(states).good
+    softer = Change("softer", hold_factor=1 / 3)
+    ensemble.also_under([softer, *variations(settings, 1)])
+    found = ensemble.replay(states)
+    assert (found.falls_at, found.histories, found.presses) == (0, (), ())
 
 
 def test_a_history_of_one_setting_goes_on_under_it_alone() -> None:

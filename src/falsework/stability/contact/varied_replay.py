@@ -281,7 +281,9 @@ class EnsembleReplayer(Replayer):
         if history is not None and not history.changed:
             return found
         others, reached = list[Sequence[History]](), len(found.histories)
-        for number, change in enumerate(self.changes if reached else ()):
+        for number, change in enumerate(self.changes):
+            if not reached:  # the first state does not come to rest
+                break
             if change not in self._members:
                 self._members[change] = self.vary(*changed(change, self.settings))
             past = None if history is None else history.changed[number]
