@@ -21,6 +21,7 @@ from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_p
 from falsework.search.margins.demands import Demands, MarginOracle
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_source import structure_of_plan
+from falsework.stability.holds import HoldMode, Press
 from tests.robots.plans.conftest import boxes, make_cell
 
 
@@ -72,6 +73,32 @@ def test_a_gripper_holds_the_part_that_carries_the_others(shelf: Assembly, stron
     turned = join_parts(shelf, [(other, held)])
     plan = replace(opened.value.plan, identity=turned.identity, part_names=tuple(turned.names))
     assert not check(turned, replace(opened.value, plan=plan), strong).good
+
+
+@pytest.mark.parametrize("mode", [HoldMode.FORCE, HoldMode.HYBRID])
+def test_a_press_on_a_group_is_the_same_wrench_on_the_part_that_carries_it(
+    opened: HybridResult, shelf: Assembly, mode: HoldMode
+) -> None:
+    """Where robots control the pose across a force, moments follow from that."""
+    assert opened.structure is not None
+    assert opened.value is not None
+    groups, joined, plan = groups_of(opened.structure), opened.structure, opened.value.plan
+    assert groups is not None
+    carrier = shelf.names.index(groups.names[0][0])
+    place = int(groups.joined[carrier])
+    wrench = (3.0, 4.0, 5.0, *((0.1, 0.2, 0.3) if mode is HoldMode.FORCE else (0.0, 0.0, 0.0)))
+    claim = replace(plan.claim, holds=replace(plan.claim.holds, mode=mode))
+    pressed = replace(plan, claim=claim, presses=((Press(place, wrench),), *((),) * (len(plan) - 1)))
+    (press,) = loose_plan(pressed, groups).presses[0]
+    assert (press.part, press.wrench[:3]) == (carrier, wrench[:3])
+    moments = (
+        np.array(one[3:]) + np.cross(center, one[:3])
+        for one, center in ((wrench, joined.mass.center[place]), (press.wrench, shelf.mass.center[carrier]))
+    )
+    if mode is HoldMode.FORCE:
+        np.testing.assert_allclose(*moments, atol=1e-12)
+    else:
+        assert press.wrench == wrench
 
 
 def test_files_say_which_parts_are_one(opened: HybridResult, shelf: Assembly, tmp_path: Path) -> None:

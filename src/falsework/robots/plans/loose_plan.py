@@ -9,6 +9,7 @@ import numpy as np
 from falsework.assembly.groups import Groups
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.result import Route
+from falsework.stability.holds import HoldMode, Press
 from falsework.stability.verdict import Proof, Verdict
 
 
@@ -26,7 +27,19 @@ def loose_plan(plan: Plan, groups: Groups) -> Plan:
     states, count = groups.loosen(plan.states), len(plan.states)
     largest = int(np.bincount(groups.joined).max())
     members = [tuple(np.flatnonzero(groups.joined == part).tolist()) for part in range(len(carrier))]
-    ways = tuple(tuple(replace(move, parts=members[move.parts[0]]) for move in way) for way in plan.exit_paths)
+    ways = tuple(
+        tuple(replace(move, parts=tuple(one for part in move.parts for one in members[part])) for move in way)
+        for way in plan.exit_paths
+    )
+
+    def loosened(press: Press) -> Press:
+        force, moment = np.array(press.wrench[:3]), np.array(press.wrench[3:])
+        if plan.claim.holds.mode is HoldMode.FORCE:  # else moments are what keeps the pose across the force
+            own, mass = loose.mass, loose.mass.mass[list(members[press.part])]
+            center = mass @ own.center[list(members[press.part])] / mass.sum()
+            moment = moment + np.cross(center - own.center[carrier[press.part]], force)
+        return Press(carrier[press.part], (*force.tolist(), *moment.tolist()))
+
     return replace(
         plan,
         states=states,
@@ -42,7 +55,7 @@ def loose_plan(plan: Plan, groups: Groups) -> Plan:
         removable_only_if_clear=True,
         parts_at_once=max(largest, plan.parts_at_once),
         exit_paths=ways,
-        presses=tuple(tuple(replace(press, part=carrier[press.part]) for press in presses) for presses in plan.presses),
+        presses=tuple(tuple(map(loosened, presses)) for presses in plan.presses),
         loads=(),
         replay=None,
         margins=None,
