@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -18,11 +20,13 @@ from falsework.cli.main import main
 from falsework.errors import InputError
 from falsework.search.plans.steps import holders
 from falsework.viewer import Timeline
-from falsework.viewer.page.recording import record
+from falsework.viewer.page.recording import FRAMES, record
 from falsework.viewer.page.scene import EDGES_UP_TO
 from falsework.viewer.page.viewer_state import ViewerState
 
 pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
+
+import zstandard  # which viser needs
 
 
 def test_a_page_in_a_file_lists_the_steps_and_allows_its_own_scripts_alone(arch: Any) -> None:
@@ -54,6 +58,26 @@ def test_robot_plans_are_recorded_with_their_arms(arch: Any, scheduled: Any, cel
     page = record(viewable_of(scheduled, arch[0], cell=cell))
     assert "arm 0" in page
     assert "held by arm 1" in page
+
+
+@pytest.mark.parametrize("slower", [1.0, 1.001])
+def test_a_recording_goes_on_to_the_end_of_the_motions(slower: float, arch: Any, scheduled: Any, cell: Any) -> None:
+    """Also where that is between two pictures."""
+    from falsework.viewer.viewable import viewable_of
+
+    steps = tuple(
+        replace(step, trajectories=tuple(replace(one, times=slower * one.times) for one in step.trajectories))
+        for step in scheduled.steps
+    )
+    plan = replace(scheduled, steps=steps, schedule=None)
+    page = record(viewable_of(plan, arch[0], cell=cell))
+    found = re.search(r'__VISER_EMBED_DATA__="([^"]+)"', page)
+    assert found is not None
+    data = base64.b64decode(found[1])
+    inner = zstandard.ZstdDecompressor().decompress(data[8:], max_output_size=int.from_bytes(data[:8], "little"))
+    content = msgspec.msgpack.decode(inner[8 : 8 + int.from_bytes(inner[:8], "little")])
+    last = content["durationSeconds"] - 1.0  # a second with the last state
+    assert plan.makespan <= last < plan.makespan + 1 / FRAMES
 
 
 def test_names_do_not_become_markup(arch: Any) -> None:

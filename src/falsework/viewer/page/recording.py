@@ -27,6 +27,7 @@ from falsework.viewer.page.step_list import step_list
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import INK, rgb
 from falsework.viewer.pictures.contact_sheet import caption
+from falsework.viewer.pictures.video import frame_times
 from falsework.viewer.section import Plane
 from falsework.viewer.web.content_policy import policy_of
 from falsework.viewer.web.markup import html_text
@@ -162,8 +163,8 @@ def record(shown: Viewable | ViewerState) -> str:
         rate = FRAMES
         while rate > 1 and model.last_reading * rate > _LONG:
             rate /= 2
-        readings = np.arange(1, round(model.last_reading * rate) + 1) / rate
-        for reading in readings.tolist():
+        readings = frame_times(model.last_reading, rate, 1.0)[1:]
+        for reading in readings:
             recorded.insert_sleep(1 / rate)
             model.go_to_reading(reading)
             _frame(model, scene, title)
