@@ -277,6 +277,17 @@ def test_what_is_not_asked_again_is_said(options: tuple[str, ...], words: str, f
     assert words not in falsework("replan", new, "--step", 3, "--out", tmp_path / "other.json").error
 
 
+def test_ways_are_those_of_the_plan_also_from_a_state_of_its_own(falsework: Run, tmp_path: Path) -> None:
+    """The shelf has parts that leave together only."""
+    first, new = tmp_path / "first.json", tmp_path / "new.json"
+    assert falsework("plan", "shelf:shelves=0", "--parts-at-once", 2, "--out", first).code == 0
+    done = falsework("replan", first, "--state", "complete", "--out", new)
+    assert done.code == 0, done.error
+    plan = load_plan(new)
+    assert plan.removable_only_if_clear
+    assert plan.parts_at_once == 2
+
+
 def test_a_robot_that_has_failed(falsework: Run, tmp_path: Path) -> None:
     """The rest is built by those that are left; the whole has the steps of all."""
     first, out = tmp_path / "first.json", tmp_path / "new.json"

@@ -267,7 +267,7 @@ class MakeReplan(Command):
             deadline=self.deadline,
             removable_only_if_clear=clear,
             confidences=self.confidences,
-            **self.exits.exits(),
+            **self.exits.exits(*([] if plan is None else [plan])),
         )
 
     def _tell(self, answer: ReplanResult, paths: list[Path], output: Output) -> None:
