@@ -28,6 +28,7 @@ from falsework import (
 )
 from falsework.assembly import HELD, INSTALLED, REMOVED, States, complete_state, empty_state
 from falsework.errors import FalseworkError, InputError, StateError
+from falsework.learn import PolicySettings, make_policy
 from falsework.replanning.replanner import ReplanSettings, Request, Stage
 from falsework.replanning.search_stages import TimeSlices
 from falsework.replanning.session import ReplanSession
@@ -47,9 +48,21 @@ EMPTY = empty_state(ARCH.boundary)
 
 def make(kind: str = "mlp", **options: Any) -> Any:
     """A policy that was never trained: it proposes nonsense, which must not matter."""
-    from falsework.learn import PolicySettings, make_policy
-
     return make_policy(ARCH, PolicySettings(kind=kind, **options))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("told", [(1, True), (3, False)])
+def test_a_policy_for_many_tasks_is_told_the_task_of_each_request(told: tuple[int, bool]) -> None:
+    """Whatever it was told before: the same request has the same answer, alone, among others, and after them."""
+    dome = load_structure("dome:rings=2,blocks=6")
+    replanner = Replanner(dome, make_policy(dome, PolicySettings("local"), "cpu", seed=0))
+    asked = [Request("complete", robots=robots, confidences=True) for robots in (3, 2, 3)]
+    answers = [replanner.replan_many([request])[0] for request in asked]
+    replanner.policy.of_task(told[0], equilibrium=told[1])
+    for answer, other in zip(replanner.replan_many(asked), answers, strict=True):
+        assert answer.decided_by is other.decided_by
+        np.testing.assert_array_equal(answer.plans[0].states, other.plans[0].states)
+        np.testing.assert_allclose(answer.confidences[0], other.confidences[0], atol=1e-5)
 
 
 @pytest.fixture(scope="module")

@@ -136,10 +136,7 @@ class MakeReplan(Command):
         if self.policy is not None:
             if policy is not None:
                 raise InputError(f"{self.structure.spec} is a run already; leave --policy out, or name the structure")
-            criterion = self.holds.settings_from(plan, assembly, self.criterion, self.solver).criterion
-            policy = self._load_run(self.policy, assembly).policy.of_task(
-                robots, equilibrium=criterion == "equilibrium"
-            )
+            policy = self._load_run(self.policy, assembly).policy
         old = before if self.compare is None else load_plan(self.compare)
         if old is not None and old.identity != assembly.identity:
             raise InputError(f"{self.compare} is a plan for another structure, {old.name}; compare plans of one")

@@ -28,8 +28,16 @@ _BACK = 2
 """Half of the samples branch off the proven part of the greedy rollout: 2, 4, 8, ... steps before its end."""
 
 
+def of_one_kind(sessions: Sequence[ReplanSession]) -> list[list[ReplanSession]]:
+    """Return sessions in groups with the same number of robots, which policies for many tasks are told."""
+    groups: dict[int, list[ReplanSession]] = {}
+    for session in sessions:
+        groups.setdefault(session.task.robots, []).append(session)
+    return list(groups.values())
+
+
 def follow_greedily(sessions: Sequence[ReplanSession], context: ReplanContext) -> None:
-    """Take the most probable actions for all sessions at once, then check the resulting states.
+    """Take the most probable actions for all sessions of one kind at once, then check the resulting states.
 
     The output of the network does not depend on verdicts, so whole rollouts are computed first, and the oracle then
     checks their states together, which keeps all cores busy.
@@ -47,7 +55,7 @@ def follow_greedily(sessions: Sequence[ReplanSession], context: ReplanContext) -
         [task for _, task in variants],
         [task.start for _, task in variants],
         np.arange(len(variants)),
-        context.guide.log_probabilities,
+        context.guide.for_task(owners[0].task).log_probabilities,
         stop=lambda number: _late(owners[number]),
     )
     for session in sessions:
@@ -61,7 +69,7 @@ def follow_greedily(sessions: Sequence[ReplanSession], context: ReplanContext) -
 
 
 def follow_samples(sessions: Sequence[ReplanSession], context: ReplanContext) -> None:
-    """Draw rollouts for all sessions at once; half of them branch off the proven part of the greedy one."""
+    """Draw rollouts for all sessions of one kind at once; half of them branch off the proven part of the greedy one."""
     sessions = [
         session for session in sessions if not session.done and (not session.routes or session.request.alternatives > 1)
     ]
@@ -83,7 +91,7 @@ def follow_samples(sessions: Sequence[ReplanSession], context: ReplanContext) ->
         [session.task for session in sessions],
         [prefix[-1] for prefix in prefixes],
         owner,
-        context.guide.log_probabilities,
+        context.guide.for_task(sessions[0].task).log_probabilities,
         rng=np.random.default_rng([session.request.seed for session in sessions]),
         stable=stable,
         stop=lambda number: _late(sessions[number]),

@@ -21,7 +21,7 @@ from falsework.assembly.props import whole_state
 from falsework.errors import InputError
 from falsework.replanning.named_state import StateLike
 from falsework.replanning.policy_guide import PolicyGuide
-from falsework.replanning.policy_stages import follow_greedily, follow_samples, with_time
+from falsework.replanning.policy_stages import follow_greedily, follow_samples, of_one_kind, with_time
 from falsework.replanning.proving import Prover
 from falsework.replanning.request import Request as Request
 from falsework.replanning.result import ReplanResult as ReplanResult
@@ -95,7 +95,7 @@ class Replanner:
     def replan_many(self, requests: Sequence[Request], *, finished: Finished | None = None) -> list[ReplanResult]:
         """Answer several requests together.
 
-        The policy is followed for all of them in lock-step; those that need a search then take turns.
+        The policy is followed in lock-step for all that have as many robots; those that need a search then take turns.
 
         Args:
             requests: any mixture; check each with `Request.task` first if a bad one must not fail the rest.
@@ -151,8 +151,9 @@ class _Round:
             # Sessions whose deadline leaves no time for rollouts are searched at once.
             patient = with_time([(session, 1) for session in self._open()], self._context.guide)
             self._search([number for number, session in enumerate(self._sessions) if session not in patient])
-            follow_greedily(self._open(), self._context)
-            follow_samples(self._open(), self._context)
+            for follow in (follow_greedily, follow_samples):
+                for some in of_one_kind(self._open()):
+                    follow(some, self._context)
         self._search(range(len(self._sessions)))
         return [self._answers[number] for number in range(len(self._sessions))]
 

@@ -328,4 +328,4 @@ class ReplanSession:
         legal: Mask = self.task.moves(states, Direction.DISASSEMBLY)
         targets = np.broadcast_to(self.task.target, states.shape)
         with self.clock.timed("policy"):
-            return np.exp(guide.log_probabilities(states, legal, targets)).astype(np.float32)
+            return np.exp(guide.for_task(self.task).log_probabilities(states, legal, targets)).astype(np.float32)
