@@ -55,7 +55,8 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of a few steps; what its policy does not know, searches do."""
     pytest.importorskip("torch", reason="needs torch; pip install 'falsework[learn]'")
     folder = tmp_path_factory.mktemp("trained") / "run"
-    assert main(["train", "arch:blocks=3", "--out", str(folder), "--steps", "20"]) == 0
+    rules = ("--robots", "3", "--removable-only-if-clear")
+    assert main(["train", "arch:blocks=3", "--out", str(folder), "--steps", "20", *rules]) == 0
     return folder
 
 
@@ -69,7 +70,9 @@ def test_a_run_is_served_with_its_policy_and_the_token_of_the_environment(traine
             answers = [client.post("/replan", json={"seed": seed}).json() for seed in range(4)]
     assembly = load_structure("arch:blocks=3")
     for answer in answers:
-        assert validate_plan(plan_from_dict(answer["plans"][0]), assembly).good
+        plan = plan_from_dict(answer["plans"][0])
+        assert validate_plan(plan, assembly).good
+        assert (plan.robots, plan.removable_only_if_clear) == (3, True)  # as in training
     assert {answer["decided_by"] for answer in answers} <= {"policy greedy", "policy sampled", "guided search"}
 
 

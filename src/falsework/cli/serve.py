@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from tyro.conf import arg
 
@@ -56,7 +56,8 @@ class Serve(JudgingCommand):
             _check(name)
         from falsework.service.server import run_service
 
-        assembly, run = self._load()
+        assembly, run, rules = self._load()
+        settings = replace(settings, **rules)
 
         def started(address: str) -> None:
             policy = None if run is None else str(run)
@@ -75,8 +76,8 @@ class Serve(JudgingCommand):
         settings = ServiceSettings(host=self.host, port=self.port, token=token, criterion=self.criterion)
         return settings if self.workers is None else replace(settings, workers=self.workers)
 
-    def _load(self) -> tuple[Assembly, Path | None]:
-        """Return the structure, and the run if there is one."""
+    def _load(self) -> tuple[Assembly, Path | None, dict[str, Any]]:
+        """Return the structure, the run if there is one, and the settings of the service that a run stands for."""
         from falsework.utils.tensors import check_torch
 
         folder = Path(self.structure.spec)
@@ -87,15 +88,18 @@ class Serve(JudgingCommand):
                 from falsework.learn.training.checkpoint import check_structure, read_run, run_folder
 
                 check_structure(self.policy, read_run(run_folder(self.policy)), assembly)
-            return assembly, self.policy
+            return assembly, self.policy, {}
         if self.policy is not None:
             raise InputError(f"{folder} is a run already; leave --policy out, or name the structure instead")
         if self.structure.given():
             raise InputError(f"{folder} is a run, which says what its structure is; leave {self._first_given()} out")
         check_torch()
-        from falsework.learn.training.checkpoint import load_structure_of, read_run
+        from falsework.learn.training.checkpoint import load_structure_of, read_run, settings_of
 
-        return load_structure_of(folder, read_run(folder)), folder
+        metadata = read_run(folder)
+        trained = settings_of(metadata)
+        rules = {"robots": trained.robots, "removable_only_if_clear": trained.removable_only_if_clear}
+        return load_structure_of(folder, metadata), folder, rules
 
     def _first_given(self) -> str:
         return f"--{next(iter(self.structure.given()))}"

@@ -95,11 +95,11 @@ class ReplanRequest(FileModel, frozen=True):
     fixed: Parts = []
     """Parts that must not be held or removed."""
     robots: Annotated[int, Meta(ge=1, le=MOST_ROBOTS)] | UnsetType = UNSET
-    """Parts that can be held at a time; by default those of the plan, else 2."""
+    """Parts that can be held at a time; by default those of the plan, else those of the run that is served, else 2."""
     alternatives: Annotated[int, Meta(ge=1, le=MOST_ALTERNATIVES)] = 1
     """Number of plans."""
     removable_only_if_clear: bool = False
-    """Move parts along collision-free straight lines only."""
+    """Move parts along collision-free straight lines only; so too where the run that is served does."""
     holds: Holds | UnsetType = UNSET
     """What robots that hold parts can do."""
     reserve: Annotated[float, Meta(ge=1, le=MOST_RESERVE)] = 1.0

@@ -71,6 +71,10 @@ class ServiceSettings:
     """States in one request about stability."""
     criterion: Criterion = "contact"
     """Stability criterion, see `falsework.stability.StabilitySettings`."""
+    robots: int = 2
+    """Robots of a request that names neither them nor a plan; those of a run that is served."""
+    removable_only_if_clear: bool = False
+    """Whether each plan has parts move along collision-free straight lines only, as a run that is served does."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
