@@ -172,7 +172,9 @@ def test_what_is_not_given_is_as_in_the_plan_that_goes_on(
     )
     plan = find_plans(assembly, stability=old).unwrap()
     units = {"hold_force": scale.force, "hold_moment": scale.moment}
-    texts = {name: str(value * units[name]) if name in units else value for name, value in options.items()}
+    texts: dict[str, Any] = {
+        name: str(value * units[name]) if name in units else value for name, value in options.items()
+    }
     found = HoldOptions(**texts).settings_from(plan, assembly, None, scale=scale)
     holds = scale.inverse.holds(found.holds).resolved(assembly, 9.0)
     assert holds == replace(old.holds, **given).resolved(assembly, 9.0)

@@ -55,10 +55,11 @@ def make(kind: str = "mlp", **options: Any) -> Any:
 def test_a_policy_for_many_tasks_is_told_the_task_of_each_request(told: tuple[int, bool]) -> None:
     """Whatever it was told before: the same request has the same answer, alone, among others, and after them."""
     dome = load_structure("dome:rings=2,blocks=6")
-    replanner = Replanner(dome, make_policy(dome, PolicySettings("local"), "cpu", seed=0))
+    policy = make_policy(dome, PolicySettings("local"), "cpu", seed=0)
+    replanner = Replanner(dome, policy)
     asked = [Request("complete", robots=robots, confidences=True) for robots in (3, 2, 3)]
     answers = [replanner.replan_many([request])[0] for request in asked]
-    replanner.policy.of_task(told[0], equilibrium=told[1])
+    policy.of_task(told[0], equilibrium=told[1])
     for answer, other in zip(replanner.replan_many(asked), answers, strict=True):
         assert answer.decided_by is other.decided_by
         np.testing.assert_array_equal(answer.plans[0].states, other.plans[0].states)

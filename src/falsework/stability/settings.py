@@ -105,10 +105,11 @@ class StabilitySettings(StabilityBounds):
         Args:
             criterion: another criterion, to which cone, reserve and holds of the claim do not apply.
         """
-        if criterion in (None, claim.criterion):
-            return cls(**vars(claim))
-        own = {name: value for name, value in vars(claim).items() if name not in ("cone", "reserve", "holds")}
-        return cls(**{**own, "criterion": criterion})
+        given = vars(claim)
+        if criterion is not None and criterion != claim.criterion:
+            given = {name: value for name, value in given.items() if name not in ("cone", "reserve", "holds")}
+            given["criterion"] = criterion
+        return cls(**given)
 
     def under_gravity_of(self, claim: StabilityCriterion | None) -> StabilitySettings:
         """Return the same settings under the gravity of the claim of a plan, if there is one."""
