@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, verify_certificates
+from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, load_structure, verify_certificates
 from falsework.assembly import complete_state, library
 from falsework.errors import InputError, StateError
 from falsework.stability import ExactSolver, NumericalSettings, Proof, Verdicts
 from falsework.stability.certificate import CONTACT
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.problem import build_problem
-from falsework.stability.verdict import Solver
+from falsework.stability.verdict import Criterion, Solver
 
 
 @pytest.fixture(scope="module")
@@ -425,6 +425,21 @@ def test_bad_states_are_named(arch: Assembly, as_near: bool, state: Any, message
 def test_bad_states_do_not_reach_the_exact_solver(arch: Assembly) -> None:
     with pytest.raises(StateError, match="one value for each part"):
         ExactSolver(arch, StabilitySettings(criterion="equilibrium")).check([1, 1])
+
+
+@pytest.mark.parametrize("gravity", [1e-300, 1e-10, 1e10, 1e300])
+def test_gravity_is_one_of_a_body(gravity: float) -> None:
+    """Squares of forces are numbers up to there."""
+    with pytest.raises(InputError, match="give 1e-09 to 1e\\+09"):
+        StabilitySettings(gravity=gravity)
+
+
+@pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
+@pytest.mark.parametrize("gravity", [1e-9, 1e9])
+def test_an_arch_stands_on_any_body(gravity: float, criterion: Criterion) -> None:
+    arch = load_structure("arch:blocks=5")
+    oracle = StabilityOracle(arch, StabilitySettings(gravity=gravity, criterion=criterion))
+    assert oracle.verdicts(complete_state(arch.boundary)).stable.all()
 
 
 @pytest.mark.parametrize("name", ["gravity", "tolerance", "force_bound"])

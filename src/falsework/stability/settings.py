@@ -13,6 +13,9 @@ from falsework.stability.verdict import Criterion
 
 SolverName = Literal["auto", "cpu", "gpu", "exact"]
 
+MOST_GRAVITY = 1e9
+"""Largest acceleration of gravity that is taken, m/s2; the smallest is its inverse."""
+
 
 @dataclass(frozen=True)
 class NumericalSettings:
@@ -91,6 +94,8 @@ class StabilitySettings(StabilityBounds):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise InputError(f"{name} is {value}; give a positive number")
+        if not 1 / MOST_GRAVITY <= self.gravity <= MOST_GRAVITY:  # beyond, squares of forces are no numbers any more
+            raise InputError(f"gravity is {self.gravity:g} m/s2; give {1 / MOST_GRAVITY:g} to {MOST_GRAVITY:g}")
         if self.reserve < 1:
             raise InputError(f"reserve is {self.reserve:g}, which would raise friction; give 1 for none, or more")
         if self.cone is not None and self.cone not in get_args(Cone):
