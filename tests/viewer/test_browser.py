@@ -490,9 +490,6 @@ def test_a_file_plays_without_a_server(browser: Any, arch: Any, tmp_path: Path) 
     assembly, plan = arch
     save_page(viewable_of(plan, assembly), tmp_path / "plan.html")
     tab = browser.new_page()
-    tab.set_viewport_size(
-        {"width": 500, "height": 320}
-    )  # the file has shadows, which take long without a graphics card
     wrong: list[str] = []
     tab.on("pageerror", lambda error: wrong.append(str(error)))
     tab.goto((tmp_path / "plan.html").as_uri(), timeout=1000 * PATIENCE)
@@ -526,9 +523,9 @@ def test_a_file_plays_without_a_server(browser: Any, arch: Any, tmp_path: Path) 
         return int((np.abs(one - other).max(axis=2) > 60).sum())
 
     first, last = at(1), at(len(plan))
-    assert changed(first, last) > 800
+    assert changed(first, last) > 2000
     again, end = at(1), time.monotonic() + PATIENCE
-    while changed(first, again) >= 200:  # going back leaves nothing of what came later
+    while changed(first, again) >= 500:  # going back leaves nothing of what came later
         assert time.monotonic() < end
         tab.wait_for_timeout(750)
         again = shot()
