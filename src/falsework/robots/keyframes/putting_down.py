@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice, product
 
@@ -10,20 +10,16 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from shapely import MultiPoint, Point, Polygon
 
-from falsework.assembly.model import Assembly
-from falsework.robots.grasping.grasp import Grasp, grasps
+from falsework.robots.grasping.grasp import Grasp
 from falsework.robots.kernels.collision import distance_between
-from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
 from falsework.robots.keyframes.keyframes import PathSegment
+from falsework.robots.keyframes.reaching import Reaching
 from falsework.robots.keyframes.withdrawal import lifted
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.shapes import Array, inverse_pose, move, move_pieces
-from falsework.robots.motion.collision_world import PUT_DOWN, CollisionQuery, Scene, grasp_contact
-from falsework.robots.motion.path_planner import MotionCache
-
-Retreat = Callable[[str, int, int, Array, Array, CollisionQuery, CollisionQuery], Array | None]
+from falsework.robots.motion.collision_world import PUT_DOWN, Scene, grasp_contact
 
 _MOST_FACES = 6
 """Faces on which a part is put down, those for which it turns least first."""
@@ -75,12 +71,9 @@ class _Down:
 class PuttingDown:
     """Detours by way of the floor for parts whose grasp allows no delivery."""
 
-    def __init__(
-        self, assembly: Assembly, cache: MotionCache, reasons: FailureLog, grips: GraspConfigurations, retreat: Retreat
-    ) -> None:
-        """Log to `reasons` why there are no motions; `retreat` is that of the keyframe graph."""
-        self.assembly, self.cache, self.reasons, self._grips, self._retreat = assembly, cache, reasons, grips, retreat
-        self.cell, self.parts = cache.world.cell, cache.world.parts
+    def __init__(self, grips: GraspConfigurations, reaching: Reaching) -> None:
+        self.cell, self.parts, self.cache, self.reasons = grips.cell, grips.parts, grips.cache, grips.reasons
+        self._grips, self._reaching = grips, reaching
         self._faces: dict[int, list[Array]] = {}
 
     def detour(self, part: int, robot: int, here: Array, end: Array, scene: Scene) -> Detour | None:
@@ -111,7 +104,7 @@ class PuttingDown:
         found: list[tuple[Grasp, Array]] = []
         if not len(places):
             return found
-        for grasp in grasps(self.assembly, self.parts, part, alone, self.cell.robots[robot], limit=self._grips.limit):
+        for grasp in self._grips.grasps(part, alone, self.cell.robots[robot].gripper):
             carried = scene.with_attached(robot, part, grasp.tool)
             free = places[self.cache.view(carried, robot).hits(places) < 0]
             if len(free):
@@ -248,8 +241,7 @@ class PuttingDown:
     def _leave(self, lying: Scene, part: int, robot: int, at: Array) -> Array | None:
         """Return the line on which an empty gripper leaves a part that lies on the floor; None if it is blocked."""
         way = -tool_pose(self.cell.robots[robot], at)[:3, 2]
-        view = self.cache.view(lying, robot, grasp_contact(part))
-        return self._retreat("remove", part, robot, at, way, view, self.cache.view(lying, robot))
+        return self._reaching.retreat("remove", lying, part, robot, at, way)
 
 
 def downwards(normal: Array) -> Array:

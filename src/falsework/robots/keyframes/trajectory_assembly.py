@@ -61,7 +61,7 @@ def make_robot_plan(
         )
         partners = tuple(Partner(robot, legs) for robot, legs in zip(robots[1:], others, strict=True))
         load = (before.load(edge.robot) or edge.node.load(edge.robot)) if edge.transit else None
-        away = load is not None and edge.node.state[load.attached.part] == REMOVED
+        away = load is not None and edge.node.state[load.part] == REMOVED
         gripped = load.gripped if load is not None and away else None
         steps.append(RobotStep(edge.robot, made, handed, edge.put_down, edge.transit, gripped, partners))
     return RobotPlan(
@@ -76,7 +76,7 @@ def make_robot_plan(
 
 
 def _loads(node: Node) -> tuple[int | None, ...]:
-    return tuple(None if load is None else load.attached.part for load in node.carried)
+    return tuple(None if load is None else load.part for load in node.carried)
 
 
 def timed_legs(

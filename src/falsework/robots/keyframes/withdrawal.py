@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from falsework.geometry.clearance.moves import ExitPath, PathMove
-from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
 from falsework.robots.keyframes.keyframes import PathSegment
 from falsework.robots.kinematics.forward import tool_pose
@@ -30,14 +29,12 @@ _MAX_PLACES = 4
 class Withdrawal:
     """Withdrawals of parts that robots hold."""
 
-    def __init__(
-        self, cache: MotionCache, reasons: FailureLog, grips: GraspConfigurations, lengths: Sequence[float]
-    ) -> None:
-        """Withdraw parts in the scenes of `cache` on lines of some lengths, and log to `reasons` why one cannot leave.
+    def __init__(self, grips: GraspConfigurations, lengths: Sequence[float]) -> None:
+        """Withdraw parts, in the scenes of their grasps, on lines of some lengths.
 
         Lengths are in approach margins of the cell and are tried in turn until the part is clear.
         """
-        self.cell, self.cache, self.reasons = cache.world.cell, cache, reasons
+        self.cell, self.cache, self.reasons = grips.cell, grips.cache, grips.reasons
         self.grips, self.lengths = grips, lengths
 
     def lines(
