@@ -222,7 +222,7 @@ class MotionCache:
         self.motions = self.motions_kept = self.views = 0
         self._nodes, self._seed = nodes, seed
         self._motions: dict[bytes, Motion] = {}
-        self._views: dict[bytes, dict[str, CollisionQuery]] = {}
+        self._views: dict[bytes, dict[tuple[Contact, float], CollisionQuery]] = {}
 
     def motion(self, scene: Scene, robot: int, start: Array, goal: Array) -> Motion:
         """Return a free motion of one robot between configurations, with a seed that depends only on the arguments."""
@@ -246,10 +246,7 @@ class MotionCache:
         if margin is None:
             margins = self.world.cell.margins
             margin = margins.free if contact is NO_CONTACT else margins.line
-        place = scene_digest(scene, robot)
-        rules = repr(
-            (sorted(contact.gripper), sorted(contact.carried), contact.carried_floor, contact.carried_supports, margin)
-        )
+        place, rules = scene_digest(scene, robot), (contact, margin)
         views = self._views.get(place)
         if views is None:
             while len(self._views) > _CACHED_SCENES:
