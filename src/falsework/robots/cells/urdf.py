@@ -214,14 +214,13 @@ def always_touching(model: RobotModel) -> set[tuple[int, int]]:
     configurations = np.random.default_rng(0).uniform(model.lower, model.upper, (COLLISION_SAMPLES, model.joints))
     bare = Gripper("none", "suction", (), np.eye(4), 0.0)
     robot = CellRobot("arm", model, np.eye(4), bare, model.home, np.zeros((0, 4, 4)))
-    bodies, _, kinds = make_bodies(robot, None, ())
-    links = np.array(kinds)
+    bodies, _, links = make_bodies(robot)
     obstacles, _ = make_obstacles([])
     chain = make_chain(model, np.eye(4))
-    pairs = self_pairs(model, kinds)
+    pairs = self_pairs(model, links).tolist()
     found = set()
     hits = np.empty(COLLISION_SAMPLES, np.int64)
-    for a, b in sorted({(int(links[i]), int(links[j])) for i, j in pairs}):
+    for a, b in sorted({(links[i], links[j]) for i, j in pairs}):
         tried = np.array([(i, j) for i, j in pairs if (links[i], links[j]) == (a, b)], np.int64)
         rules = Rules(np.zeros((len(links), 0), bool), tried, -1e9, np.zeros(len(links), bool), 0.0)
         check_many(configurations, make_query(chain, bodies, obstacles, rules), hits)

@@ -256,13 +256,14 @@ class CollisionWorld:
         placed = placed_bodies(self.chains[robot], bodies, values)
         return [piece for piece in zip(names, links, placed, strict=True) if piece[1]]  # the base does not move
 
-    def bodies(self, robot: int, held: Attached | None) -> tuple[Bodies, tuple[str, ...], list[int]]:
+    def bodies(self, robot: int, held: Attached | None) -> tuple[Bodies, tuple[str, ...], tuple[int, ...]]:
         """Return the bodies of a robot with its load, their names, and the link of each as of `make_bodies`."""
         entry, carried = self.cell.robots[robot], None
         if held is not None:
             pose = entry.gripper.tool @ held.tool_from_part
-            carried = held.part, tuple(move(pose, piece) for piece in self.parts.pieces[held.part])
-        bodies, names, links = make_bodies(entry, carried, self.parts.names)
+            name = f"part {self.parts.names[held.part]}"
+            carried = name, tuple(move(pose, piece) for piece in self.parts.pieces[held.part])
+        bodies, names, links = make_bodies(entry, carried)
         own = entry.model.joints + 1
         return bodies, tuple(f"{entry.name} {n}" if k <= own else n for n, k in zip(names, links, strict=True)), links
 
