@@ -18,7 +18,7 @@ from falsework.robots.keyframes.reaching import Reaching
 from falsework.robots.keyframes.withdrawal import lifted
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
-from falsework.robots.model.shapes import Array, inverse_pose, move, move_pieces
+from falsework.robots.model.shapes import Array, inverse_pose, least_turn, move, move_pieces
 from falsework.robots.motion.collision_world import PUT_DOWN, Scene, grasp_contact
 
 _MOST_FACES = 6
@@ -41,6 +41,7 @@ _MOST_LINES = 100
 """Configurations of the robot with the part on the floor from which it is tried to lift it."""
 _MOST_MOTIONS = 6
 """Grasps at one place to which a motion of the empty gripper is tried."""
+_DOWN = np.array([0.0, 0.0, -1.0])
 _LIFT = 0.5
 """Length of the line on which a part is put down or lifted, in approach margins of the cell."""
 
@@ -210,7 +211,7 @@ class PuttingDown:
             size = float(np.ptp(corners, axis=0).max())
             found = []
             for normal in planes[:, :3]:
-                turn = downwards(normal)
+                turn = least_turn(normal, _DOWN, np.array([1.0, 0.0, 0.0]))
                 level = corners @ turn.T
                 base = MultiPoint(level[level[:, 2] <= level[:, 2].min() + 1e-4 * size, :2]).convex_hull
                 over = Point((turn @ center)[:2])
@@ -242,13 +243,3 @@ class PuttingDown:
         """Return the line on which an empty gripper leaves a part that lies on the floor; None if it is blocked."""
         way = -tool_pose(self.cell.robots[robot], at)[:3, 2]
         return self._reaching.retreat("remove", lying, part, robot, at, way)
-
-
-def downwards(normal: Array) -> Array:
-    """Return the least rotation that turns a unit vector downwards, shape (3, 3)."""
-    cosine = -float(normal[2])
-    if cosine < -1 + 1e-9:
-        return np.diag([1.0, -1.0, -1.0])
-    axis = np.array([-normal[1], normal[0], 0.0])  # the cross product with (0, 0, -1)
-    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    return np.eye(3) + cross + cross @ cross / (1 + cosine)
