@@ -197,13 +197,8 @@ class _Checker:
             if not self.cell.robots[robot].model.within_limits(values, OUTSIDE):
                 self.say(min(index, len(self.plan) - 1), robot, f"at the {when} a joint is outside its limits")
             others = {other: load for other, load in loads.items() if other != robot}
-            given = {
-                "touches": frame.held[robot],
-                "load": loads.get(robot),
-                "loads": others,
-                "waits": dict(frame.waits),
-            }
-            move = self.judge.prepare(robot, frame.configurations, present, **given)
+            given = {"touches": frame.held[robot], "load": loads.get(robot), "loads": others}
+            move = self.judge.prepare(robot, frame.configurations, present, **given, waits=dict(frame.waits))
             pair = move.hits(values)
             if pair is not None:
                 step = min(index, len(self.plan) - 1)
@@ -214,12 +209,8 @@ class _Checker:
 
         A part that was put down is not carried, and may be touched on the lines too.
         """
-        step, action = self.plan.steps[index], int(self.plan.actions[index])
-        moved, trajectory, load = (
-            self.plan.part_of(index, robot),
-            step.of(robot)[order],
-            load_of(self.plan, index, order, robot),
-        )
+        step, action, moved = self.plan.steps[index], int(self.plan.actions[index]), self.plan.part_of(index, robot)
+        trajectory, load = step.of(robot)[order], load_of(self.plan, index, order, robot)
         if step.transit:  # of which `step_fault` has checked the parts
             if trajectory.touches is not None and trajectory.kind != "line":
                 self.say(index, robot, f"motion {order + 1} may not touch part {trajectory.touches}")

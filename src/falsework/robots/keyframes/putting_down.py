@@ -224,9 +224,8 @@ class PuttingDown:
 
     def _fixed(self, scene: Scene, robot: int) -> list[Array]:
         """Return the pieces of all that stays where it is while a robot moves, with the base of that robot."""
-        entry, obstacles = self.cell.robots[robot], self.cache.view(scene, robot).arrays.obstacles
-        rows = zip(obstacles.start[:-1], obstacles.start[1:], strict=True)
-        return [obstacles.vertices[a:b] for a, b in rows] + [move(entry.base, p) for p in entry.model.pieces[0]]
+        entry = self.cell.robots[robot]
+        return self.cache.view(scene, robot).obstacles + [move(entry.base, p) for p in entry.model.pieces[0]]
 
     def _is_free(self, part: int, pose: Array, fixed: Sequence[Array]) -> bool:
         """Return whether a part at a pose keeps the margin of free motions from fixed pieces."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -158,6 +159,12 @@ class CollisionQuery:
     def margin(self) -> float:
         """Distance to keep, metres."""
         return float(self.arrays.rules.margin)
+
+    @property
+    def obstacles(self) -> list[Array]:
+        """Vertices of each obstacle in the world, as `obstacle_names` has them."""
+        found = self.arrays.obstacles
+        return [found.vertices[a:b] for a, b in pairwise(found.start.tolist())]
 
     def under(self, contact: Contact, margin: float) -> CollisionQuery:
         """Return queries in the same scene under another contact rule and margin."""

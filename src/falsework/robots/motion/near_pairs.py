@@ -49,7 +49,7 @@ def near_pairs(query: CollisionQuery, configuration: ArrayLike) -> list[NearPair
     """
     _, bodies, obstacles, rules, _ = query.arrays
     placed = placed_bodies(query.arrays.chain, bodies, np.asarray(configuration, dtype=np.float64))
-    fixed = [obstacles.vertices[a:b] for a, b in zip(obstacles.start[:-1], obstacles.start[1:], strict=True)]
+    fixed = query.obstacles
     found: dict[tuple[str, str], NearPair] = {}
 
     def add(first: str, second: str, distance: float, wanted: float) -> None:

@@ -135,8 +135,7 @@ def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, di
         raise InputError(f"direction is {direction!r}; give three numbers that are not all zero")
     if not distance > 0:
         raise InputError(f"the length of the line is {distance:g} m; give a distance above zero")
-    x, y, z = (along / length).tolist()
-    return follow_move(view, start, PathMove((), (x, y, z), distance))
+    return follow_move(view, start, PathMove.straight((), along / length, distance))
 
 
 def follow_move(view: CollisionQuery, start: ArrayLike, move: PathMove, *, points: int = 2) -> Motion:
