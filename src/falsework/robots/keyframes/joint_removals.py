@@ -224,8 +224,7 @@ class JointRemovals:
         for part, robot in holders.items():
             there = replace(scene, beside=beside - {robot})
             view, here = self.cache.view(there, robot), scene.configurations[robot]
-            hit = int(view.hits(here)[0])
-            if hit >= 0:
-                self.reasons.add("remove", part, robot, "way out with others: not clear", view.pair(hit), here)
+            if near := view.explain(here):
+                self.reasons.add("remove", part, robot, "way out with others: not clear", near, here)
                 return False
         return True

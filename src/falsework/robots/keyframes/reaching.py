@@ -28,10 +28,10 @@ class Reaching:
             if line.path is None:
                 self.reasons.add(action, part, robot, f"{what}: {line.reason}", line.pair, line.at)
                 continue
-            hit = int(clear.hits(line.path[-1])[0])
-            if hit < 0:
+            near = clear.explain(line.path[-1])
+            if near is None:
                 return line.path
-            self.reasons.add(action, part, robot, f"{what}: too near", clear.pair(hit), line.path[-1])
+            self.reasons.add(action, part, robot, f"{what}: too near", near, line.path[-1])
         return None
 
     def approach(self, scene: Scene, part: int, robot: int, retreat: Array) -> tuple[PathSegment, ...] | None:

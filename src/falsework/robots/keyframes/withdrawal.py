@@ -83,9 +83,8 @@ class Withdrawal:
                     self._refuse(part, robot, what, out)
                 break
             path, done = out.path, some
-            free = self.cache.view(scene, robot)
-            hit = int(free.hits(path[-1])[0])
-            if hit < 0:
+            near = self.cache.view(scene, robot).explain(path[-1])
+            if near is None:
                 roomy = self.cache.view(scene, robot, NO_CONTACT, _ROOM * self.cell.margins.free)
                 if not roomy.collides(path[-1])[0]:
                     yield (path,)
@@ -98,7 +97,7 @@ class Withdrawal:
             if lift is not None:
                 yield path, lift
                 return
-            self.reasons.add("remove", part, robot, f"{what}: not clear at its end", free.pair(hit), path[-1])
+            self.reasons.add("remove", part, robot, f"{what}: not clear at its end", near, path[-1])
         if tight is not None:
             yield (tight,)
 

@@ -246,6 +246,11 @@ class CollisionWorld:
             )
         return self._resting[part]
 
+    def carried(self, robot: int, held: Attached) -> Pieces:
+        """Return the pieces of a load of a robot, in the frame of the flange."""
+        pose = self.cell.robots[robot].gripper.tool @ held.tool_from_part
+        return tuple(move(pose, piece) for piece in self.parts.pieces[held.part])
+
     def robot_pieces(self, robot: int, scene: Scene) -> list[tuple[str, int, Array]]:
         """Return all moving pieces of a robot in the world: name, link (gripper joints + 1, part + 2), vertices."""
         held, values = scene.attached[robot], np.asarray(scene.configurations[robot], dtype=np.float64)
@@ -265,11 +270,8 @@ class CollisionWorld:
 
     def bodies(self, robot: int, held: Attached | None) -> tuple[Bodies, tuple[str, ...], tuple[int, ...]]:
         """Return the bodies of a robot with its load, their names, and the link of each as of `make_bodies`."""
-        entry, carried = self.cell.robots[robot], None
-        if held is not None:
-            pose = entry.gripper.tool @ held.tool_from_part
-            name = f"part {self.parts.names[held.part]}"
-            carried = name, tuple(move(pose, piece) for piece in self.parts.pieces[held.part])
+        entry = self.cell.robots[robot]
+        carried = None if held is None else (f"part {self.parts.names[held.part]}", self.carried(robot, held))
         bodies, names, links = make_bodies(entry, carried)
         own = entry.model.joints + 1
         return bodies, tuple(f"{entry.name} {n}" if k <= own else n for n, k in zip(names, links, strict=True)), links

@@ -100,7 +100,7 @@ class BoundaryMotions:
             grips[load.part] = robot, load.gripped
         for part, (robot, values) in grips.items():
             tool = tool_pose(graph.cell.robots[robot], values)
-            graph.given[part] = GraspConfiguration(robot, Grasp(part, tool, tool[:3, 2].copy(), 1.0), values)
+            graph.given[part] = GraspConfiguration(robot, Grasp(tool, tool[:3, 2].copy(), 1.0), values)
         if grips:
             graph.joint.forget()
         graph.accepts = self.accepts
