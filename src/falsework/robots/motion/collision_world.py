@@ -254,19 +254,17 @@ class CollisionWorld:
     def robot_pieces(self, robot: int, scene: Scene) -> list[tuple[str, int, Array]]:
         """Return all moving pieces of a robot in the world: name, link (gripper joints + 1, part + 2), vertices."""
         held, values = scene.attached[robot], np.asarray(scene.configurations[robot], dtype=np.float64)
-        if held is not None:
-            return self._moving_pieces(robot, values, held)
         key = robot, values.tobytes()
-        if key not in self._placed:
-            if len(self._placed) >= _PLACED:
-                self._placed.clear()
-            self._placed[key] = self._moving_pieces(robot, values, None)
-        return self._placed[key]
-
-    def _moving_pieces(self, robot: int, values: Array, held: Attached | None) -> list[tuple[str, int, Array]]:
+        if held is None and key in self._placed:
+            return self._placed[key]
         bodies, names, links = self.bodies(robot, held)
         placed = placed_bodies(self.chains[robot], bodies, values)
-        return [piece for piece in zip(names, links, placed, strict=True) if piece[1]]  # the base does not move
+        found = [piece for piece in zip(names, links, placed, strict=True) if piece[1]]  # the base does not move
+        if held is None:
+            if len(self._placed) >= _PLACED:
+                self._placed.clear()
+            self._placed[key] = found
+        return found
 
     def bodies(self, robot: int, held: Attached | None) -> tuple[Bodies, tuple[str, ...], tuple[int, ...]]:
         """Return the bodies of a robot with its load, their names, and the link of each as of `make_bodies`."""
