@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,21 +149,6 @@ class KeyframeGraph:
         alone = np.where(self.assembly.boundary, HELD, REMOVED).astype(np.uint8)
         alone[part] = HELD
         return any(self.grips(robot, part, alone) for robot in range(self.cell.robot_count))
-
-    @cached_property
-    def lowest(self) -> float:
-        """Height of the lowest centre of a part, metres."""
-        return float(self.parts.center[:, 2].min())
-
-    @cached_property
-    def spread(self) -> float:
-        """Width of the structure, metres."""
-        return float(np.ptp(self.parts.center[:, :2], axis=0).max()) + 1e-9
-
-    @cached_property
-    def height(self) -> float:
-        """Height of the structure, metres."""
-        return float(np.ptp(self.parts.center[:, 2])) + 1e-9
 
     def collision(self, node: Node, robot: int) -> NearPair | None:
         """Return two bodies that collide at a robot's configuration, those that overlap most, or None."""

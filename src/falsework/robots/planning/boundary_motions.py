@@ -10,11 +10,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from falsework.assembly.state import HELD, REMOVED, States
+from falsework.assembly.state import HELD, States
 from falsework.errors import InputError
 from falsework.geometry.clearance.moves import ExitPath
 from falsework.robots.grasping.grasp import Grasp
@@ -31,14 +30,6 @@ from falsework.search.problem.task import Task
 
 _SAME_WAY = 1e-4
 """Largest difference of joint values, directions and cosines between a line and one that ends where a robot is."""
-
-
-def graph_parts(task: Task | None, *, continues: bool) -> dict[str, Any]:
-    """Return which parts a keyframe graph for a task has to know: those ever in place, and those that ever leave."""
-    if task is None:
-        return {}
-    present = {"present": task.start != REMOVED}
-    return present | {"leaving": task.target == REMOVED} if continues else present
 
 
 def leading_insertions(node: Node | None) -> Iterator[tuple[int, ...]]:

@@ -24,7 +24,7 @@ from falsework.robots.keyframes.failure_report import Explanation
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.cell_holds import CellScale, stability_in
-from falsework.robots.planning.boundary_motions import BoundaryMotions, graph_parts, leading_insertions
+from falsework.robots.planning.boundary_motions import BoundaryMotions, leading_insertions
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.hybrid_search import HybridSearch
 from falsework.robots.planning.initial_keyframe import given_keyframe, task_in_cell
@@ -135,7 +135,9 @@ def plan_robots(
         return under(1.0) if result.no_order and stability.reserve > 1.0 and not clock.passed else result
     now = configurations, held, gripped
     continues = settings.direction is Direction.ASSEMBLY and any(given is not None for given in now)
-    clock, needed = Deadline(deadline), graph_parts(task, continues=continues)
+    clock, needed = Deadline(deadline), dict[str, Any]()
+    if task is not None:  # the parts that are ever in place, and those that ever leave
+        needed = {"present": task.start != REMOVED, "leaving": task.target == REMOVED if continues else None}
 
     def search(limits: HybridSettings, graph: KeyframeGraph | None, clock: Deadline) -> HybridResult:
         graph = graph or KeyframeGraph(assembly, cell, settings=limits.keyframes, seed=limits.seed, **needed)
