@@ -67,10 +67,6 @@ class Motion:
     at: Array | None = None
     """Configuration of the failure, shape (joints,)."""
 
-    def __bool__(self) -> bool:
-        """Whether there is a path."""
-        return self.path is not None
-
 
 def plan_free(view: CollisionQuery, start: ArrayLike, goal: ArrayLike, *, seed: int = 0, nodes: int = 4000) -> Motion:
     """Return a path from one configuration to another that keeps the margin of the view everywhere.
