@@ -166,13 +166,10 @@ def _load(file: Path, base: str | None, tip: str | None, srdf: Path, limits_file
         notes += [*partly, *incomplete]
         model = replace(model, srdf=str(srdf), group_states=tuple(states.items()))
         if HOME_STATE in states:
-            outside = [
-                joint
-                for joint, home, low, high in zip(joints, states[HOME_STATE], model.lower, model.upper, strict=True)
-                if not low <= home <= high
-            ]
-            if outside:
-                raise CellError(f"{srdf}: state home has joint {outside[0]} outside its limits; correct one of them")
+            if (outside := model.first_outside(states[HOME_STATE], 0.0)) is not None:
+                raise CellError(
+                    f"{srdf}: state home has joint {joints[outside]} outside its limits; correct one of them"
+                )
             model = replace(model, home=states[HOME_STATE])
     else:
         pairs = always_touching(model) - ignored if any(shapes) else set()

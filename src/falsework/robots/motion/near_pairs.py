@@ -67,11 +67,7 @@ def near_pairs(query: CollisionQuery, configuration: ArrayLike) -> list[NearPair
         for other in np.flatnonzero(near).tolist():
             add(name, query.obstacle_names[other], separation(pieces, fixed[other]), rules.margin)
     for a, b in rules.self_pairs.tolist():
-        if (
-            not (placed[a].min(axis=0) > placed[b].max(axis=0)).any()
-            and not (placed[b].min(axis=0) > placed[a].max(axis=0)).any()
-        ):
-            add(query.body_names[a], query.body_names[b], separation(placed[a], placed[b]), 0.0)
+        add(query.body_names[a], query.body_names[b], separation(placed[a], placed[b]), 0.0)
     return sorted(found.values(), key=lambda pair: pair.distance - pair.wanted)
 
 
