@@ -25,7 +25,7 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.model.cell_holds import CellScale
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import Array
-from falsework.robots.plans.loads import load_of, loads_at, loads_beside, moved_aside, step_fault
+from falsework.robots.plans.loads import load_of, loads_at, moved_aside, step_fault
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_forces import GripLoad, grip_loads, overloads, press_fault
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -256,7 +256,7 @@ class _Checker:
             beyond = np.maximum(samples[row] - model.upper, model.lower - samples[row])
             what = f"{model.joint_names[int(np.argmax(beyond))]} is outside its limits"
             self.say(index, robot, what, seconds=float(moments[row]), configuration=tuple(samples[row].tolist()))
-        loads = loads_beside(self.plan, index)
+        loads = {other: held for other, held in loads_at(self.plan, index).items() if other not in step.robots}
         loads |= {other: held for other in beside if (held := load_of(self.plan, index, order, other)) is not None}
         given = {"load": load, "touches": trajectory.touches, "loads": loads, "waits": self.plan.waiting(index)}
         rest = self.plan.keyframes[index].configurations

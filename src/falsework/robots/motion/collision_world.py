@@ -76,19 +76,17 @@ class Scene:
 
     def with_attached(self, robot: int, part: int, tool: Array) -> Scene:
         """Return the same scene with a part removed by a robot whose tool frame is at `tool` in the world, (4, 4)."""
-        carried = list(self.attached)
-        carried[robot] = Attached(part, inverse_pose(tool))
-        return replace(self.with_removed(part), attached=tuple(carried), elsewhere=self._without(part))
+        return self._with_load(robot, part, Attached(part, inverse_pose(tool)))
 
     def with_put_down(self, robot: int, part: int, pose: Array) -> Scene:
         """Return the same scene with the load of a robot lying at a pose relative to its place, shape (4, 4)."""
-        carried = list(self.attached)
-        carried[robot] = None
-        elsewhere = (*self._without(part), (part, pose))
-        return replace(self.with_removed(part), attached=tuple(carried), elsewhere=elsewhere)
+        return self._with_load(robot, part, None, (part, pose))
 
-    def _without(self, part: int) -> tuple[tuple[int, Array], ...]:
-        return tuple(entry for entry in self.elsewhere if entry[0] != part)
+    def _with_load(self, robot: int, part: int, load: Attached | None, *lying: tuple[int, Array]) -> Scene:
+        attached = list(self.attached)
+        attached[robot] = load
+        elsewhere = (*(entry for entry in self.elsewhere if entry[0] != part), *lying)
+        return replace(self.with_removed(part), attached=tuple(attached), elsewhere=elsewhere)
 
 
 @dataclass(frozen=True)
