@@ -31,12 +31,11 @@ class Reference:
         shapes = [(link, piece) for link in range(joints + 1) for piece in model.pieces[link]]
         bodies = [self._add(link, piece if link else _moved(robot.base, piece)) for link, piece in shapes]
         bodies += [self._add(joints, _moved(model.flange, piece)) for piece in robot.gripper.pieces]
-        held = view.world.carried(view.robot, view.scene)
+        held = view.scene.attached[view.robot]
         if held is not None:
-            bodies += [self._add(joints, _moved(model.flange, piece)) for piece in held[1]]
-        stands = view.arrays.obstacles
-        rows = [slice(a, b) for a, b in zip(stands.start[:-1], stands.start[1:], strict=True)]
-        obstacles = [self._add(0, stands.vertices[row]) for row in rows]
+            pieces = view.world.carried(view.robot, held)
+            bodies += [self._add(joints, _moved(model.flange, piece)) for piece in pieces]
+        obstacles = [self._add(0, vertices) for vertices in view.obstacles]
         for body, obstacle in np.argwhere(view.arrays.rules.pair).tolist():
             self._pair(bodies[body], obstacles[obstacle])
         if view.arrays.rules.floor > -1e6:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD
-from falsework.robots.cells.visuals import VisualShape, arm_frames, link_visuals, shape_of_pieces
+from falsework.robots.cells.visuals import VisualShape, arm_frames, link_visuals, shapes_of
 from falsework.robots.plans.timeline import activities_at, waiting_at
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.search.problem.task import Direction
@@ -198,5 +198,4 @@ def links_of(number: int, robot: CellRobot, size: float = 1.0) -> list[Link]:
         return Link(number, frame, shape.vertices * size, shape.faces, (red, green, blue))
 
     found = [link(frame, shape, TINT) for frame, shapes in enumerate(link_visuals(robot.model)) for shape in shapes]
-    gripper = shape_of_pieces(robot.gripper.pieces)
-    return found if gripper is None else [*found, link(robot.model.joints + 1, gripper, 1.0)]
+    return found + [link(robot.model.joints + 1, shape, 1.0) for shape in shapes_of(robot.gripper.pieces)]

@@ -79,13 +79,13 @@ def test_no_point_moves_farther_than_the_sweep_says(cup: Gripper) -> None:
     for name in BUILTIN:
         model = builtin_robot(name)
         robot = CellRobot("arm", model, np.eye(4), cup, model.home, np.zeros((0, 4, 4)))
-        bodies, _, kinds = make_bodies(robot, None, ())
+        bodies, _, kinds = make_bodies(robot)
         values = samples(model, 40)
         step = np.random.default_rng(3).normal(size=values.shape) * 0.3
         before, after = link_poses(model, values), link_poses(model, values + step)
         sources = [(k, p) for k in range(model.joints + 1) for p in model.pieces[k]]
         sources += [(model.joints + 1, p) for p in cup.pieces]
-        assert [k for k, _ in sources] == kinds
+        assert tuple(k for k, _ in sources) == kinds
         for body, (link, piece) in enumerate(sources):
             frame = min(link, model.joints)
             points = move(model.flange, piece) if link > model.joints else piece

@@ -98,7 +98,7 @@ def test_grasps_that_no_arm_can_approach_do_not_count(
     for blocked in (False, True):
         graph = KeyframeGraph(column, cell)
         if blocked:
-            monkeypatch.setattr(graph.reaching, "retreat", lambda *given: None if given[1] == 2 else given[3][None])
+            monkeypatch.setattr(graph.reaching, "retreat", lambda *given: None if given[2] == 2 else given[4][None])
         for allow_regrasp in (False, True):
             graph.allow_regrasp = allow_regrasp
             graph.joint.forget()

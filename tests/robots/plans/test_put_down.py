@@ -25,12 +25,11 @@ from falsework.robots.checks.handling import unrest
 from falsework.robots.checks.pinocchio_checker import PinocchioCollisionChecker
 from falsework.robots.exports.commands import Grip, events_of
 from falsework.robots.kernels.coordination import conflicts, still
-from falsework.robots.keyframes.putting_down import downwards
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.model.shapes import block, move
+from falsework.robots.model.shapes import block, least_turn, move
 from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.planning.hybrid_result import HybridResult
 from falsework.robots.plans.loads import Load, load_of, lying_motions
@@ -326,7 +325,7 @@ def test_faces_are_turned_downwards_by_the_least_rotation(seed: int) -> None:
     rng = np.random.default_rng(seed)
     for normal in (*rng.normal(size=(20, 3)), np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])):
         unit = normal / np.linalg.norm(normal)
-        turn = downwards(unit)
+        turn = least_turn(unit, np.array([0.0, 0.0, -1.0]), np.array([1.0, 0.0, 0.0]))
         np.testing.assert_allclose(turn @ unit, (0.0, 0.0, -1.0), atol=1e-7)
         np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-7)
         assert np.linalg.det(turn) == pytest.approx(1.0)

@@ -145,7 +145,9 @@ def parse_cell(text: str, source: str, folder: Path, *, faults: list[str] | None
             raise CellError(f"{source}: two robots are called {name!r}; give every robot its own name")
     for number, values in enumerate(others):
         with _noted(faults):
-            obstacles.append(_obstacle(values, place.inside(f"obstacles[{number}]")))
+            at = place.inside(f"obstacles[{number}]")
+            entry = at.read(ObstacleEntry, values)
+            obstacles.append(Obstacle(entry.name, tuple(_shapes(entry, at))))
     if file.floor is True:
         raise place.fail("floor", "is true; give its height in metres, or false")
     structure = file.structure
@@ -213,11 +215,6 @@ def _inertia(given: list[float], place: Place) -> Array:
             "centre of mass",
         )
     return made
-
-
-def _obstacle(values: Any, place: Place) -> Obstacle:
-    entry = place.read(ObstacleEntry, values)
-    return Obstacle(entry.name, tuple(_shapes(entry, place)))
 
 
 def _shapes(entry: ShapeEntry, place: Place) -> list[Array]:

@@ -138,15 +138,12 @@ def _home(given: list[float] | dict[str, float] | str | None, place: Place, mode
             values[model.joint_names.index(joint)] = value * units[model.joint_names.index(joint)]
     else:
         values = _joint_values(given, place, "home", model) * units
-    outside = (values < model.lower - 1e-9) | (values > model.upper + 1e-9)
-    if outside.any():
-        joint = int(np.argmax(outside))
+    if (joint := model.first_outside(values)) is not None:
         low, value, high = (limit[joint] / units[joint] for limit in (model.lower, values, model.upper))
         unit = "m" if model.prismatic[joint] else "degrees"
         raise place.fail(
             "home",
-            f"cannot be reached: {model.joint_names[joint]} is {format_number(value, 4)} {unit}, outside its "
-            f"limits {format_number(low, 4)} to "
-            f"{format_number(high, 4)}",
+            f"cannot be reached: {model.joint_names[joint]} is {format_number(value, 4)} {unit}, outside its limits "
+            f"{format_number(low, 4)} to {format_number(high, 4)}",
         )
     return np.array(values)

@@ -69,9 +69,11 @@ def excluded_pairs(
     every shape of one is excluded against every shape of the other.
     """
     known = set(links)
-    named = [(entry.get("link1", ""), entry.get("link2", "")) for entry in root.iter("disable_collisions")]
-    unknown = sorted({link for pair in named for link in pair} - known)
-    pairs = {frozenset(pair) for pair in named} - enabled_pairs(root)
+    named, enabled = (
+        {frozenset((entry.get("link1", ""), entry.get("link2", ""))) for entry in root.iter(tag)}
+        for tag in ("disable_collisions", "enable_collisions")
+    )
+    unknown, pairs = sorted(frozenset().union(*named) - known), named - enabled
     found, partly = set(), []
     for a, mine in carried.items():
         for b, theirs in carried.items():
@@ -88,11 +90,6 @@ def excluded_pairs(
             f"{srdf} excludes some links only of bodies that move as one; they stay checked: {', '.join(partly)}"
         )
     return found, notes
-
-
-def enabled_pairs(root: Element) -> set[frozenset[str]]:
-    """Return the pairs of links that an SRDF lets be checked, whatever else it says of them."""
-    return {frozenset((entry.get("link1", ""), entry.get("link2", ""))) for entry in root.iter("enable_collisions")}
 
 
 @dataclass(frozen=True, eq=False)

@@ -125,8 +125,7 @@ def _of_robot(cell: Cell, number: int) -> list[str]:
     model = robot.model
     lines = [f"home = {home_text(model, robot.home)}  # of {', '.join(model.joint_names)}"]
     if model.assumed:
-        limits = np.where(model.prismatic, model.acceleration, np.degrees(model.acceleration))
-        numbers = ", ".join(f"{round(float(value), 2):g}" for value in limits)
+        numbers = ", ".join(f"{round(float(value), 2):g}" for value in model.acceleration / model.units)
         lines.append(f"# acceleration = [{numbers}]  # from the data sheet; these are assumed")
     if model.source != "built-in":
         maker, _ = maker_of(robot)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -129,7 +129,7 @@ def _load(file: Path, base: str | None, tip: str | None, srdf: Path, limits_file
             continue
         carried[at[0]].append(name)
         shapes[at[0]] += [replace(shape, vertices=move(at[1], shape.vertices)) for shape in shown]
-        beside |= {joint.name: joint for joint in _off_chain(name, below, frame_of) if joint.type != "fixed"}
+        beside |= {joint.name: joint for joint in _above(name, below, frame_of)[0] if joint.type != "fixed"}
     if fault := coupling_fault(robot.joints, chain, beside):
         raise CellError(f"{file}: {fault}")
     joints, notes = tuple(joint.name for joint in moving), []
@@ -166,13 +166,10 @@ def _load(file: Path, base: str | None, tip: str | None, srdf: Path, limits_file
         notes += [*partly, *incomplete]
         model = replace(model, srdf=str(srdf), group_states=tuple(states.items()))
         if HOME_STATE in states:
-            outside = [
-                joint
-                for joint, home, low, high in zip(joints, states[HOME_STATE], model.lower, model.upper, strict=True)
-                if not low <= home <= high
-            ]
-            if outside:
-                raise CellError(f"{srdf}: state home has joint {outside[0]} outside its limits; correct one of them")
+            if (outside := model.first_outside(states[HOME_STATE], 0.0)) is not None:
+                raise CellError(
+                    f"{srdf}: state home has joint {joints[outside]} outside its limits; correct one of them"
+                )
             model = replace(model, home=states[HOME_STATE])
     else:
         pairs = always_touching(model) - ignored if any(shapes) else set()
@@ -214,14 +211,13 @@ def always_touching(model: RobotModel) -> set[tuple[int, int]]:
     configurations = np.random.default_rng(0).uniform(model.lower, model.upper, (COLLISION_SAMPLES, model.joints))
     bare = Gripper("none", "suction", (), np.eye(4), 0.0)
     robot = CellRobot("arm", model, np.eye(4), bare, model.home, np.zeros((0, 4, 4)))
-    bodies, _, kinds = make_bodies(robot, None, ())
-    links = np.array(kinds)
+    bodies, _, links = make_bodies(robot)
     obstacles, _ = make_obstacles([])
     chain = make_chain(model, np.eye(4))
-    pairs = self_pairs(model, kinds)
+    pairs = self_pairs(model, links).tolist()
     found = set()
     hits = np.empty(COLLISION_SAMPLES, np.int64)
-    for a, b in sorted({(int(links[i]), int(links[j])) for i, j in pairs}):
+    for a, b in sorted({(links[i], links[j]) for i, j in pairs}):
         tried = np.array([(i, j) for i, j in pairs if (links[i], links[j]) == (a, b)], np.int64)
         rules = Rules(np.zeros((len(links), 0), bool), tried, -1e9, np.zeros(len(links), bool), 0.0)
         check_many(configurations, make_query(chain, bodies, obstacles, rules), hits)
@@ -271,30 +267,28 @@ def _tip(links: dict[str, Any], below: dict[str, Any], root: str) -> str:
 
 def _chain(below: dict[str, Any], root: str, name: str) -> list[Any]:
     """Return the joints from the root to a link; none for a link that is elsewhere."""
+    joints, top = _above(name, below, (root,))
+    return joints[::-1] if top == root else []
+
+
+def _above(name: str, below: dict[str, Any], ends: Container[str]) -> tuple[list[Any], str]:
+    """Return the joints from a link up to the first of some links, or to where its tree ends, and that link."""
     found = []
-    while name != root and name in below:
+    while name not in ends and name in below:
         found.append(below[name])
         name = below[name].parent
-    return found[::-1] if name == root else []
+    return found, name
 
 
 def carrier_of(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Array]]) -> tuple[int, Array] | None:
     """Return the frame that carries a link and the pose of the link in it; joints off the chain stay at zero."""
-    pose = np.eye(4)
-    while name not in frame_of:
-        if name not in below:
-            return None
-        pose = _origin(below[name]) @ pose
-        name = below[name].parent
-    frame, at = frame_of[name]
+    joints, top = _above(name, below, frame_of)
+    if top not in frame_of:
+        return None
+    pose, (frame, at) = np.eye(4), frame_of[top]
+    for joint in joints:
+        pose = _origin(joint) @ pose
     return frame, at @ pose
-
-
-def _off_chain(name: str, below: dict[str, Any], frame_of: dict[str, tuple[int, Array]]) -> Iterable[Any]:
-    """Yield the joints between a link and the chain that carries it."""
-    while name not in frame_of:
-        yield below[name]
-        name = below[name].parent
 
 
 def _origin(joint: Any) -> Array:

@@ -10,6 +10,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -55,18 +56,17 @@ def read_xml(file: Path) -> Element:
         double = [name for name, count in Counter(names).items() if count > 1]
         if double:
             raise CellError(f"{file}: two {kind} are called {double[0]!r}; give each its own name")
-    above: dict[str, str] = {}
+    above: dict[str, tuple[str, str]] = {}
     for joint, name in zip(root.findall("joint"), joints, strict=True):
-        for which in ("parent", "child"):
-            end = joint.find(which)
-            link = None if end is None else end.get("link")
-            if link not in links:
-                raise CellError(f"{file}: the {which} of joint {name} is {link!r}, which is no link")
-            if which == "child" and link in above:
-                raise CellError(f"{file}: link {link} is the child of joints {above[link]} and {name}; keep one")
-            if which == "child" and link is not None:
-                above[link] = name
-    _check_tree(file, root)
+        parent, child = (_end(file, joint, which, links) for which in ("parent", "child"))
+        if child in above:
+            raise CellError(f"{file}: link {child} is the child of joints {above[child][0]} and {name}; keep one")
+        above[child] = name, parent
+    try:  # around links that are below each other a search for the base would go for ever
+        TopologicalSorter({child: [parent] for child, (_, parent) in above.items()}).prepare()
+    except CycleError as error:
+        loop = ", ".join(error.args[1][1:])
+        raise CellError(f"{file}: links are below each other: {loop}; an arm is a tree of links") from None
     for link, name in zip(root.findall("link"), links, strict=True):
         for collision in (*link.findall("collision"), *link.findall("visual")):
             kinds = [kind.tag for geometry in collision.findall("geometry") for kind in geometry]
@@ -79,21 +79,12 @@ def read_xml(file: Path) -> Element:
     return root
 
 
-def _check_tree(file: Path, root: Element) -> None:
-    """Refuse links that are below each other, around which a search for the base would go for ever."""
-    above = {_end(joint, "child"): _end(joint, "parent") for joint in root.findall("joint")}
-    for link in above:
-        passed = [link]
-        while passed[-1] in above:
-            passed.append(above[passed[-1]])
-            if passed[-1] in passed[:-1]:
-                loop = passed[passed.index(passed[-1]) + 1 :]
-                raise CellError(f"{file}: links are below each other: {', '.join(loop)}; an arm is a tree of links")
-
-
-def _end(joint: Element, which: str) -> str:
+def _end(file: Path, joint: Element, which: str, links: Sequence[str]) -> str:
     end = joint.find(which)
-    return "" if end is None else end.get("link", "")
+    link = None if end is None else end.get("link")
+    if link is None or link not in links:
+        raise CellError(f"{file}: the {which} of joint {joint.get('name')} is {link!r}, which is no link")
+    return link
 
 
 def _check_entries(file: Path, holder: Element, what: str) -> None:

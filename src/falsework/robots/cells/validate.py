@@ -102,9 +102,8 @@ def _in_front(cell: Cell, view: CollisionQuery, robot: int) -> Array | None:
 
 def home_text(model: RobotModel, values: ArrayLike) -> str:
     """Return joint values as a cell file has them: degrees, or metres of sliding joints, such as `[0, -45, 90]`."""
-    shown = np.where(model.prismatic, np.asarray(values), np.degrees(np.asarray(values)))
-    digits = np.where(model.prismatic, 4, 1)
-    numbers = [round(float(value), int(places)) + 0.0 for value, places in zip(shown, digits, strict=True)]
+    pairs = zip(np.asarray(values) / model.units, model.prismatic, strict=True)
+    numbers = [round(float(value), 4 if slides else 1) + 0.0 for value, slides in pairs]
     return "[" + ", ".join(f"{value:g}" for value in numbers) + "]"
 
 

@@ -54,13 +54,8 @@ def link_visuals(model: RobotModel) -> tuple[tuple[VisualShape, ...], ...]:
         CellWarning: visual shapes that cannot be read; collision shapes stand in for them.
     """
     if model.source == "built-in":
-        return tuple(_shapes_of(pieces) for pieces in model.pieces)
+        return tuple(shapes_of(pieces) for pieces in model.pieces)
     return _of_file(model)
-
-
-def shape_of_pieces(pieces: Pieces) -> VisualShape | None:
-    """Return convex pieces as one shape; None without any."""
-    return next(iter(_shapes_of(pieces)), None)
 
 
 def thinned(vertices: Array, faces: NDArray[np.int64], most: int = MOST_TRIANGLES) -> tuple[Array, NDArray[np.int64]]:
@@ -102,7 +97,8 @@ def arm_frames(robot: CellRobot, values: ArrayLike) -> Array:
     return np.concatenate([poses, (poses[-1] @ robot.model.flange)[None]])
 
 
-def _shapes_of(pieces: Pieces) -> tuple[VisualShape, ...]:
+def shapes_of(pieces: Pieces) -> tuple[VisualShape, ...]:
+    """Return convex pieces as one shape; none without any."""
     if not pieces:
         return ()
     return (_joined([hull_mesh(np.asarray(piece)) for piece in pieces], PLAIN),)
@@ -121,7 +117,7 @@ def _of_file(model: RobotModel) -> tuple[tuple[VisualShape, ...], ...]:
         warnings.warn(
             f"arms are drawn by their collision shapes: {' '.join(str(error).split())}", CellWarning, stacklevel=4
         )
-        return tuple(_shapes_of(pieces) for pieces in model.pieces)
+        return tuple(shapes_of(pieces) for pieces in model.pieces)
     below = {joint.child: joint for joint in robot.joints}
     frames = {name: (number, np.eye(4)) for number, name in enumerate(model.link_names)}
     named = {material.name: material.color for material in robot.materials if material.color is not None}
@@ -142,7 +138,7 @@ def _of_file(model: RobotModel) -> tuple[tuple[VisualShape, ...], ...]:
                 moved = TriangleMesh.from_arrays(mesh.name, move(at[1], vertices), faces)
                 found[at[0]].setdefault(stated or own or PLAIN, []).append(moved)
     return tuple(
-        tuple(_joined(meshes, color) for color, meshes in shapes.items()) or _shapes_of(pieces)
+        tuple(_joined(meshes, color) for color, meshes in shapes.items()) or shapes_of(pieces)
         for shapes, pieces in zip(found, model.pieces, strict=True)
     )
 

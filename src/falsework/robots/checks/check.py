@@ -25,7 +25,7 @@ from falsework.robots.model.cell import Cell
 from falsework.robots.model.cell_holds import CellScale
 from falsework.robots.model.part_shapes import place_parts
 from falsework.robots.model.shapes import Array
-from falsework.robots.plans.loads import load_of, loads_at, loads_beside, moved_aside, step_fault
+from falsework.robots.plans.loads import load_of, loads_at, moved_aside, step_fault
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_forces import GripLoad, grip_loads, overloads, press_fault
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -197,13 +197,8 @@ class _Checker:
             if not self.cell.robots[robot].model.within_limits(values, OUTSIDE):
                 self.say(min(index, len(self.plan) - 1), robot, f"at the {when} a joint is outside its limits")
             others = {other: load for other, load in loads.items() if other != robot}
-            given = {
-                "touches": frame.held[robot],
-                "load": loads.get(robot),
-                "loads": others,
-                "waits": dict(frame.waits),
-            }
-            move = self.judge.prepare(robot, frame.configurations, present, **given)
+            given = {"touches": frame.held[robot], "load": loads.get(robot), "loads": others}
+            move = self.judge.prepare(robot, frame.configurations, present, **given, waits=dict(frame.waits))
             pair = move.hits(values)
             if pair is not None:
                 step = min(index, len(self.plan) - 1)
@@ -214,12 +209,8 @@ class _Checker:
 
         A part that was put down is not carried, and may be touched on the lines too.
         """
-        step, action = self.plan.steps[index], int(self.plan.actions[index])
-        moved, trajectory, load = (
-            self.plan.part_of(index, robot),
-            step.of(robot)[order],
-            load_of(self.plan, index, order, robot),
-        )
+        step, action, moved = self.plan.steps[index], int(self.plan.actions[index]), self.plan.part_of(index, robot)
+        trajectory, load = step.of(robot)[order], load_of(self.plan, index, order, robot)
         if step.transit:  # of which `step_fault` has checked the parts
             if trajectory.touches is not None and trajectory.kind != "line":
                 self.say(index, robot, f"motion {order + 1} may not touch part {trajectory.touches}")
@@ -265,7 +256,7 @@ class _Checker:
             beyond = np.maximum(samples[row] - model.upper, model.lower - samples[row])
             what = f"{model.joint_names[int(np.argmax(beyond))]} is outside its limits"
             self.say(index, robot, what, seconds=float(moments[row]), configuration=tuple(samples[row].tolist()))
-        loads = loads_beside(self.plan, index)
+        loads = {other: held for other, held in loads_at(self.plan, index).items() if other not in step.robots}
         loads |= {other: held for other in beside if (held := load_of(self.plan, index, order, other)) is not None}
         given = {"load": load, "touches": trajectory.touches, "loads": loads, "waits": self.plan.waiting(index)}
         rest = self.plan.keyframes[index].configurations

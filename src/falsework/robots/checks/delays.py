@@ -21,7 +21,13 @@ from typing import Any
 import numpy as np
 
 from falsework.robots.checks.handling import place_lines
-from falsework.robots.checks.pinocchio_checker import WORLD, CollisionBody, PinocchioCollisionChecker, import_pinocchio
+from falsework.robots.checks.pinocchio_checker import (
+    WORLD,
+    CollisionBody,
+    PinocchioCollisionChecker,
+    convex_shape,
+    import_pinocchio,
+)
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.reachable_positions import ReachablePositions
@@ -203,7 +209,7 @@ class SeparationProver:
         if id(exact) not in self._shapes:
             hull = exact
             if isinstance(exact, self._coal.BVHModelOBBRSS):
-                hull = self.judge.convex(np.array([exact.vertex(k) for k in range(exact.num_vertices)]))
+                hull = convex_shape(np.array([exact.vertex(k) for k in range(exact.num_vertices)]))
             exact.computeLocalAABB()
             self._shapes[id(exact)] = Shape(exact, hull, np.array(exact.aabb_center), float(exact.aabb_radius))
         return self._shapes[id(exact)]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from falsework.robots.checks.pinocchio_checker import import_pinocchio
+from falsework.robots.checks.pinocchio_checker import convex_shape, import_pinocchio
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Array
 from falsework.utils.files.xml_text import read_xml_text
@@ -141,12 +141,7 @@ def _pair_fault(model: RobotModel, root: ElementTree.Element, file: Path) -> str
 def _touching(model: RobotModel, pairs: list[tuple[int, int]]) -> set[tuple[int, int]]:
     """Return the pairs of links that touch in nearly all of some random configurations, by Coal."""
     _, coal = import_pinocchio()
-    hulls = []
-    for link in model.pieces:
-        points = [coal.StdVec_Vec3s() for _ in link]
-        for vertices, piece in zip(points, link, strict=True):
-            vertices.extend([np.array(point, dtype=float) for point in piece])
-        hulls.append([coal.ConvexBase.convexHull(vertices, True, None) for vertices in points])
+    hulls = [[convex_shape(piece) for piece in link] for link in model.pieces]
     rng, hits = np.random.default_rng(1), dict.fromkeys(pairs, 0)
     for _ in range(_TOUCH_SAMPLES):
         poses = [np.eye(4)]

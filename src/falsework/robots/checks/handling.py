@@ -158,13 +158,12 @@ class HandlingChecker:
         return faults
 
 
-def place_lines(plan: RobotPlan, index: int, robot: int | None = None) -> frozenset[int]:
-    """Return the motions of a step on which its part leaves or reaches its place, or the floor where it is put down.
+def place_lines(plan: RobotPlan, index: int, robot: int) -> frozenset[int]:
+    """Return the motions of a robot on which its part leaves or reaches its place, or the floor where it is put down.
 
     These are lines: the first ones of a removal up to its first other motion, in an insertion the last ones, those
     before and after the part lies on the floor, and those on which a part is moved aside, on, or back.
     """
-    robot = plan.steps[index].robot if robot is None else robot
     if robot in moved_aside(plan, index):
         return frozenset(range(len(plan.steps[index].of(robot))))
     if plan.part_of(index, robot) is None:

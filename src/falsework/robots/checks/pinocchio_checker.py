@@ -93,8 +93,8 @@ class PinocchioCollisionChecker:
         for robot in cell.robots:
             self._add_chain(robot)
         self._links = [self._link_shapes(robot.model) for robot in cell.robots]
-        self._grippers = [[self.convex(piece) for piece in robot.gripper.pieces] for robot in cell.robots]
-        self._obstacles = [(o.name, self.convex(p)) for o in cell.obstacles for p in o.pieces]
+        self._grippers = [[convex_shape(piece) for piece in robot.gripper.pieces] for robot in cell.robots]
+        self._obstacles = [(o.name, convex_shape(p)) for o in cell.obstacles for p in o.pieces]
         self._parts = [self._surface(mesh, mesh.vertices) for mesh in parts.meshes]
         self._shrunken: dict[tuple[int, float], Any] = {}
         self._looseness: dict[int, list[tuple[float, frozenset[int]]]] = {}
@@ -359,15 +359,8 @@ class PinocchioCollisionChecker:
     def _link_shapes(self, model: RobotModel) -> list[list[Any]]:
         """Return the shapes of every link: the triangles of its meshes, or its convex pieces if there are no meshes."""
         if model.meshes is None:
-            return [[self.convex(piece) for piece in link] for link in model.pieces]
+            return [[convex_shape(piece) for piece in link] for link in model.pieces]
         return [[self._triangles(mesh.vertices, mesh.faces) for mesh in link] for link in model.meshes]
-
-    def convex(self, points: Array) -> Any:
-        """Return the convex hull of points as a shape of Coal."""
-        vertices = self._coal.StdVec_Vec3s()
-        for point in points:
-            vertices.append(np.array(point, dtype=float))
-        return self._coal.ConvexBase.convexHull(vertices, True, None)
 
     def _surface(self, mesh: TriangleMesh, vertices: Array) -> Any:
         """Return a convex solid if the part is convex, else its triangles."""
@@ -375,7 +368,7 @@ class PinocchioCollisionChecker:
         corners = vertices[mesh.faces]
         volume = np.einsum("ti,ti->t", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
         if hull.volume - volume <= 1e-6 * hull.volume:
-            return self.convex(vertices[hull.vertices])
+            return convex_shape(vertices[hull.vertices])
         return self._triangles(vertices, mesh.faces)
 
     def _triangles(self, vertices: Array, faces: NDArray[np.int32]) -> Any:
@@ -385,6 +378,14 @@ class PinocchioCollisionChecker:
         made.addTriangles(np.ascontiguousarray(faces, dtype=np.int64))
         made.endModel()
         return made
+
+
+def convex_shape(points: Array) -> Any:
+    """Return the convex hull of points as a shape of Coal."""
+    _, coal = import_pinocchio()
+    vertices = coal.StdVec_Vec3s()
+    vertices.extend([np.array(point, dtype=float) for point in points])
+    return coal.ConvexBase.convexHull(vertices, True, None)
 
 
 def import_pinocchio() -> tuple[Any, Any]:

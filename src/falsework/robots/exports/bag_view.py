@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from falsework.assembly.state import REMOVED
-from falsework.robots.cells.visuals import arm_frames, link_visuals, shape_of_pieces
-from falsework.robots.exports.ros2 import duration, joint_names
-from falsework.robots.model.cell import Cell
+from falsework.robots.cells.visuals import arm_frames, link_visuals, shapes_of
+from falsework.robots.exports.ros2 import all_joint_names, duration
+from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import Array
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -48,7 +48,7 @@ def write_view(plan: RobotPlan, placed: PlacedParts, write: Write) -> None:
     graph = schedule_of(plan)
     starts, reached = graph.starts(), event_times(plan, graph)
     centers = np.array([mesh.bounds.mean(axis=0) for mesh in placed.shapes.meshes])
-    names = [joint for robot in range(len(plan.robots)) for joint in joint_names(plan, robot, "{robot}_")]
+    names = all_joint_names(plan)
     markers = _arm_markers(plan, placed.cell)
     shown, moved = set[int](), set[int]()
     for now in np.arange(0.0, plan.makespan + 2.0 / RATE, 1.0 / RATE).tolist():  # up to a sample that shows the end
@@ -56,9 +56,10 @@ def write_view(plan: RobotPlan, placed: PlacedParts, write: Write) -> None:
         for arm in activities_at(plan, starts, now):
             configuration = arm.at(np.array([now]))[0]
             values.append(configuration)
-            frames += _arm_frames(plan, placed.cell, arm.robot, configuration)
+            entry = placed.cell.robots[arm.robot]
+            frames += zip(_frames(plan, entry, arm.robot), arm_frames(entry, configuration), strict=True)
             if arm.load is not None:
-                loads[arm.load.part] = arm.load.at(placed.cell.robots[arm.robot], configuration)
+                loads[arm.load.part] = arm.load.at(entry, configuration)
         row = int(np.searchsorted(reached, now, side="right"))
         state, loads = plan.states[row], dict(plan.keyframes[row].waits) | loads
         there = {*np.flatnonzero(state != REMOVED).tolist(), *loads}
@@ -82,21 +83,17 @@ def write_view(plan: RobotPlan, placed: PlacedParts, write: Write) -> None:
         shown, moved, markers = there, set(loads), []
 
 
-def _arm_frames(plan: RobotPlan, cell: Cell, robot: int, configuration: Array) -> list[tuple[str, Array]]:
-    """Return the frames of the links of an arm, and of its flange."""
-    arm, name = cell.robots[robot], plan.robots[robot].name
-    names = [f"{name}_{link}" for link in (*arm.model.link_names, "tool0")]
-    return list(zip(names, arm_frames(arm, configuration), strict=True))
+def _frames(plan: RobotPlan, arm: CellRobot, robot: int) -> list[str]:
+    """Return the names of the frames of the links of an arm, and of its flange."""
+    return [f"{plan.robots[robot].name}_{link}" for link in (*arm.model.link_names, "tool0")]
 
 
 def _arm_markers(plan: RobotPlan, cell: Cell) -> list[dict[str, Any]]:
     """Return the meshes of all links and grippers."""
     found = []
-    for entry, about in zip(cell.robots, plan.robots, strict=True):
-        gripper = shape_of_pieces(entry.gripper.pieces)
-        names = [f"{about.name}_{link}" for link in entry.model.link_names]
-        shapes = list(zip(names, link_visuals(entry.model), strict=True))
-        for frame, pieces in [*shapes, (f"{about.name}_tool0", () if gripper is None else (gripper,))]:
+    for robot, (entry, about) in enumerate(zip(cell.robots, plan.robots, strict=True)):
+        shapes = (*link_visuals(entry.model), shapes_of(entry.gripper.pieces))
+        for frame, pieces in zip(_frames(plan, entry, robot), shapes, strict=True):
             for number, piece in enumerate(pieces):
                 corners = piece.vertices[piece.faces].reshape(-1, 3)
                 found.append(_marker(frame, about.name + "_" + frame, number, corners, piece.color, _ADD))

@@ -130,7 +130,7 @@ def rapid_task(robot: int) -> str:
 
 def address_of(robot: CellRobot, name: str) -> str:
     """Return the network address of the controller of a robot with a name in a program."""
-    return _text(robot.signals.address or f"{name}.local")
+    return ascii_text(robot.signals.address or f"{name}.local").replace('"', "'")  # URScript has no escapes
 
 
 def program_names(plan: RobotPlan, size: int = 16) -> list[str]:
@@ -152,8 +152,3 @@ def program_names(plan: RobotPlan, size: int = 16) -> list[str]:
 def ascii_text(text: str) -> str:
     """Return text with ASCII characters only."""
     return re.sub(r"[^ -~]", "?", text)
-
-
-def _text(text: str) -> str:
-    """Return text for a string of URScript, which has no escapes."""
-    return ascii_text(text).replace('"', "'")

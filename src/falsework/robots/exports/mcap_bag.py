@@ -25,7 +25,7 @@ from falsework.assembly.state import REMOVED
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.exports.bag_view import IDENTITY, WORLD, PlacedParts, write_view
 from falsework.robots.exports.controller import program_names
-from falsework.robots.exports.ros2 import NANO, duration, joint_names, joint_trajectory
+from falsework.robots.exports.ros2 import NANO, all_joint_names, duration, joint_trajectory
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.shapes import inverse_pose, move
 from falsework.robots.plans.loads import Load, load_of, loads_at, moved_aside
@@ -144,7 +144,7 @@ def write_bag(
     if placed is not None:
         write_view(plan, placed, bag.write)
         present = np.flatnonzero(plan.states[0] != REMOVED).tolist()
-        names = [joint for robot in range(len(plan.robots)) for joint in joint_names(plan, robot, "{robot}_")]
+        names = all_joint_names(plan)
         things = [_part(plan, part, _ADD, WORLD, 0.0, placed.shapes.meshes[part]) for part in present]
         scene(0.0, joints={"name": names, "position": np.concatenate(plan.keyframes[0].configurations)}, things=things)
     for robot, load in loads_at(plan, 0).items():

@@ -63,6 +63,11 @@ def joint_names(plan: RobotPlan, robot: int, prefix: str) -> list[str]:
     return [f"{whole}{joint}" for joint in record.joint_names]
 
 
+def all_joint_names(plan: RobotPlan) -> list[str]:
+    """Return the names of the joints of all robots, each with the name of its robot before it."""
+    return [joint for robot in range(len(plan.robots)) for joint in joint_names(plan, robot, "{robot}_")]
+
+
 def lost_schedule(plan: RobotPlan, form: str) -> str:
     """Return that a format does not keep the schedule of a plan; empty if it does, or there is none."""
     if plan.schedule is None or form not in ONE_AFTER_THE_OTHER:

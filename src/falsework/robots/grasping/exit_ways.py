@@ -114,10 +114,14 @@ class ExitWays:
         """Return the parts that block each straight way of a part, shape (ways, parts)."""
         return self._ways[part][1]
 
+    def _straight(self, part: int, state: States) -> Array:
+        """Return the directions in which no present part blocks a part, shape (directions, 3)."""
+        directions, blockers = self._ways[part]
+        return directions[~(blockers & (state != REMOVED)).any(axis=1)]
+
     def free(self, part: int, state: States) -> list[ExitPath]:
         """Return the ways of a part that no present part blocks, straight ones if there are any, the steepest first."""
-        directions, blockers = self._ways[part]
-        free = directions[~(blockers & (state != REMOVED)).any(axis=1)]
+        free = self._straight(part, state)
         if len(free):
             return [(PathMove.straight((part,), direction),) for direction in free]
         path = self.clearance.exit_path(state, (part,))
@@ -181,8 +185,7 @@ class ExitWays:
 
     def allows(self, part: int, state: States, way: ExitPath) -> bool:
         """Return whether a way is one on which no present part blocks a part; of a straight one its length is free."""
-        directions, blockers = self._ways[part]
-        free = directions[~(blockers & (state != REMOVED)).any(axis=1)]
+        free = self._straight(part, state)
         if len(free):
             return len(way) == 1 and float((free @ np.array(way[0].direction)).max()) >= _SAME_WAY
         return way in self.free(part, state)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,7 +57,6 @@ _FREE_FLIGHT[:, :, :3] = [_TO_X, _TO_X.T @ _TO_Y, _TO_Y.T, np.eye(3), _TO_Y, _TO
 class Grasp:
     """Grasp candidate: pose of the tool frame, approach direction and quality."""
 
-    part: int
     tool: Array
     """Pose of the tool frame in the world, shape (4, 4)."""
     approach: Array
@@ -98,7 +97,7 @@ def candidates(assembly: Assembly, parts: PartShapes, part: int, gripper: Grippe
     ways = table.directions[table.start[part] : table.start[part + 1]] @ parts.turn.T
     size = float(np.linalg.norm(np.ptp(parts.meshes[part].vertices, axis=0)))
     if gripper.kind == "suction":
-        groups = [group for face in faces for group in _on_face(gripper, face, part, parts.center[part], ways, size)]
+        groups = [group for face in faces for group in _on_face(gripper, face, parts.center[part], ways, size)]
     else:
         groups = _between_faces(gripper, faces, part, parts, ways, size)
     groups = [group for group in groups if group]
@@ -126,12 +125,7 @@ def grasp_fault(parts: PartShapes, part: int, gripper: Gripper, *, blocked: bool
             f"{what}: its cup has a radius of {format_quantity(gripper.cup, 'length')}, the largest face takes one of "
             f"{format_quantity(largest, 'length')}"
         )
-    widths = [
-        width
-        for first, face in enumerate(faces)
-        for other in faces[first + 1 :]
-        if face.normal @ other.normal <= _OPPOSITE and (width := _width(face, other)) > 0
-    ]
+    widths = [high - low for _, _, low, high in _opposite(faces) if high > low]
     narrow = (
         f"the part is at least {format_quantity(min(widths), 'length')} wide"
         if widths
@@ -150,10 +144,12 @@ def _radius(face: Face) -> float:
     return float(shapely.length(shapely.maximum_inscribed_circle(outline)))
 
 
-def _width(face: Face, other: Face) -> float:
-    """Return the distance between two opposite faces, from the farthest points of each, metres."""
-    ends = (face.triangles.reshape(-1, 3) @ face.normal).max(), (other.triangles.reshape(-1, 3) @ face.normal).min()
-    return float(ends[0] - ends[1])
+def _opposite(faces: Sequence[Face]) -> Iterator[tuple[Face, Face, float, float]]:
+    """Yield pairs of opposite faces with the heights of the farthest points of both along the normal of the first."""
+    for face, other in itertools.combinations(faces, 2):
+        if face.normal @ other.normal <= _OPPOSITE:
+            high, low = (one.triangles.reshape(-1, 3) @ face.normal for one in (face, other))
+            yield face, other, float(low.min()), float(high.max())
 
 
 def clear_grasps(
@@ -173,7 +169,7 @@ def _clear(tried: Sequence[Grasp], open_ways: Test, limit: int) -> list[Grasp]:
     return found[:limit]
 
 
-def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array, size: float) -> list[list[Grasp]]:
+def _on_face(gripper: Gripper, face: Face, center: Array, ways: Array, size: float) -> list[list[Grasp]]:
     """Return suction grasps on one face: where the cup fits closest to the centre of mass, then off-centre.
 
     Off-centre grasps let two arms hold blocks that lie side by side.
@@ -189,7 +185,7 @@ def _on_face(gripper: Gripper, face: Face, part: int, center: Array, ways: Array
         lever = float(np.linalg.norm(at - middle)) / size
         quality = _quality(lever, 1.0 - margin, face.normal, ways)
         tools = _tools(point, -face.normal, face.frame[0], _SUCTION_TURNS)
-        groups.append([Grasp(part, tool, -face.normal, quality) for tool in tools])
+        groups.append([Grasp(tool, -face.normal, quality) for tool in tools])
     return groups
 
 
@@ -220,38 +216,31 @@ def _between_faces(
     """Return jaw grasps between opposite faces, from directions around the axis of the jaws."""
     center, vertices = parts.center[part], parts.meshes[part].vertices
     groups = []
-    for first, face in enumerate(faces):
-        for other in faces[first + 1 :]:
-            if face.normal @ other.normal > _OPPOSITE:
+    for face, other, low, high in _opposite(faces):
+        width = high - low
+        if width > gripper.opening:
+            continue
+        shared = shapely.intersection(_level(face, face), _level(other, face))
+        if shapely.area(shared) < gripper.depth**2 / 4:
+            continue
+        middle = face.flat(center)
+        at = shapely.get_coordinates(shapely.shortest_line(shapely.Point(middle), shared))[-1]
+        inside = at @ face.frame + (high + low) / 2 * face.normal
+        group = []
+        for k in range(JAW_TURNS):
+            angle = 2 * np.pi * k / JAW_TURNS
+            way = np.cos(angle) * face.frame[0] + np.sin(angle) * face.frame[1]  # approach direction
+            nearest = float((vertices @ way).min())
+            shift = min(0.0, nearest + gripper.depth - inside @ way)  # the palm stays outside
+            point = inside + shift * way
+            pinched = shapely.LineString([face.flat(point), face.flat(point - gripper.depth * way)])
+            if shapely.length(shapely.intersection(pinched, shared)) < PINCHED_SHARE * gripper.depth:
                 continue
-            width = _width(face, other)
-            if width > gripper.opening:
-                continue
-            shared = shapely.intersection(_level(face, face), _level(other, face))
-            if shapely.area(shared) < gripper.depth**2 / 4:
-                continue
-            middle = face.flat(center)
-            at = shapely.get_coordinates(shapely.shortest_line(shapely.Point(middle), shared))[-1]
-            level = (
-                (face.triangles.reshape(-1, 3) @ face.normal).max()
-                + (other.triangles.reshape(-1, 3) @ face.normal).min()
-            ) / 2
-            inside = at @ face.frame + level * face.normal
-            group = []
-            for k in range(JAW_TURNS):
-                angle = 2 * np.pi * k / JAW_TURNS
-                way = np.cos(angle) * face.frame[0] + np.sin(angle) * face.frame[1]  # approach direction
-                nearest = float((vertices @ way).min())
-                shift = min(0.0, nearest + gripper.depth - inside @ way)  # the palm stays outside
-                point = inside + shift * way
-                pinched = shapely.LineString([face.flat(point), face.flat(point - gripper.depth * way)])
-                if shapely.length(shapely.intersection(pinched, shared)) < PINCHED_SHARE * gripper.depth:
-                    continue
-                lever = float(np.linalg.norm(face.flat(point) - middle)) / size
-                quality = _quality(lever, 1 - width / gripper.opening, -way, ways)
-                tools = _tools(point, way, face.normal, _JAW_TURNS)
-                group += [Grasp(part, tool, way, quality, width) for tool in tools]
-            groups.append(sorted(group, key=lambda grasp: -round(grasp.quality, 6)))
+            lever = float(np.linalg.norm(face.flat(point) - middle)) / size
+            quality = _quality(lever, 1 - width / gripper.opening, -way, ways)
+            tools = _tools(point, way, face.normal, _JAW_TURNS)
+            group += [Grasp(tool, way, quality, width) for tool in tools]
+        groups.append(sorted(group, key=lambda grasp: -round(grasp.quality, 6)))
     return groups
 
 

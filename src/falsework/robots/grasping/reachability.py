@@ -15,9 +15,9 @@ from scipy.spatial import ConvexHull
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.robots.cells.validate import overlap, shrunk
-from falsework.robots.grasping.grasp import Grasp, grasps
+from falsework.robots.grasping.grasp import grasps
 from falsework.robots.kinematics.inverse import inverse
-from falsework.robots.model.cell import Cell, CellRobot
+from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.shapes import Array, move, pose
 from falsework.robots.motion.collision_world import CollisionWorld, Scene, grasp_contact
@@ -26,6 +26,8 @@ from falsework.utils.lazy import importing
 
 GRASPS_PER_PART = 24
 """Grasps of a part that are tried."""
+_FEW = 4
+"""Grasps of a part, of different faces and rotations, that are tried from each of many bases."""
 BASE_ANGLES, BASE_DISTANCES = 24, (0.55, 0.65, 0.75, 0.85)
 """Candidate base positions around the structure: directions, and distances as shares of the arm's reach."""
 BASE_SPACING = 0.7
@@ -94,8 +96,7 @@ def reach_table(
     levels = np.zeros((len(ids), cell.robot_count), np.int8)
     pairs: dict[tuple[int, int], tuple[str, str]] = {}
     for row, part in enumerate(ids.tolist()):
-        alone = parts.boundary.copy()
-        alone[part] = True
+        alone = _alone(parts, part)
         scene = Scene(cell.homes, alone, (None,) * cell.robot_count)
         for robot, entry in enumerate(cell.robots):
             if parts.mass[part] > entry.payload:
@@ -132,7 +133,9 @@ def propose_bases(
         report: called with the number of bases tried and of all.
     """
     ids = np.flatnonzero(~parts.boundary).tolist()
-    held = [[_few(assembly, parts, part, robot) for part in ids] for robot in cell.robots]
+    held = [
+        [grasps(assembly, parts, part, _alone(parts, part), robot, limit=_FEW) for part in ids] for robot in cell.robots
+    ]
     middle = parts.center[ids].mean(axis=0)
     stands = [p for o in cell.obstacles for p in o.pieces] + [p for pieces in parts.pieces for p in pieces]
     bases = [robot.base for robot in cell.robots]
@@ -159,33 +162,32 @@ def propose_bases(
                 for turn in range(BASE_ANGLES):
                     done += 1
                     report(done, total)
-                    base = _on_ring(entry.base, middle, share * entry.model.reach, 2 * np.pi * turn / BASE_ANGLES)
+                    # On a ring around the centre, facing it, at its present height.
+                    distance, angle = share * entry.model.reach, 2 * np.pi * turn / BASE_ANGLES
+                    x, y = middle[:2] + distance * np.array([np.cos(angle), np.sin(angle)])
+                    base = pose((x, y, entry.base[2, 3]), angle + np.pi)
                     if _stands_free(cell, robot, base, others, stands):
                         rows = [*reached[:robot], count(robot, base), *reached[robot + 1 :]]
                         if _score(rows) > best:
                             best, reached, bases[robot] = _score(rows), rows, base
-    pairs = zip(cell.robots, bases, strict=True)
-    robots = tuple(replace(robot, base=base, places=_moved(robot, base)) for robot, base in pairs)
+    robots = tuple(
+        replace(robot, base=base, places=base @ np.linalg.inv(robot.base) @ robot.places)
+        for robot, base in zip(cell.robots, bases, strict=True)
+    )
     after = int(sum(row.sum() for row in reached))
     return BaseProposal(replace(cell, robots=robots), before, after, len(ids) * cell.robot_count)
 
 
-def _few(assembly: Assembly, parts: PartShapes, part: int, robot: CellRobot) -> list[Grasp]:
-    """Return a few grasps of a part, of different faces and rotations."""
+def _alone(parts: PartShapes, part: int) -> NDArray[np.bool_]:
+    """Return which parts are present where one is alone with the boundary, shape (parts,)."""
     alone = parts.boundary.copy()
     alone[part] = True
-    return grasps(assembly, parts, part, alone, robot, limit=4)
+    return alone
 
 
 def _score(reached: list[NDArray[np.bool_]]) -> tuple[int, int]:
     """Return the number of parts within reach of any robot, then the number of pairs."""
     return int(np.any(reached, axis=0).sum()), int(np.sum(reached))
-
-
-def _on_ring(base: Array, middle: Array, distance: float, turn: float) -> Array:
-    """Return a base at a distance from the centre, facing it, at its present height."""
-    x, y = middle[0] + distance * np.cos(turn), middle[1] + distance * np.sin(turn)
-    return pose((x, y, base[2, 3]), turn + np.pi)
 
 
 def _stands_free(cell: Cell, robot: int, base: Array, others: list[Array], stands: list[Array]) -> bool:
@@ -195,11 +197,6 @@ def _stands_free(cell: Cell, robot: int, base: Array, others: list[Array], stand
         return False
     own = shrunk(tuple(move(base, piece) for piece in cell.robots[robot].model.pieces[0]))
     return not any(overlap(a, b) for a in own for b in stands)
-
-
-def _moved(robot: CellRobot, base: Array) -> Array:
-    """Return the drop-off poses of a robot moved with its base."""
-    return base @ np.linalg.inv(robot.base) @ robot.places if len(robot.places) else robot.places
 
 
 def check_picture(path: Path) -> None:

@@ -170,14 +170,11 @@ def extended(work: Work, partial: Partial, step: UnitStep, owner: Unit, *, build
         time = event = until(event)
     for k, leg in enumerate(step.legs):
         begin = max(time, event) if k == 0 and removes else time
-        known = leg.waits.get
         for other, past in enumerate(partial.past):
             if other != robot:
                 for body, since, end in past:
                     if end > begin:
-                        wait = known(body)
-                        if wait is None:
-                            wait = work.wait(leg, body)
+                        wait = work.wait(leg, body)
                         begin = max(begin, end + wait[1] if builds else (end if body.rest else since) + wait[0])
         for part, moment in partial.left:
             if moment > begin:
@@ -339,10 +336,8 @@ class NextSteps:
     def _is_free(self, partial: Partial, unit: Unit, leg: Leg) -> bool:
         """Return whether a motion keeps clear of other robots at rest and of parts that it was not planned around."""
         for robot, rest in enumerate(partial.rests):
-            if robot != unit.robot:
-                wait = leg.waits.get(rest)
-                if (self.work.wait(leg, rest) if wait is None else wait) != NO_WAIT:
-                    return False
+            if robot != unit.robot and self.work.wait(leg, rest) != NO_WAIT:
+                return False
         # A part is not withdrawn past one that had left before: free exits may be so narrow that it would jam.
         return self.work.meets(leg, partial.present & ~(1 << unit.part)) == np.inf
 

@@ -17,8 +17,8 @@ GROUP = 6
 """Obstacles per bounding box in the broad phase."""
 
 
-Carried = tuple[int, Pieces]
-"""Part that a robot carries, and its pieces in the frame of the flange."""
+Carried = tuple[str, Pieces]
+"""Name of the part that a robot carries, and its pieces in the frame of the flange."""
 
 
 @lru_cache(maxsize=64)
@@ -43,9 +43,7 @@ def make_chain(model: RobotModel, base: Array) -> Chain:
     return Chain(np.array(base[:3], order="C"), np.array(origin[:, :3], order="C"), np.array(model.prismatic))
 
 
-def make_bodies(
-    robot: CellRobot, carried: Carried | None, part_names: Sequence[str]
-) -> tuple[Bodies, list[str], list[int]]:
+def make_bodies(robot: CellRobot, carried: Carried | None = None) -> tuple[Bodies, tuple[str, ...], tuple[int, ...]]:
     """Pack the moving bodies of a robot; its base belongs to frame 0, which does not move.
 
     Returns:
@@ -54,8 +52,8 @@ def make_bodies(
     """
     bare, names, kinds = _arm_bodies(robot)
     if carried is None:
-        return bare, list(names), list(kinds)
-    joints, (part, pieces) = robot.model.joints, carried
+        return bare, names, kinds
+    joints, (name, pieces) = robot.model.joints, carried
     load = _packed(robot.model, [joints] * len(pieces), _mounted(robot.model, pieces))
     bodies = Bodies(
         np.append(bare.frame, load.frame),
@@ -65,31 +63,19 @@ def make_bodies(
         np.append(bare.radius, load.radius),
         np.concatenate([bare.sweep, load.sweep]),
     )
-    name = f"part {part_names[part]}"
-    return (
-        bodies,
-        [*names, *[name] * len(pieces)],
-        [*kinds, *[joints + 2] * len(pieces)],
-    )
+    return bodies, (*names, *[name] * len(pieces)), (*kinds, *[joints + 2] * len(pieces))
 
 
 @lru_cache(maxsize=64)
 def _arm_bodies(robot: CellRobot) -> tuple[Bodies, tuple[str, ...], tuple[int, ...]]:
     """Return what `make_bodies` does for an arm without a load."""
-    model = robot.model
-    joints, turn = model.joints, turns(model)
-    names, kinds, frames, shapes = [], [], [], []
-    for link in range(joints + 1):
-        for piece in model.pieces[link]:
-            names.append(model.link_names[link])
-            kinds.append(link)
-            frames.append(link)
-            shapes.append(move(np.swapaxes(turn[link - 1], 0, 1), piece) if link else np.array(piece))
-    names += ["gripper"] * len(robot.gripper.pieces)
-    kinds += [joints + 1] * len(robot.gripper.pieces)
-    frames += [joints] * len(robot.gripper.pieces)
-    shapes += _mounted(model, robot.gripper.pieces)
-    return _packed(model, frames, shapes), tuple(names), tuple(kinds)
+    model, gripper = robot.model, robot.gripper.pieces
+    joints, turn, named = model.joints, turns(model), (*model.link_names, "gripper")
+    links = [(link, piece) for link, pieces in enumerate(model.pieces) for piece in pieces]
+    shapes = [move(np.swapaxes(turn[link - 1], 0, 1), piece) if link else np.array(piece) for link, piece in links]
+    kinds = (*(link for link, _ in links), *[joints + 1] * len(gripper))
+    bodies = _packed(model, [min(kind, joints) for kind in kinds], shapes + _mounted(model, gripper))
+    return bodies, tuple(named[kind] for kind in kinds), kinds
 
 
 def _mounted(model: RobotModel, pieces: Pieces) -> list[Array]:

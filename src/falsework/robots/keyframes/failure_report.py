@@ -58,10 +58,6 @@ class FailureLog:
         if at is not None:
             self.examples.setdefault(reason, np.asarray(at))
 
-    def of(self, part: int) -> list[tuple[LoggedFailure, int]]:
-        """Return the failures of one part, most frequent first."""
-        return [(reason, count) for reason, count in self.counts.most_common() if reason.part == part]
-
 
 @dataclass(frozen=True)
 class Explanation:

@@ -81,6 +81,10 @@ class GraspConfigurations:
             self._places[robot] = np.concatenate(found) if found else np.zeros((0, entry.model.joints))
         return self._places[robot]
 
+    def grasps(self, part: int, present: NDArray[np.bool_], gripper: Gripper) -> list[Grasp]:
+        """Return grasps of a part among the present parts, best first; the arm is not considered."""
+        return clear_grasps(self._tried(part, gripper), self.parts, part, present, gripper, limit=self.limit)
+
     def best(
         self, grips: list[GraspConfiguration], robot: int, scene: Scene, held: tuple[int | None, ...], count: int
     ) -> list[GraspConfiguration]:
@@ -122,7 +126,7 @@ class GraspConfigurations:
             return []
         if pose is not None:  # away from its place other parts are in the way than there
             present, there[part] = np.arange(len(present)) == part, False
-        found = self._grasps(part, present, entry.gripper)
+        found = self.grasps(part, present, entry.gripper)
         if not found:
             self.reasons.add("hold", part, robot, self._fault(part, entry.gripper))
             return []
@@ -163,10 +167,6 @@ class GraspConfigurations:
         if key not in self._faults:
             self._faults[key] = grasp_fault(self.parts, part, gripper, blocked=bool(self._candidates[key]))
         return self._faults[key]
-
-    def _grasps(self, part: int, present: NDArray[np.bool_], gripper: Gripper) -> list[Grasp]:
-        """Return grasps of a part among the present parts, best first; the arm is not considered."""
-        return clear_grasps(self._tried(part, gripper), self.parts, part, present, gripper, limit=self.limit)
 
     def _tried(self, part: int, gripper: Gripper) -> list[Grasp]:
         """Return grasps of a part that is alone, best first."""

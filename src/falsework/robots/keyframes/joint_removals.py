@@ -13,14 +13,13 @@ from falsework.geometry.clearance.locked import PartSet
 from falsework.geometry.clearance.moves import PathMove
 from falsework.robots.grasping.exit_ways import ExitWays
 from falsework.robots.kernels.coordination import conflicts
-from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.keyframes import CarriedLoad, Edge, Node, PathSegment, set_action
 from falsework.robots.keyframes.withdrawal import Withdrawal
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import LONGEST_WITHDRAWAL
 from falsework.robots.model.shapes import Array
 from falsework.robots.motion.collision_world import NO_CONTACT, Contact, Scene, withdrawal_contact
-from falsework.robots.motion.path_planner import MotionCache, follow_move
+from falsework.robots.motion.path_planner import follow_move
 from falsework.robots.plans.loads import Load
 from falsework.robots.schedule.swept_bodies import SweptBodies
 
@@ -55,10 +54,10 @@ class JointRemovals:
     stay where they are.
     """
 
-    def __init__(self, cache: MotionCache, reasons: FailureLog, exits: ExitWays, withdrawal: Withdrawal) -> None:
-        """Move in the scenes of `cache` on lines of the lengths of `withdrawal`, and log to `reasons` what fails."""
-        self.cell, self.cache, self.reasons, self.exits = cache.world.cell, cache, reasons, exits
-        self.withdrawal, self._bodies = withdrawal, SweptBodies(cache.world)
+    def __init__(self, exits: ExitWays, withdrawal: Withdrawal) -> None:
+        """Move in the scenes, and on lines of the lengths, of `withdrawal`."""
+        self.cell, self.cache, self.reasons = withdrawal.cell, withdrawal.cache, withdrawal.reasons
+        self.exits, self.withdrawal, self._bodies = exits, withdrawal, SweptBodies(withdrawal.cache.world)
 
     def edges(self, node: Node, parts: PartSet) -> Iterator[Edge]:
         """Yield edges on which held parts leave at the same instant; after them the robots carry these."""
@@ -90,16 +89,16 @@ class JointRemovals:
         for robot in holders.values():
             attached, load = scene.attached[robot], node.load(robot)
             assert attached is not None
-            found[robot] = load or CarriedLoad(attached, node.configurations[robot])
+            found[robot] = load or CarriedLoad(attached.part, attached.tool_from_part, node.configurations[robot])
         return found
 
     def deliveries(self, node: Node) -> Iterator[Edge]:
         """Yield edges on which one of the robots that carry parts away brings its own to a drop-off pose."""
         for robot in range(len(node.held)):
             load = node.load(robot)
-            if load is None or node.state[load.attached.part] != REMOVED:
+            if load is None or node.state[load.part] != REMOVED:
                 continue
-            away = self.withdrawal.delivery(load.attached.part, robot, node.configurations[robot], node.scene)
+            away = self.withdrawal.delivery(load.part, robot, node.configurations[robot], node.scene)
             if away is not None:
                 yield Edge(-1, robot, (away,), node.moved(robot, away.path[-1], None), transit=True)
 
@@ -225,8 +224,7 @@ class JointRemovals:
         for part, robot in holders.items():
             there = replace(scene, beside=beside - {robot})
             view, here = self.cache.view(there, robot), scene.configurations[robot]
-            hit = int(view.hits(here)[0])
-            if hit >= 0:
-                self.reasons.add("remove", part, robot, "way out with others: not clear", view.pair(hit), here)
+            if near := view.explain(here):
+                self.reasons.add("remove", part, robot, "way out with others: not clear", near, here)
                 return False
         return True

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,7 @@ from falsework.robots.keyframes.withdrawal import Withdrawal
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.model.shapes import Array
-from falsework.robots.motion.collision_world import NO_CONTACT, CollisionQuery, CollisionWorld, Scene, grasp_contact
+from falsework.robots.motion.collision_world import NO_CONTACT, CollisionWorld, Scene, grasp_contact
 from falsework.robots.motion.near_pairs import NearPair, nearest_pair
 from falsework.robots.motion.path_planner import MotionCache
 from falsework.robots.plans.ways import in_turn
@@ -89,12 +88,11 @@ class KeyframeGraph:
         self.dead = DeadEnds()
         """Dead ends of the search that uses the graph."""
         self._alone: dict[tuple[int, int, bytes, bytes, bool, bool], bool] = {}
-        self.withdrawal = Withdrawal(self.cache, self.reasons, self.grasp_configurations, settings.withdrawals)
+        self.withdrawal = Withdrawal(self.grasp_configurations, settings.withdrawals)
         self.reaching = Reaching(self.cache, self.reasons, settings.approaches)
-        given = assembly, self.cache, self.reasons, self.grasp_configurations
-        self.putting_down = PuttingDown(*given, self.reaching.retreat)
+        self.putting_down = PuttingDown(self.grasp_configurations, self.reaching)
         self.exits = ExitWays(assembly, cell.placement, present, leaving)
-        self.joint_removals = JointRemovals(self.cache, self.reasons, self.exits, self.withdrawal)
+        self.joint_removals = JointRemovals(self.exits, self.withdrawal)
         self.ways_in_turn = WaysInTurn(self.joint_removals, self.reaching, self.grasp_configurations)
 
     def start(self, state: States, configurations: tuple[Array, ...], held: tuple[int | None, ...]) -> Node:
@@ -152,25 +150,12 @@ class KeyframeGraph:
         alone[part] = HELD
         return any(self.grips(robot, part, alone) for robot in range(self.cell.robot_count))
 
-    @cached_property
-    def lowest(self) -> float:
-        """Height of the lowest centre of a part, metres."""
-        return float(self.parts.center[:, 2].min())
-
-    @cached_property
-    def spread(self) -> float:
-        """Width of the structure, metres."""
-        return float(np.ptp(self.parts.center[:, :2], axis=0).max()) + 1e-9
-
-    @cached_property
-    def height(self) -> float:
-        """Height of the structure, metres."""
-        return float(np.ptp(self.parts.center[:, 2])) + 1e-9
-
     def collision(self, node: Node, robot: int) -> NearPair | None:
         """Return two bodies that collide at a robot's configuration, those that overlap most, or None."""
         # Robots at the start of a plan are where they are: absence of contact suffices.
-        return nearest_pair(self._view(node, robot, 0.0), node.configurations[robot])
+        part = node.held[robot]
+        contact = NO_CONTACT if part is None else grasp_contact(part)
+        return nearest_pair(self.cache.view(node.scene, robot, contact, 0.0), node.configurations[robot])
 
     # Holding
 
@@ -218,16 +203,13 @@ class KeyframeGraph:
         for grip in self.grasp_configurations.best(open_grips, robot, node.scene, node.held, self.settings.candidates):
             if not self.allow_regrasp and self.dead.repeated(node, part, robot):
                 return
-            edge = self._try_grip(node, part, grip, view, lasting)
+            edge = self._try_grip(node, part, grip, lasting)
             if edge is not None:
                 yield edge
 
-    def _try_grip(
-        self, node: Node, part: int, grip: GraspConfiguration, view: CollisionQuery, lasting: bool
-    ) -> Edge | None:
-        robot = grip.robot
-        clear = self.cache.view(node.scene, robot)
-        retreat = self.reaching.retreat("hold", part, robot, grip.configuration, -grip.grasp.approach, view, clear)
+    def _try_grip(self, node: Node, part: int, grip: GraspConfiguration, lasting: bool) -> Edge | None:
+        robot, here = grip.robot, grip.configuration
+        retreat = self.reaching.retreat("hold", node.scene, part, robot, here, -grip.grasp.approach)
         if retreat is None:
             return None
         # The part must be able to leave with this grasp once its exit is free, unless it is held again before.
@@ -236,17 +218,15 @@ class KeyframeGraph:
         segments = self.reaching.approach(node.scene, part, robot, retreat)
         if segments is None:
             return None
-        return Edge(part, robot, segments, node.after(part, robot, grip.configuration), part in node.held)
+        return Edge(part, robot, segments, node.after(part, robot, here), part in node.held)
 
     def _usable(self, grip: GraspConfiguration, part: int, state: States) -> bool:
         """Return whether an arm can approach a grasp, and the part leave with it or be released, without other arms."""
         key = (grip.robot, part, grip.configuration.tobytes(), state.tobytes(), self.allow_regrasp, part in self.given)
         if key not in self._alone:
             alone = self.start(state, self.cell.homes, (None,) * self.cell.robot_count)
-            view = self.cache.view(alone.scene, grip.robot, grasp_contact(part))
-            clear = self.cache.view(alone.scene, grip.robot)
             here, way = grip.configuration, -grip.grasp.approach
-            line = self.reaching.retreat("hold", part, grip.robot, here, way, view, clear)
+            line = self.reaching.retreat("hold", alone.scene, part, grip.robot, here, way)
             self._alone[key] = line is not None and (self.allow_regrasp or self._can_leave_later(alone, part, grip))
         return self._alone[key]
 
@@ -313,10 +293,3 @@ class KeyframeGraph:
             yield edge
         if not found:
             self.reasons.add("remove", parts[0], node.held.index(parts[0]), "no free way out for the set")
-
-    # Helpers of all
-
-    def _view(self, node: Node, robot: int, margin: float) -> CollisionQuery:
-        part = node.held[robot]
-        contact = NO_CONTACT if part is None else grasp_contact(part)
-        return self.cache.view(node.scene, robot, contact, margin)

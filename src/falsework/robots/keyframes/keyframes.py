@@ -25,10 +25,9 @@ _HOME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class CarriedLoad:
-    """Part in a gripper away from its place, at the start or the end of a plan."""
+class CarriedLoad(Attached):
+    """Part in a gripper away from its place."""
 
-    attached: Attached
     gripped: Array
     """Configuration in which the robot would hold it at its place, shape (joints,)."""
 
@@ -56,7 +55,7 @@ class Node:
     def present(self) -> NDArray[np.bool_]:
         """Which parts are in place, shape (parts,)."""
         found = self.state != REMOVED
-        found[[load.attached.part for load in self.carried if load is not None]] = False
+        found[[load.part for load in self.carried if load is not None]] = False
         found[[part for part, _ in self.waits]] = False
         return found
 
@@ -65,7 +64,7 @@ class Node:
         """Key that is equal for equal nodes."""
         rounded = np.round(np.concatenate(self.configurations), 6) + 0.0
         released = sorted(entry for entry in self.changed if entry[1])
-        carried = [None if load is None else load.attached.part for load in self.carried]
+        carried = [None if load is None else load.part for load in self.carried]
         return (
             self.state.tobytes()
             + rounded.tobytes()
@@ -75,13 +74,7 @@ class Node:
     @property
     def scene(self) -> Scene:
         """The node as a scene of the collision world."""
-        carried = self.carried or (None,) * len(self.configurations)
-        return Scene(
-            self.configurations,
-            self.present,
-            tuple(None if load is None else load.attached for load in carried),
-            self.waits,
-        )
+        return Scene(self.configurations, self.present, self.carried or (None,) * len(self.held), self.waits)
 
     def can_release(self, part: int) -> bool:
         """Return whether a part is held since before a part was last removed; others need not have been held."""
@@ -114,7 +107,7 @@ class Node:
     def hands(self) -> tuple[int | None, ...]:
         """The part that each robot holds, or carries."""
         loads = map(self.load, range(len(self.held)))
-        return tuple(part if load is None else load.attached.part for part, load in zip(self.held, loads, strict=True))
+        return tuple(part if load is None else load.part for part, load in zip(self.held, loads, strict=True))
 
     def load(self, robot: int) -> CarriedLoad | None:
         """Return what a robot carries."""
@@ -138,7 +131,7 @@ class Node:
         for robot, load in loads.items():
             held[robot] = None
             if not stay:
-                state[load.attached.part] = REMOVED
+                state[load.part] = REMOVED
         carried = tuple(loads.get(robot, self.load(robot)) for robot in range(len(held)))
         changed = self.changed if stay else frozenset()
         return Node(state, configurations, tuple(held), changed, carried, self.waits)
@@ -148,7 +141,7 @@ class Node:
 
         It carries the part from then on.
         """
-        waits = tuple(entry for entry in self.waits if entry[0] != load.attached.part)
+        waits = tuple(entry for entry in self.waits if entry[0] != load.part)
         return replace(self.moved(robot, values, load), waits=waits)
 
     def left(self, part: int, pose: Array) -> Node:

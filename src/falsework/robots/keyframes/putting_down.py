@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice, product
 
@@ -10,20 +10,16 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from shapely import MultiPoint, Point, Polygon
 
-from falsework.assembly.model import Assembly
-from falsework.robots.grasping.grasp import Grasp, grasps
+from falsework.robots.grasping.grasp import Grasp
 from falsework.robots.kernels.collision import distance_between
-from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
 from falsework.robots.keyframes.keyframes import PathSegment
+from falsework.robots.keyframes.reaching import Reaching
 from falsework.robots.keyframes.withdrawal import lifted
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
-from falsework.robots.model.shapes import Array, inverse_pose, move, move_pieces
-from falsework.robots.motion.collision_world import PUT_DOWN, CollisionQuery, Scene, grasp_contact
-from falsework.robots.motion.path_planner import MotionCache
-
-Retreat = Callable[[str, int, int, Array, Array, CollisionQuery, CollisionQuery], Array | None]
+from falsework.robots.model.shapes import Array, inverse_pose, least_turn, move, move_pieces
+from falsework.robots.motion.collision_world import PUT_DOWN, Scene, grasp_contact
 
 _MOST_FACES = 6
 """Faces on which a part is put down, those for which it turns least first."""
@@ -45,6 +41,7 @@ _MOST_LINES = 100
 """Configurations of the robot with the part on the floor from which it is tried to lift it."""
 _MOST_MOTIONS = 6
 """Grasps at one place to which a motion of the empty gripper is tried."""
+_DOWN = np.array([0.0, 0.0, -1.0])
 _LIFT = 0.5
 """Length of the line on which a part is put down or lifted, in approach margins of the cell."""
 
@@ -75,12 +72,9 @@ class _Down:
 class PuttingDown:
     """Detours by way of the floor for parts whose grasp allows no delivery."""
 
-    def __init__(
-        self, assembly: Assembly, cache: MotionCache, reasons: FailureLog, grips: GraspConfigurations, retreat: Retreat
-    ) -> None:
-        """Log to `reasons` why there are no motions; `retreat` is that of the keyframe graph."""
-        self.assembly, self.cache, self.reasons, self._grips, self._retreat = assembly, cache, reasons, grips, retreat
-        self.cell, self.parts = cache.world.cell, cache.world.parts
+    def __init__(self, grips: GraspConfigurations, reaching: Reaching) -> None:
+        self.cell, self.parts, self.cache, self.reasons = grips.cell, grips.parts, grips.cache, grips.reasons
+        self._grips, self._reaching = grips, reaching
         self._faces: dict[int, list[Array]] = {}
 
     def detour(self, part: int, robot: int, here: Array, end: Array, scene: Scene) -> Detour | None:
@@ -111,7 +105,7 @@ class PuttingDown:
         found: list[tuple[Grasp, Array]] = []
         if not len(places):
             return found
-        for grasp in grasps(self.assembly, self.parts, part, alone, self.cell.robots[robot], limit=self._grips.limit):
+        for grasp in self._grips.grasps(part, alone, self.cell.robots[robot].gripper):
             carried = scene.with_attached(robot, part, grasp.tool)
             free = places[self.cache.view(carried, robot).hits(places) < 0]
             if len(free):
@@ -217,7 +211,7 @@ class PuttingDown:
             size = float(np.ptp(corners, axis=0).max())
             found = []
             for normal in planes[:, :3]:
-                turn = downwards(normal)
+                turn = least_turn(normal, _DOWN, np.array([1.0, 0.0, 0.0]))
                 level = corners @ turn.T
                 base = MultiPoint(level[level[:, 2] <= level[:, 2].min() + 1e-4 * size, :2]).convex_hull
                 over = Point((turn @ center)[:2])
@@ -230,9 +224,8 @@ class PuttingDown:
 
     def _fixed(self, scene: Scene, robot: int) -> list[Array]:
         """Return the pieces of all that stays where it is while a robot moves, with the base of that robot."""
-        entry, obstacles = self.cell.robots[robot], self.cache.view(scene, robot).arrays.obstacles
-        rows = zip(obstacles.start[:-1], obstacles.start[1:], strict=True)
-        return [obstacles.vertices[a:b] for a, b in rows] + [move(entry.base, p) for p in entry.model.pieces[0]]
+        entry = self.cell.robots[robot]
+        return self.cache.view(scene, robot).obstacles + [move(entry.base, p) for p in entry.model.pieces[0]]
 
     def _is_free(self, part: int, pose: Array, fixed: Sequence[Array]) -> bool:
         """Return whether a part at a pose keeps the margin of free motions from fixed pieces."""
@@ -248,15 +241,4 @@ class PuttingDown:
     def _leave(self, lying: Scene, part: int, robot: int, at: Array) -> Array | None:
         """Return the line on which an empty gripper leaves a part that lies on the floor; None if it is blocked."""
         way = -tool_pose(self.cell.robots[robot], at)[:3, 2]
-        view = self.cache.view(lying, robot, grasp_contact(part))
-        return self._retreat("remove", part, robot, at, way, view, self.cache.view(lying, robot))
-
-
-def downwards(normal: Array) -> Array:
-    """Return the least rotation that turns a unit vector downwards, shape (3, 3)."""
-    cosine = -float(normal[2])
-    if cosine < -1 + 1e-9:
-        return np.diag([1.0, -1.0, -1.0])
-    axis = np.array([-normal[1], normal[0], 0.0])  # the cross product with (0, 0, -1)
-    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    return np.eye(3) + cross + cross @ cross / (1 + cosine)
+        return self._reaching.retreat("remove", lying, part, robot, at, way)

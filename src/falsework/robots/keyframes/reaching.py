@@ -8,7 +8,7 @@ from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.keyframes import PathSegment
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import Array
-from falsework.robots.motion.collision_world import CollisionQuery, Scene, grasp_contact
+from falsework.robots.motion.collision_world import Scene, grasp_contact
 from falsework.robots.motion.path_planner import MotionCache, follow_line
 
 
@@ -19,20 +19,19 @@ class Reaching:
         """Move in the scenes of `cache` on lines of some lengths, in approach margins, and log to `reasons`."""
         self.cell, self.cache, self.reasons, self._lengths = cache.world.cell, cache, reasons, lengths
 
-    def retreat(
-        self, action: str, part: int, robot: int, here: Array, way: Array, view: CollisionQuery, clear: CollisionQuery
-    ) -> Array | None:
+    def retreat(self, action: str, scene: Scene, part: int, robot: int, here: Array, way: Array) -> Array | None:
         """Return the line on which a gripper leaves a part until it is clear of everything; None if it is blocked."""
+        view, clear = self.cache.view(scene, robot, grasp_contact(part)), self.cache.view(scene, robot)
         what = "approach" if action == "hold" else "retreat"
         for share in self._lengths:
             line = follow_line(view, here, way, share * self.cell.margins.approach)
             if line.path is None:
                 self.reasons.add(action, part, robot, f"{what}: {line.reason}", line.pair, line.at)
                 continue
-            hit = int(clear.hits(line.path[-1])[0])
-            if hit < 0:
+            near = clear.explain(line.path[-1])
+            if near is None:
                 return line.path
-            self.reasons.add(action, part, robot, f"{what}: too near", clear.pair(hit), line.path[-1])
+            self.reasons.add(action, part, robot, f"{what}: too near", near, line.path[-1])
         return None
 
     def approach(self, scene: Scene, part: int, robot: int, retreat: Array) -> tuple[PathSegment, ...] | None:
@@ -47,12 +46,11 @@ class Reaching:
     def departures(self, scene: Scene, part: int, robot: int) -> Iterator[tuple[PathSegment, ...]]:
         """Yield the path on which a robot lets go of a part and stays beside it, then those on which it goes home."""
         here, entry = scene.configurations[robot], self.cell.robots[robot]
-        view, clear = self.cache.view(scene, robot, grasp_contact(part)), self.cache.view(scene, robot)
-        path = self.retreat("release", part, robot, here, -tool_pose(entry, here)[:3, 2], view, clear)
+        path = self.retreat("release", scene, part, robot, here, -tool_pose(entry, here)[:3, 2])
         if path is None:
             return
         line = PathSegment("line", path, touches=part)
         yield (line,)
         home = self.cache.motion(scene, robot, path[-1], entry.home)
         if home.path is not None:
-            yield line, PathSegment("free", home.path, view=clear)
+            yield line, PathSegment("free", home.path, view=self.cache.view(scene, robot))

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED
@@ -15,7 +14,6 @@ from falsework.robots.kernels.speed_profile import thin
 from falsework.robots.keyframes.keyframes import Edge, Node, PathSegment, route_along
 from falsework.robots.model.cell import Cell, cell_identity
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.model.shapes import Array
 from falsework.robots.motion.timing import time_path
 from falsework.robots.plans.robot_plan import Keyframe, Partner, RobotPlan, RobotStep, records_of
 from falsework.robots.plans.trajectory import Trajectory
@@ -61,7 +59,7 @@ def make_robot_plan(
         )
         partners = tuple(Partner(robot, legs) for robot, legs in zip(robots[1:], others, strict=True))
         load = (before.load(edge.robot) or edge.node.load(edge.robot)) if edge.transit else None
-        away = load is not None and edge.node.state[load.attached.part] == REMOVED
+        away = load is not None and edge.node.state[load.part] == REMOVED
         gripped = load.gripped if load is not None and away else None
         steps.append(RobotStep(edge.robot, made, handed, edge.put_down, edge.transit, gripped, partners))
     return RobotPlan(
@@ -76,7 +74,7 @@ def make_robot_plan(
 
 
 def _loads(node: Node) -> tuple[int | None, ...]:
-    return tuple(None if load is None else load.attached.part for load in node.carried)
+    return tuple(None if load is None else load.part for load in node.carried)
 
 
 def timed_legs(
@@ -93,7 +91,10 @@ def timed_legs(
     joined: dict[str, Any] = {name: np.concatenate([getattr(model, name) for model in models]) for name in names}
     whole = replace(max(models, key=lambda model: model.reach), **joined) if len(models) > 1 else models[0]
     timed = time_path(whole, path, speed)
-    knots = _enough(timed.times, timed.positions, timed.velocities, whole.acceleration * speed**2)
+    # Knots whose cubics stay near all samples, and within the limits of acceleration.
+    kept = np.empty(len(timed.times), np.int64)
+    push = whole.acceleration * speed**2
+    knots = kept[: thin(timed.times, timed.positions, timed.velocities, push, _SPLINE_ERROR, kept)]
     ends = np.cumsum([model.joints for model in models])[:-1]
     positions, velocities = (np.split(values[knots], ends, axis=1) for values in (timed.positions, timed.velocities))
     made = [
@@ -118,9 +119,3 @@ def timed_legs(
         )
     stretch = over * (1 + 1e-6) if over > 1.0 else 1.0
     return tuple(replace(leg, times=leg.times * stretch, velocities=leg.velocities / stretch) for leg in made)
-
-
-def _enough(times: Array, positions: Array, velocities: Array, acceleration: Array) -> NDArray[np.int64]:
-    """Return indices of knots whose cubics stay within `_SPLINE_ERROR` of all samples and the acceleration limits."""
-    kept = np.empty(len(times), np.int64)
-    return kept[: thin(times, positions, velocities, acceleration, _SPLINE_ERROR, kept)]

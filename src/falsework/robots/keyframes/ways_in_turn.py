@@ -18,7 +18,7 @@ from falsework.robots.keyframes.reaching import Reaching
 from falsework.robots.keyframes.withdrawal import told
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import Array, inverse_pose
-from falsework.robots.motion.collision_world import Attached, Contact, Scene, grasp_contact, withdrawal_contact
+from falsework.robots.motion.collision_world import Contact, Scene, grasp_contact, withdrawal_contact
 
 _MOST_CHAINS = 8
 """Ways with other grasps, or other robots, that are tried."""
@@ -133,7 +133,7 @@ class WaysInTurn:
         free = [robot for robot, hand in enumerate(node.hands) if hand is None]
         for robot in sorted(free, key=lambda robot: float(np.linalg.norm(entries[robot].base[:3, 3] - center))):
             grips = self._grips.get(robot, part, np.where(present, HELD, REMOVED).astype(np.uint8), away)
-            view, clear = self._cache.view(node.scene, robot, grasp_contact(part)), self._cache.view(node.scene, robot)
+            view = self._cache.view(node.scene, robot, grasp_contact(part))
             values = np.array([grip.configuration for grip in grips]).reshape(len(grips), -1)
             grips = [grips[row] for row in np.flatnonzero(view.hits(values) < 0)] if grips else []
             for grip in self._grips.best(grips, robot, node.scene, node.held, _MOST_GRASPS):
@@ -142,10 +142,10 @@ class WaysInTurn:
                     return
                 here = grip.configuration
                 tool = tool_pose(entries[robot], here)
-                retreat = self._reaching.retreat("hold", part, robot, here, -tool[:3, 2], view, clear)
+                retreat = self._reaching.retreat("hold", node.scene, part, robot, here, -tool[:3, 2])
                 segments = None if retreat is None else self._reaching.approach(node.scene, part, robot, retreat)
                 if segments is not None:
-                    load = CarriedLoad(Attached(part, inverse_pose(tool) @ pose), here)
+                    load = CarriedLoad(part, inverse_pose(tool) @ pose, here)
                     yield Edge(-1, robot, segments, node.taken(robot, here, load), transit=True)
 
     def _leaves(self, course: _Course, part: int, pose: Array, node: Node) -> Iterator[Edge]:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from falsework.geometry.clearance.moves import ExitPath, PathMove
-from falsework.robots.keyframes.failure_report import FailureLog
 from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
 from falsework.robots.keyframes.keyframes import PathSegment
 from falsework.robots.kinematics.forward import tool_pose
@@ -30,14 +29,12 @@ _MAX_PLACES = 4
 class Withdrawal:
     """Withdrawals of parts that robots hold."""
 
-    def __init__(
-        self, cache: MotionCache, reasons: FailureLog, grips: GraspConfigurations, lengths: Sequence[float]
-    ) -> None:
-        """Withdraw parts in the scenes of `cache` on lines of some lengths, and log to `reasons` why one cannot leave.
+    def __init__(self, grips: GraspConfigurations, lengths: Sequence[float]) -> None:
+        """Withdraw parts, in the scenes of their grasps, on lines of some lengths.
 
         Lengths are in approach margins of the cell and are tried in turn until the part is clear.
         """
-        self.cell, self.cache, self.reasons = cache.world.cell, cache, reasons
+        self.cell, self.cache, self.reasons = grips.cell, grips.cache, grips.reasons
         self.grips, self.lengths = grips, lengths
 
     def lines(
@@ -86,9 +83,8 @@ class Withdrawal:
                     self._refuse(part, robot, what, out)
                 break
             path, done = out.path, some
-            free = self.cache.view(scene, robot)
-            hit = int(free.hits(path[-1])[0])
-            if hit < 0:
+            near = self.cache.view(scene, robot).explain(path[-1])
+            if near is None:
                 roomy = self.cache.view(scene, robot, NO_CONTACT, _ROOM * self.cell.margins.free)
                 if not roomy.collides(path[-1])[0]:
                     yield (path,)
@@ -101,7 +97,7 @@ class Withdrawal:
             if lift is not None:
                 yield path, lift
                 return
-            self.reasons.add("remove", part, robot, f"{what}: not clear at its end", free.pair(hit), path[-1])
+            self.reasons.add("remove", part, robot, f"{what}: not clear at its end", near, path[-1])
         if tight is not None:
             yield (tight,)
 

@@ -7,7 +7,7 @@ at zero H give `G = T H^-1 = e1 ... e6`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,10 +51,6 @@ class Screws:
             return None
         along = np.cross(apart, self.axes[b]) @ across / square
         return self.points[a] + along * self.axes[a]
-
-    def with_center(self, center: Array, spherical: bool = False) -> Screws:
-        """Return the same axes with the centre of the wrist."""
-        return replace(self, center=center, spherical=spherical)
 
 
 def solve_wrist(screws: Screws, targets: Array) -> tuple[Array, Owner]:

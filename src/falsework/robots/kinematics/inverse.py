@@ -15,7 +15,7 @@ Every solution is refined and checked by forward kinematics before it is returne
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 from typing import Literal
@@ -48,9 +48,8 @@ SOLUTION_SPACING = 0.25
 class IkSolver:
     """Inverse kinematics of one arm, prepared once by `solver_of`."""
 
-    model: RobotModel
-    kind: Kind
-    screws: Screws | None
+    kind: Kind = "general"
+    screws: Screws | None = None
     """Joint axes at zero, for arms with a closed form."""
 
 
@@ -74,12 +73,14 @@ def inverse_flange(model: RobotModel, flanges: ArrayLike) -> list[Array]:
     if not np.isfinite(targets).all():
         raise InputError("a pose holds a value that is not finite")
     solver = solver_of(model)
-    if solver.kind == "general" or solver.screws is None:
-        found, owner = _from_many_starts(model, targets)
+    if solver.screws is None:
+        guesses, owner = _random_starts(model, len(targets))
+        newton = 60, 0.3, 0.8
     else:
         solve = solve_parallel if solver.kind == "parallel" else solve_wrist
         guesses, owner = solve(solver.screws, targets)
-        found, owner = _polish(model, guesses, targets, owner)
+        newton = 12, 0.0, 0.3
+    found, owner = _polish(model, guesses, targets, owner, newton)
     turning = ~model.prismatic
     found[:, turning] = (found[:, turning] + np.pi) % (2 * np.pi) - np.pi
     if model.joints <= 6:
@@ -94,21 +95,22 @@ def inverse_flange(model: RobotModel, flanges: ArrayLike) -> list[Array]:
 def solver_of(model: RobotModel) -> IkSolver:
     """Analyse the axes of an arm and choose its inverse kinematics."""
     if model.joints != 6 or model.prismatic.any():
-        return IkSolver(model, "general", None)
+        return IkSolver()
     poses = link_poses(model, np.zeros(6))
     axes = np.einsum("jik,jk->ji", poses[1:, :3, :3], model.axes)
     screws = Screws(axes, poses[1:, :3, 3].copy(), poses[-1] @ model.flange)
     parallel = np.abs(axes @ axes.T) > 1 - 1e-9
     square = np.abs(axes @ axes.T) < 1e-9
-    if not (square[0, 1] and parallel[1, 2]):
-        return IkSolver(model, "general", None)
+    if not (square[0, 1] and parallel[1, 2] and square[3, 4] and square[4, 5]):
+        return IkSolver()
     meet45, meet56 = screws.meeting(3, 4), screws.meeting(4, 5)
-    if parallel[2, 3] and meet56 is not None and square[3, 4] and square[4, 5]:
-        return IkSolver(model, "parallel", screws.with_center(meet56))
-    if meet45 is not None and square[3, 4] and square[4, 5]:
+    if parallel[2, 3] and meet56 is not None:
+        return IkSolver("parallel", replace(screws, center=meet56))
+    if meet45 is not None:
         spherical = screws.distance(5, meet45) < 1e-6
-        return IkSolver(model, "spherical" if spherical else "wrist", screws.with_center(meet45, spherical))
-    return IkSolver(model, "general", None)
+        kind = "spherical" if spherical else "wrist"
+        return IkSolver(kind, replace(screws, center=meet45, spherical=spherical))
+    return IkSolver()
 
 
 def tail_of(model: RobotModel, tool: Array | None = None) -> Array:
@@ -118,29 +120,24 @@ def tail_of(model: RobotModel, tool: Array | None = None) -> Array:
 
 
 def _polish(
-    model: RobotModel, guesses: Array, targets: Array, owner: NDArray[np.int64]
+    model: RobotModel, guesses: Array, targets: Array, owner: NDArray[np.int64], newton: tuple[int, float, float]
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Refine guesses by Newton steps; return those that reach their pose."""
+    """Refine guesses by Newton steps, damping and longest step as of `reach_poses`; return those that reach a pose."""
     values = np.array(guesses, order="C")
     reached = np.zeros(len(values), bool)
     chain = make_chain(model, np.eye(4))
     poses = np.array(targets[owner][:, :3], order="C")
-    reach_poses(values, poses, chain, tail_of(model), 12, 0.0, 0.3, False, reached)
+    reach_poses(values, poses, chain, tail_of(model), *newton, False, reached)
     return values[reached], owner[reached]
 
 
-def _from_many_starts(model: RobotModel, targets: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Solve by damped Newton steps from random configurations."""
+def _random_starts(model: RobotModel, poses: int) -> tuple[Array, NDArray[np.int64]]:
+    """Return random configurations to begin with, and the pose that each is for."""
     random = np.random.default_rng(0)
     low = np.where(model.prismatic, model.lower, np.maximum(model.lower, -np.pi))
     high = np.where(model.prismatic, model.upper, np.minimum(model.upper, np.pi))
-    starts = random.uniform(low, high, (len(targets), RANDOM_STARTS, model.joints)).reshape(-1, model.joints)
-    owner = np.repeat(np.arange(len(targets)), RANDOM_STARTS)
-    reached = np.zeros(len(starts), bool)
-    chain = make_chain(model, np.eye(4))
-    poses = np.array(targets[owner][:, :3], order="C")
-    reach_poses(starts, poses, chain, tail_of(model), 60, 0.3, 0.8, False, reached)
-    return starts[reached], owner[reached]
+    starts = random.uniform(low, high, (poses, RANDOM_STARTS, model.joints)).reshape(-1, model.joints)
+    return starts, np.repeat(np.arange(poses), RANDOM_STARTS)
 
 
 def _distinct(values: Array, owner: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:

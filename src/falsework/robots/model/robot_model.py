@@ -86,6 +86,11 @@ class RobotModel:
         inside = (configurations >= self.lower - tolerance) & (configurations <= self.upper + tolerance)
         return np.asarray(inside.all(axis=-1))
 
+    def first_outside(self, configuration: Array, tolerance: float = 1e-9) -> int | None:
+        """Return the first joint that is beyond its position limits; None if all keep them."""
+        beyond = (configuration < self.lower - tolerance) | (configuration > self.upper + tolerance)
+        return int(np.argmax(beyond)) if beyond.any() else None
+
     def check_configuration(self, values: object, what: str = "configuration") -> Array:
         """Return one user-supplied configuration as an array of shape (joints,).
 
@@ -100,9 +105,7 @@ class RobotModel:
             raise InputError(f"{what} has shape {found.shape}; {self.name} needs {self.joints} joint values")
         if not np.isfinite(found).all():
             raise InputError(f"{what} holds a value that is not finite; give {self.joints} joint values in rad")
-        outside = (found < self.lower - 1e-9) | (found > self.upper + 1e-9)
-        if outside.any():
-            joint = int(np.argmax(outside))
+        if (joint := self.first_outside(found)) is not None:
             raise InputError(
                 f"{what}: {self.joint_names[joint]} is {format_number(found[joint], 4)}, outside its limits "
                 f"{format_number(self.lower[joint], 4)} to {format_number(self.upper[joint], 4)}"

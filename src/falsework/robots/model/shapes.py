@@ -107,14 +107,18 @@ def looking_down(base: Array, position: ArrayLike, turn: float = 0.0) -> Array:
     made = np.array(pose(position, turn))
     made[:3, 1:3] *= -1
     made = base @ made
-    x, y, cosine = base[:3, 2]
-    if cosine < -1 + 1e-9:  # upside down
-        upright = 2 * np.outer(base[:3, 0], base[:3, 0]) - np.eye(3)
-    else:
-        cross = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
-        upright = np.eye(3) + cross + cross @ cross / (1 + cosine)
-    made[:3, :3] = upright @ made[:3, :3]
+    made[:3, :3] = least_turn(base[:3, 2], np.array([0.0, 0.0, 1.0]), base[:3, 0]) @ made[:3, :3]
     return made
+
+
+def least_turn(before: Array, after: Array, across: Array) -> Array:
+    """Return the least rotation of a unit vector into another one, for opposite ones about an axis, shape (3, 3)."""
+    cosine = float(before @ after)
+    if cosine < -1 + 1e-9:
+        return 2 * np.outer(across, across) - np.eye(3)
+    x, y, z = np.cross(before, after)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + cross + cross @ cross / (1 + cosine)
 
 
 def inverse_pose(given: Array) -> Array:

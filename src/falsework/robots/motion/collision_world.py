@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import InputError
 from falsework.robots.kernels.collision import CLEAR, Bodies, Query, Rules, check_many, distance_between, make_query
-from falsework.robots.kernels.kernel_arrays import Carried, make_bodies, make_chain, make_obstacles, self_pairs
+from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain, make_obstacles, self_pairs
 from falsework.robots.kernels.rrt_connect import edges_free
 from falsework.robots.kinematics.forward import flange_pose, placed_bodies
 from falsework.robots.model.cell import Cell
@@ -75,19 +76,17 @@ class Scene:
 
     def with_attached(self, robot: int, part: int, tool: Array) -> Scene:
         """Return the same scene with a part removed by a robot whose tool frame is at `tool` in the world, (4, 4)."""
-        carried = list(self.attached)
-        carried[robot] = Attached(part, inverse_pose(tool))
-        return replace(self.with_removed(part), attached=tuple(carried), elsewhere=self._without(part))
+        return self._with_load(robot, part, Attached(part, inverse_pose(tool)))
 
     def with_put_down(self, robot: int, part: int, pose: Array) -> Scene:
         """Return the same scene with the load of a robot lying at a pose relative to its place, shape (4, 4)."""
-        carried = list(self.attached)
-        carried[robot] = None
-        elsewhere = (*self._without(part), (part, pose))
-        return replace(self.with_removed(part), attached=tuple(carried), elsewhere=elsewhere)
+        return self._with_load(robot, part, None, (part, pose))
 
-    def _without(self, part: int) -> tuple[tuple[int, Array], ...]:
-        return tuple(entry for entry in self.elsewhere if entry[0] != part)
+    def _with_load(self, robot: int, part: int, load: Attached | None, *lying: tuple[int, Array]) -> Scene:
+        attached = list(self.attached)
+        attached[robot] = load
+        elsewhere = (*(entry for entry in self.elsewhere if entry[0] != part), *lying)
+        return replace(self.with_removed(part), attached=tuple(attached), elsewhere=elsewhere)
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,6 @@ class CollisionQuery:
     world: CollisionWorld
     scene: Scene
     robot: int
-    contact: Contact
     arrays: Query = field(repr=False)
     """What compiled functions take."""
     links: NDArray[np.int64]
@@ -160,10 +158,16 @@ class CollisionQuery:
         """Distance to keep, metres."""
         return float(self.arrays.rules.margin)
 
+    @property
+    def obstacles(self) -> list[Array]:
+        """Vertices of each obstacle in the world, as `obstacle_names` has them."""
+        found = self.arrays.obstacles
+        return [found.vertices[a:b] for a, b in pairwise(found.start.tolist())]
+
     def under(self, contact: Contact, margin: float) -> CollisionQuery:
         """Return queries in the same scene under another contact rule and margin."""
         rules = self.world._rules(self.model, self.links, self.owners, contact, margin)
-        return replace(self, contact=contact, arrays=self.arrays._replace(rules=rules))
+        return replace(self, arrays=self.arrays._replace(rules=rules))
 
     def hits(self, configurations: ArrayLike) -> NDArray[np.int64]:
         """Return the first pair that is too near for each configuration, or -1. Shape (batch, joints) to (batch,)."""
@@ -216,7 +220,7 @@ class CollisionWorld:
         self.cell = cell
         self.parts = parts
         self._resting: dict[int, tuple[int, ...]] = {}
-        self._chains = [make_chain(robot.model, robot.base) for robot in cell.robots]
+        self.chains = [make_chain(robot.model, robot.base) for robot in cell.robots]
         self._placed: dict[tuple[int, bytes], list[tuple[str, int, Array]]] = {}
 
     @cached_property
@@ -240,35 +244,31 @@ class CollisionWorld:
             )
         return self._resting[part]
 
-    def carried(self, robot: int, scene: Scene) -> Carried | None:
-        """Return the pieces of a robot's load, in the frame of the flange."""
-        held = scene.attached[robot]
-        if held is None:
-            return None
+    def carried(self, robot: int, held: Attached) -> Pieces:
+        """Return the pieces of a load of a robot, in the frame of the flange."""
         pose = self.cell.robots[robot].gripper.tool @ held.tool_from_part
-        return held.part, tuple(move(pose, piece) for piece in self.parts.pieces[held.part])
+        return tuple(move(pose, piece) for piece in self.parts.pieces[held.part])
 
     def robot_pieces(self, robot: int, scene: Scene) -> list[tuple[str, int, Array]]:
         """Return all moving pieces of a robot in the world: name, link (gripper joints + 1, part + 2), vertices."""
         held, values = scene.attached[robot], np.asarray(scene.configurations[robot], dtype=np.float64)
-        if held is not None:
-            return self._moving_pieces(robot, values, scene)
         key = robot, values.tobytes()
-        if key not in self._placed:
+        if held is None and key in self._placed:
+            return self._placed[key]
+        bodies, names, links = self.bodies(robot, held)
+        placed = placed_bodies(self.chains[robot], bodies, values)
+        found = [piece for piece in zip(names, links, placed, strict=True) if piece[1]]  # the base does not move
+        if held is None:
             if len(self._placed) >= _PLACED:
                 self._placed.clear()
-            self._placed[key] = self._moving_pieces(robot, values, scene)
-        return self._placed[key]
+            self._placed[key] = found
+        return found
 
-    def _moving_pieces(self, robot: int, values: Array, scene: Scene) -> list[tuple[str, int, Array]]:
-        bodies, names, links = self._bodies(robot, scene)
-        placed = placed_bodies(self._chains[robot], bodies, values)
-        return [piece for piece in zip(names, links, placed, strict=True) if piece[1]]  # the base does not move
-
-    def _bodies(self, robot: int, scene: Scene) -> tuple[Bodies, tuple[str, ...], list[int]]:
+    def bodies(self, robot: int, held: Attached | None) -> tuple[Bodies, tuple[str, ...], tuple[int, ...]]:
         """Return the bodies of a robot with its load, their names, and the link of each as of `make_bodies`."""
         entry = self.cell.robots[robot]
-        bodies, names, links = make_bodies(entry, self.carried(robot, scene), self.parts.names)
+        carried = None if held is None else (f"part {self.parts.names[held.part]}", self.carried(robot, held))
+        bodies, names, links = make_bodies(entry, carried)
         own = entry.model.joints + 1
         return bodies, tuple(f"{entry.name} {n}" if k <= own else n for n, k in zip(names, links, strict=True)), links
 
@@ -294,9 +294,8 @@ class CollisionWorld:
                 f"no robot {robot}; the cell has {self.cell.robot_count}, 0 to {self.cell.robot_count - 1}"
             )
         entry = self.cell.robots[robot]
-        bodies, names, kinds = self._bodies(robot, scene)
-        stands: list[tuple[str, int, Pieces]] = []
-        load = scene.attached[robot]
+        load, stands = scene.attached[robot], list[tuple[str, int, Pieces]]()
+        bodies, names, kinds = self.bodies(robot, load)
         supports = () if load is None else self._supports(load.part)
         for index, (name, pieces) in enumerate(self._static):
             if index != robot:
@@ -322,8 +321,7 @@ class CollisionWorld:
             world=self,
             scene=scene,
             robot=robot,
-            contact=contact,
-            arrays=make_query(self._chains[robot], bodies, obstacles, rules),
+            arrays=make_query(self.chains[robot], bodies, obstacles, rules),
             links=links,
             owners=owners,
             body_names=names,

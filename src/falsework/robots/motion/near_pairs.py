@@ -49,7 +49,7 @@ def near_pairs(query: CollisionQuery, configuration: ArrayLike) -> list[NearPair
     """
     _, bodies, obstacles, rules, _ = query.arrays
     placed = placed_bodies(query.arrays.chain, bodies, np.asarray(configuration, dtype=np.float64))
-    fixed = [obstacles.vertices[a:b] for a, b in zip(obstacles.start[:-1], obstacles.start[1:], strict=True)]
+    fixed = query.obstacles
     found: dict[tuple[str, str], NearPair] = {}
 
     def add(first: str, second: str, distance: float, wanted: float) -> None:
@@ -67,11 +67,7 @@ def near_pairs(query: CollisionQuery, configuration: ArrayLike) -> list[NearPair
         for other in np.flatnonzero(near).tolist():
             add(name, query.obstacle_names[other], separation(pieces, fixed[other]), rules.margin)
     for a, b in rules.self_pairs.tolist():
-        if (
-            not (placed[a].min(axis=0) > placed[b].max(axis=0)).any()
-            and not (placed[b].min(axis=0) > placed[a].max(axis=0)).any()
-        ):
-            add(query.body_names[a], query.body_names[b], separation(placed[a], placed[b]), 0.0)
+        add(query.body_names[a], query.body_names[b], separation(placed[a], placed[b]), 0.0)
     return sorted(found.values(), key=lambda pair: pair.distance - pair.wanted)
 
 

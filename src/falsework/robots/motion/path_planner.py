@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import InputError
 from falsework.geometry.clearance.moves import PathMove
-from falsework.robots.kernels.collision import CLEAR
 from falsework.robots.kernels.numeric_ik import reach_poses
 from falsework.robots.kernels.rrt_connect import grow, shorten
 from falsework.robots.kinematics.forward import tool_pose
@@ -67,12 +66,6 @@ class Motion:
     """Names of the bodies that came too near, where the reason is a collision."""
     at: Array | None = None
     """Configuration of the failure, shape (joints,)."""
-    samples: int = 0
-    """Nodes of the trees when the search ended."""
-
-    def __bool__(self) -> bool:
-        """Whether there is a path."""
-        return self.path is not None
 
 
 def plan_free(view: CollisionQuery, start: ArrayLike, goal: ArrayLike, *, seed: int = 0, nodes: int = 4000) -> Motion:
@@ -90,9 +83,8 @@ def plan_free(view: CollisionQuery, start: ArrayLike, goal: ArrayLike, *, seed: 
     for values, which in ((a, "start"), (b, "goal")):
         if not model.within_limits(values):
             return Motion(f"{which} outside limits", at=values)  # type: ignore[arg-type]
-        hit = int(view.hits(values)[0])
-        if hit != CLEAR:
-            return Motion(f"{which} in collision", pair=view.pair(hit), at=values)  # type: ignore[arg-type]
+        if pair := view.explain(values):
+            return Motion(f"{which} in collision", pair=pair, at=values)  # type: ignore[arg-type]
     direct = np.stack([a, b])
     if view.is_free(direct):
         return Motion("found", direct)
@@ -111,14 +103,13 @@ def plan_free(view: CollisionQuery, start: ArrayLike, goal: ArrayLike, *, seed: 
         drawn += ROUNDS_PER_CALL
         if grown == 1:
             break
-        size = int(sizes[0] + sizes[1])
         if grown == -1 or drawn >= 10 * nodes:
-            return Motion("no connection", samples=size)
+            return Motion("no connection")
     path = _branch(trees[0], parents[0], int(met[0]))[::-1] + _branch(trees[1], parents[1], int(met[1]))
     room = np.empty((len(path) + 2 * SHORTCUTS + 2, model.joints))
     room[: len(path)] = path
     count = shorten(room, len(path), SHORTCUTS, view.resolution, state, view.arrays)
-    return Motion("found", room[:count].copy(), samples=int(sizes[0] + sizes[1]))
+    return Motion("found", room[:count].copy())
 
 
 def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, distance: float) -> Motion:
@@ -135,8 +126,7 @@ def follow_line(view: CollisionQuery, start: ArrayLike, direction: ArrayLike, di
         raise InputError(f"direction is {direction!r}; give three numbers that are not all zero")
     if not distance > 0:
         raise InputError(f"the length of the line is {distance:g} m; give a distance above zero")
-    x, y, z = (along / length).tolist()
-    return follow_move(view, start, PathMove((), (x, y, z), distance))
+    return follow_move(view, start, PathMove.straight((), along / length, distance))
 
 
 def follow_move(view: CollisionQuery, start: ArrayLike, move: PathMove, *, points: int = 2) -> Motion:
@@ -148,9 +138,8 @@ def follow_move(view: CollisionQuery, start: ArrayLike, move: PathMove, *, point
     first = np.array(start, dtype=np.float64)
     if not view.model.within_limits(first):
         return Motion("start outside limits", at=first)
-    hit = int(view.hits(first)[0])
-    if hit != CLEAR:
-        return Motion("start in collision", pair=view.pair(hit), at=first)
+    if pair := view.explain(first):
+        return Motion("start in collision", pair=pair, at=first)
     robot = view.world.cell.robots[view.robot]
     home = tool_pose(robot, first)
     arm = np.linalg.norm(np.cross(home[:3, 3] - np.array(move.point), move.direction))
@@ -207,9 +196,8 @@ def _blocked(view: CollisionQuery, path: Array, edge: int) -> Motion:
     """Return the failure on an edge that is not free."""
     for share in np.linspace(0, 1, 9):
         values = path[edge] + share * (path[edge + 1] - path[edge])
-        hit = int(view.hits(values)[0])
-        if hit != CLEAR:
-            return Motion("collision on the line", pair=view.pair(hit), at=values)
+        if pair := view.explain(values):
+            return Motion("collision on the line", pair=pair, at=values)
     return Motion("collision on the line", at=path[edge + 1])
 
 
@@ -222,7 +210,7 @@ class MotionCache:
         self.motions = self.motions_kept = self.views = 0
         self._nodes, self._seed = nodes, seed
         self._motions: dict[bytes, Motion] = {}
-        self._views: dict[bytes, dict[str, CollisionQuery]] = {}
+        self._views: dict[bytes, dict[tuple[Contact, float], CollisionQuery]] = {}
 
     def motion(self, scene: Scene, robot: int, start: Array, goal: Array) -> Motion:
         """Return a free motion of one robot between configurations, with a seed that depends only on the arguments."""
@@ -246,10 +234,7 @@ class MotionCache:
         if margin is None:
             margins = self.world.cell.margins
             margin = margins.free if contact is NO_CONTACT else margins.line
-        place = scene_digest(scene, robot)
-        rules = repr(
-            (sorted(contact.gripper), sorted(contact.carried), contact.carried_floor, contact.carried_supports, margin)
-        )
+        place, rules = scene_digest(scene, robot), (contact, margin)
         views = self._views.get(place)
         if views is None:
             while len(self._views) > _CACHED_SCENES:

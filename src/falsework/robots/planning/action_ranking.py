@@ -27,6 +27,8 @@ class ExecutionHeuristic:
     def __init__(self, graph: KeyframeGraph, guide: Guide | None) -> None:
         """Add an action heuristic, such as a trained policy, to the ease of execution."""
         self.graph, self.guide = graph, guide
+        heights = graph.parts.center[:, 2]
+        self._lowest, self._height = float(heights.min()), float(np.ptp(heights)) + 1e-9
 
     def __call__(self, states: States, actions: Mask) -> Array:
         """Return scores as `solvability.ActionScore`: shapes (batch, parts) and (batch, 2 parts), the latter out."""
@@ -45,7 +47,7 @@ class ExecutionHeuristic:
         """Estimate how easy one action is, independent of the robots' configurations."""
         if action >= len(state):
             return 100.0
-        height = float(self.graph.parts.center[action, 2] - self.graph.lowest) / self.graph.height
+        height = float(self.graph.parts.center[action, 2] - self._lowest) / self._height
         return 2.0 * height - 5.0 * min(self.graph.blocked_by(action, state), 4)
 
 
@@ -54,6 +56,7 @@ class ActionRanking:
 
     def __init__(self, graph: KeyframeGraph, ease: ExecutionHeuristic, solvability: SolvabilityCheck) -> None:
         self.graph, self.ease, self.solvability = graph, ease, solvability
+        self._width = float(np.ptp(graph.parts.center[:, :2], axis=0).max()) + 1e-9
 
     def actions(self, node: Node, attempt: int, rng: np.random.Generator) -> list[int]:
         """Return the legal actions in order of trial: easy ones near a free robot and far from busy ones.
@@ -82,12 +85,10 @@ class ActionRanking:
         center = self.graph.parts.center[action]
         robots = self.graph.cell.robots
         free = [robot for robot, held in enumerate(node.held) if held is None]
-        score -= min(
-            float(np.linalg.norm(robots[robot].base[:2, 3] - center[:2])) / self.graph.spread for robot in free
-        )
+        score -= min(float(np.linalg.norm(robots[robot].base[:2, 3] - center[:2])) / self._width for robot in free)
         for part in node.held:
             if part is not None:
-                apart = float(np.linalg.norm(self.graph.parts.center[part] - center)) / self.graph.spread
+                apart = float(np.linalg.norm(self.graph.parts.center[part] - center)) / self._width
                 score += min(apart, 1.0)
         return score
 

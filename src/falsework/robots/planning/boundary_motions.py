@@ -10,11 +10,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from falsework.assembly.state import HELD, REMOVED, States
+from falsework.assembly.state import HELD, States
 from falsework.errors import InputError
 from falsework.geometry.clearance.moves import ExitPath
 from falsework.robots.grasping.grasp import Grasp
@@ -24,21 +23,13 @@ from falsework.robots.keyframes.keyframes import CarriedLoad, Edge, Node, PathSe
 from falsework.robots.keyframes.trajectory_assembly import STANDSTILL
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import Array
-from falsework.robots.motion.collision_world import Scene, grasp_contact, withdrawal_contact
+from falsework.robots.motion.collision_world import Scene, withdrawal_contact
 from falsework.robots.motion.near_pairs import nearest_pair
 from falsework.robots.motion.path_planner import follow_line
 from falsework.search.problem.task import Task
 
 _SAME_WAY = 1e-4
 """Largest difference of joint values, directions and cosines between a line and one that ends where a robot is."""
-
-
-def graph_parts(task: Task | None, *, continues: bool) -> dict[str, Any]:
-    """Return which parts a keyframe graph for a task has to know: those ever in place, and those that ever leave."""
-    if task is None:
-        return {}
-    present = {"present": task.start != REMOVED}
-    return present | {"leaving": task.target == REMOVED} if continues else present
 
 
 def leading_insertions(node: Node | None) -> Iterator[tuple[int, ...]]:
@@ -97,10 +88,10 @@ class BoundaryMotions:
         for robot in insert:
             load = node.load(robot)
             assert load is not None
-            grips[load.attached.part] = robot, load.gripped
+            grips[load.part] = robot, load.gripped
         for part, (robot, values) in grips.items():
             tool = tool_pose(graph.cell.robots[robot], values)
-            graph.given[part] = GraspConfiguration(robot, Grasp(part, tool, tool[:3, 2].copy(), 1.0), values)
+            graph.given[part] = GraspConfiguration(robot, Grasp(tool, tool[:3, 2].copy(), 1.0), values)
         if grips:
             graph.joint.forget()
         graph.accepts = self.accepts
@@ -155,7 +146,7 @@ class BoundaryMotions:
         for robot in self._insert:
             load = self._last.load(robot)
             assert load is not None
-            found[load.attached.part] = HELD
+            found[load.part] = HELD
         return found
 
     def _after(self, node: Node) -> list[Edge] | None:
@@ -179,7 +170,7 @@ class BoundaryMotions:
                 line = self._line(node, robot, here)
                 way = None if line is None else replace(line, path=line.path[::-1].copy())
             else:
-                way = self.graph.withdrawal.delivery(load.attached.part, robot, here, node.scene)
+                way = self.graph.withdrawal.delivery(load.part, robot, here, node.scene)
             if way is None:
                 self._blocked = robot, "no way leads from where it is"
                 return None
@@ -202,7 +193,7 @@ class BoundaryMotions:
             if segments is None:
                 return None
             if robot in self._insert and load is not None:
-                action = parts + load.attached.part
+                action = parts + load.part
                 after = node.after(action, robot, goal).moved(robot, goal, load)
                 found.append(Edge(action, robot, segments, after))
             else:
@@ -219,7 +210,7 @@ class BoundaryMotions:
 
     def _taken_out(self, node: Node, robot: int, load: CarriedLoad, goal: Array) -> tuple[PathSegment, ...] | None:
         """Return the motions that withdraw a held part and bring it where it is at the end."""
-        part, here = load.attached.part, node.configurations[robot]
+        part, here = load.part, node.configurations[robot]
         ways = self.graph.exits.free(part, node.state)
         line = self._on_line(node, robot, load, goal, ways)
         if line is not None:
@@ -234,7 +225,7 @@ class BoundaryMotions:
         self, node: Node, robot: int, load: CarriedLoad, goal: Array, ways: Sequence[ExitPath]
     ) -> PathSegment | None:
         """Return the line on which a held part leaves as far as where it is at the end, if it is on such a line."""
-        part, entry, here = load.attached.part, self.graph.cell.robots[robot], node.configurations[robot]
+        part, entry, here = load.part, self.graph.cell.robots[robot], node.configurations[robot]
         tools = tool_pose(entry, np.array([here, goal]))
         far = tools[1, :3, 3] - tools[0, :3, 3]
         length = float(np.linalg.norm(far))
@@ -252,7 +243,7 @@ class BoundaryMotions:
     def _fetched(self, node: Node, robot: int, load: CarriedLoad, goal: Array) -> tuple[PathSegment, ...] | None:
         """Return the motions that fetch a part from a drop-off pose and bring it where it is at the end."""
         carried = node.moved(robot, goal, load).scene
-        away = self.graph.withdrawal.delivery(load.attached.part, robot, goal, carried)
+        away = self.graph.withdrawal.delivery(load.part, robot, goal, carried)
         free = None if away is None else self._free(node.scene, robot, node.configurations[robot], away.path[-1])
         if away is None or free is None:
             return None
@@ -269,14 +260,13 @@ class BoundaryMotions:
 
     def _line(self, node: Node, robot: int, goal: Array) -> PathSegment | None:
         """Return the line to a configuration that is too near to a part for a free motion, if there is one."""
-        clear, world = self.graph.cache.view(node.scene, robot), self.graph.world
-        if node.load(robot) is not None or not clear.collides(goal)[0]:
+        scene, world = node.scene, self.graph.world
+        if node.load(robot) is not None or not self.graph.cache.view(scene, robot).collides(goal)[0]:
             return None
         part = min(np.flatnonzero(node.present).tolist(), key=lambda part: world.grip_distance(robot, goal, part))
-        view = self.graph.cache.view(node.scene, robot, grasp_contact(part))
         turn = tool_pose(self.graph.cell.robots[robot], goal)[:3, :3]
         for way in (-turn[:, 2], np.array([0.0, 0.0, 1.0]), *turn[:, :2].T, *-turn[:, :2].T):
-            path = self.graph.reaching.retreat("release", part, robot, goal, way, view, clear)
+            path = self.graph.reaching.retreat("release", scene, part, robot, goal, way)
             if path is not None:
                 return PathSegment("line", path[::-1].copy(), touches=part)
         return None

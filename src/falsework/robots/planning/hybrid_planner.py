@@ -24,7 +24,7 @@ from falsework.robots.keyframes.failure_report import Explanation
 from falsework.robots.keyframes.keyframe_graph import KeyframeGraph
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.cell_holds import CellScale, stability_in
-from falsework.robots.planning.boundary_motions import BoundaryMotions, graph_parts, leading_insertions
+from falsework.robots.planning.boundary_motions import BoundaryMotions, leading_insertions
 from falsework.robots.planning.hybrid_result import HybridResult, HybridSettings, Progress
 from falsework.robots.planning.hybrid_search import HybridSearch
 from falsework.robots.planning.initial_keyframe import given_keyframe, task_in_cell
@@ -113,30 +113,31 @@ def plan_robots(
         task = replace(task, together=task.together.held)
     elif task is not None and task.together is not None and task.together.by_one:
         options: dict[str, Any] = {"concurrent": concurrent, "settings": settings, "progress": progress}
-        return _plan_sets(
-            lambda structure, task, left: plan_robots(
-                structure, cell, task=task, deadline=left, stability=stability, forces=forces, **options
-            ),
-            assembly,
-            cell,
-            task,
-            stability,
-            Deadline(deadline),
-        )
+        options |= {"stability": stability, "forces": forces}
+
+        def plan(structure: Assembly, task: Task, left: float | None) -> HybridResult:
+            return plan_robots(structure, cell, task=task, deadline=left, **options)
+
+        return _plan_sets(plan, assembly, cell, task, stability, Deadline(deadline))
     progress = or_notebook(progress, "planning motions")
     if oracle is None:
+        clock = Deadline(deadline)
         given: dict[str, Any] = {"task": task, "configurations": configurations, "held": held, "gripped": gripped}
         given |= {"concurrent": concurrent, "guide": guide, "settings": settings, "progress": progress, "graph": graph}
-        return _keeping_reserve(
-            lambda oracle, left: plan_robots(assembly, cell, oracle=oracle, deadline=left, forces=forces, **given),
-            assembly,
-            cell,
-            stability,
-            deadline,
-        )
+
+        def under(reserve: float) -> HybridResult:
+            kept = stability_in(cell, assembly, replace(stability, reserve=reserve))
+            oracle = StabilityOracle(assembly, kept)
+            return plan_robots(assembly, cell, oracle=oracle, deadline=clock.rest, forces=forces, **given)
+
+        result = under(stability.reserve)
+        # Where no order of the parts is found with the reserve, there may be one without.
+        return under(1.0) if result.no_order and stability.reserve > 1.0 and not clock.passed else result
     now = configurations, held, gripped
     continues = settings.direction is Direction.ASSEMBLY and any(given is not None for given in now)
-    clock, needed = Deadline(deadline), graph_parts(task, continues=continues)
+    clock, needed = Deadline(deadline), dict[str, Any]()
+    if task is not None:  # the parts that are ever in place, and those that ever leave
+        needed = {"present": task.start != REMOVED, "leaving": task.target == REMOVED if continues else None}
 
     def search(limits: HybridSettings, graph: KeyframeGraph | None, clock: Deadline) -> HybridResult:
         graph = graph or KeyframeGraph(assembly, cell, settings=limits.keyframes, seed=limits.seed, **needed)
@@ -167,25 +168,6 @@ def plan_robots(
         return result
 
     return _concurrent(search, settings, graph, clock) if concurrent else search(settings, graph, clock)
-
-
-def _keeping_reserve(
-    search: Callable[[StabilityOracle, float | None], HybridResult],
-    assembly: Assembly,
-    cell: Cell,
-    stability: StabilitySettings,
-    deadline: float | None,
-) -> HybridResult:
-    """Return the result of a search with the reserve, or where it finds no order of the parts, of one without.
-
-    The deadline, seconds, is that of both searches together.
-    """
-    clock = Deadline(deadline)
-    result = search(StabilityOracle(assembly, stability_in(cell, assembly, stability)), deadline)
-    if not result.no_order or stability.reserve <= 1.0 or clock.passed:
-        return result
-    plain = stability_in(cell, assembly, replace(stability, reserve=1.0))
-    return search(StabilityOracle(assembly, plain), clock.rest)
 
 
 def _concurrent(
@@ -235,11 +217,36 @@ def _plan_sets(
 
     `plan` finds motions for a structure and a task, in so many seconds.
     """
+    settings = stability_in(cell, assembly, stability)
+
+    def by(rule: InterlockedSets) -> HybridResult:
+        """Return the result where sets move by one rule."""
+        within = replace(task, robots=cell.robot_count, together=rule)
+        found = find_plans(assembly, within, stability=settings, deadline=clock.rest, forces=False)
+        if found.value is None:
+            proved = found.result.outcome is Outcome.PROVED_IMPOSSIBLE
+            outcome = "interrupted" if found.deadline_passed else "proved_impossible" if proved else "not_found"
+            return _without(outcome, found.reason, within, no_order=True)
+        sets = [step for step in found.value if len(step.parts) > 1]
+        carried = tuple(dict.fromkeys(step.parts for step in sets if len(step.robots) == 1))
+        joined = join_parts(assembly, carried)
+        several = max((len(step.robots) for step in sets), default=1)
+        result = plan(joined, _joined_task(within, joined, several if rule.each_held else 1), clock.rest)
+        groups = groups_of(joined)
+        if groups is None:
+            return result
+        if result.value is not None:
+            own = result.value.plan.claim
+            loose = loose_plan(result.value.plan, groups)
+            report = validate_plan(loose, assembly, replace(settings, reserve=own.reserve))
+            if not report.good:
+                return _without("not_found", f"with loose parts the plan is not good: {report.reason}", within)
+        return replace(result, structure=joined)
+
     assert task.together is not None
     results: list[HybridResult] = []
     for rule in (task.together.carried, task.together.held, task.together):
-        within = replace(task, robots=cell.robot_count, together=rule)
-        results.append(_plan_by(rule, plan, assembly, cell, within, stability, clock))
+        results.append(by(rule))
         if results[-1].value is not None or clock.passed:
             return results[-1]
     without = [result for result in results if not result.no_order]
@@ -253,41 +260,6 @@ def _plan_sets(
         )
         last = replace(last, explanation=replace(last.explanation, text=why))
     return last
-
-
-def _plan_by(
-    rule: InterlockedSets,
-    plan: Callable[[Assembly, Task, float | None], HybridResult],
-    assembly: Assembly,
-    cell: Cell,
-    task: Task,
-    stability: StabilitySettings,
-    clock: Deadline,
-) -> HybridResult:
-    """Return the result where sets move by one rule."""
-    settings = stability_in(cell, assembly, stability)
-    found = find_plans(assembly, task, stability=settings, deadline=clock.rest, forces=False)
-    if found.value is None:
-        proved = found.result.outcome is Outcome.PROVED_IMPOSSIBLE
-        outcome = "interrupted" if found.deadline_passed else "proved_impossible" if proved else "not_found"
-        return _without(outcome, found.reason, task, no_order=True)
-    sets = [step for step in found.value if len(step.parts) > 1]
-    carried = tuple(dict.fromkeys(step.parts for step in sets if len(step.robots) == 1))
-    joined = join_parts(assembly, carried)
-    several = max((len(step.robots) for step in sets), default=1)
-    within = _joined_task(task, joined, several if rule.each_held else 1)
-    result = plan(joined, within, clock.rest)
-    groups = groups_of(joined)
-    if groups is None:
-        return result
-    if result.value is None:
-        return replace(result, structure=joined)
-    own = result.value.plan.claim
-    loose = loose_plan(result.value.plan, groups)
-    report = validate_plan(loose, assembly, replace(settings, reserve=own.reserve))
-    if report.good:
-        return replace(result, structure=joined)
-    return _without("not_found", f"with loose parts the plan is not good: {report.reason}", task)
 
 
 def _joined_task(task: Task, joined: Assembly, at_once: int) -> Task:

@@ -92,10 +92,6 @@ class HybridSearch:
         self.fallen = ""  # where the replay of the last rejected plan fails, in words
         self._reported = 0.0
 
-    def deadline_passed(self) -> bool:
-        """Return whether the deadline has passed."""
-        return self.clock.passed
-
     def run(self, root: Node) -> HybridResult:
         """Find an abstract plan, then motions for it or for a similar one; end at the deadline."""
         try:
@@ -105,11 +101,11 @@ class HybridSearch:
             return self.failed(root, "interrupted", _LATE)
 
     def _search(self, root: Node) -> HybridResult:
-        self.abstract = self.solvability.prepare(self.deadline_passed)
+        self.abstract = self.solvability.prepare(lambda: self.clock.passed)
         if not self.abstract.found:
             if self.solvability.fallen is not None:
                 self.fallen = describe_failure("plan", *self.solvability.fallen, self.assembly.names)
-            proven, late = self.abstract.outcome is Outcome.PROVED_IMPOSSIBLE, self.deadline_passed()
+            proven, late = self.abstract.outcome is Outcome.PROVED_IMPOSSIBLE, self.clock.passed
             outcome = "proved_impossible" if proven else "interrupted" if late else "not_found"
             return self.failed(root, outcome, self.fallen or (_LATE if outcome == "interrupted" else ""))
         if self.task.is_done:
@@ -136,7 +132,7 @@ class HybridSearch:
                     return self.solved(root, chain)
                 if self.counts["replays_fallen"] == MOST_FALLS:
                     return self.failed(root, "not_found", self.fallen)
-                if self.deadline_passed():
+                if self.clock.passed:
                     return self.failed(root, "interrupted", _LATE)
                 if self._hopeless():
                     return self.failed(root, "not_found", "further search cannot succeed")
@@ -158,7 +154,7 @@ class HybridSearch:
             options.extend(self.options(node, rng) for node in nodes[-1:])
 
         while nodes:
-            if self.deadline_passed():
+            if self.clock.passed:
                 return None
             excluded = self.graph.joint.excluded
             edge = next(options[-1], None)
@@ -208,7 +204,7 @@ class HybridSearch:
         """
         for keep in sorted({max(len(nodes) - back, 1) for back in (0, 1, 5, 21, 85, len(nodes))}, reverse=True):
             state = nodes[keep - 1].state
-            if not self.deadline_passed() and (self.solvability.stays(state) or self.solvability.reroute(state)):
+            if not self.clock.passed and (self.solvability.stays(state) or self.solvability.reroute(state)):
                 return keep
         return 0
 
@@ -247,7 +243,7 @@ class HybridSearch:
             return
         tried, verdicts, probes, worked = 0, 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
         for action in self.ranking.actions(node, self.attempt, rng):
-            if (node, action) in self.failures or self.deadline_passed():
+            if (node, action) in self.failures or self.clock.passed:
                 continue
             if not self.solvability.known(node.state, action):
                 # Where no action has succeeded yet, further checks are the cheapest way on, apart from backtracking.
@@ -278,7 +274,7 @@ class HybridSearch:
             if tried == _ACTIONS_PER_KEYFRAME:
                 break
         for part in self.failures.repairs(node):
-            if self.deadline_passed():
+            if self.clock.passed:
                 return
             if node.can_release(part) and self.solvability.solvable(node.state, part):
                 self.counts["releases"] += 1
@@ -346,7 +342,7 @@ class HybridSearch:
         if self.concurrent and whole:
             chain = self._shortened(chain)
             self._make(root, chain)
-            given = {"legal": self.solvability.legal, "stop": self.deadline_passed, "builds": builds}
+            given = {"legal": self.solvability.legal, "stop": lambda: self.clock.passed, "builds": builds}
             if not any(edge.partners or edge.transit for edge in chain):
                 other = reorder(self.graph, self.oracle, root, chain, self._timed, **given)
                 chain = other if not other or self.graph.accepts(other[-1]) else chain

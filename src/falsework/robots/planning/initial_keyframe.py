@@ -16,7 +16,6 @@ from falsework.robots.keyframes.keyframes import CarriedLoad, Node
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.shapes import Array, inverse_pose
-from falsework.robots.motion.collision_world import Attached
 from falsework.search.problem.task import STAGE, Task
 from falsework.stability.oracle import StabilityOracle
 from falsework.utils.quantity import format_quantity
@@ -125,4 +124,4 @@ def _load(graph: KeyframeGraph, robot: int, part: int, gripped: ArrayLike | None
         )
     values = entry.model.check_configuration(gripped, f"grip of {entry.name}")
     _check_grip(graph, robot, part, values)
-    return CarriedLoad(Attached(part, inverse_pose(tool_pose(entry, values))), values)
+    return CarriedLoad(part, inverse_pose(tool_pose(entry, values)), values)

@@ -125,11 +125,6 @@ def loads_at(plan: RobotPlan, keyframe: int) -> dict[int, Load]:
     return found
 
 
-def loads_beside(plan: RobotPlan, step: int) -> dict[int, Load]:
-    """Return the parts that other robots carry while they rest during a step, by robot."""
-    return {robot: load for robot, load in loads_at(plan, step).items() if robot not in plan.steps[step].robots}
-
-
 def lying_motions(plan: RobotPlan, step: int) -> range:
     """Return the motions of a step in which its part lies where it was put down; empty where it is not put down."""
     entry = plan.steps[step]

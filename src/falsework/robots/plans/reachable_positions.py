@@ -87,13 +87,12 @@ class ReachablePositions:
 
     def _needs(self, segments: Sequence[Segment], robot: int) -> Array:
         """Return the least progress of an arm in each segment of another, shape (segments,)."""
-        return np.array([self._need(entry, robot) for entry in segments])
-
-    def _need(self, segment: Segment, robot: int) -> float:
-        if segment.begun is None:
-            return 0.0
-        ended = segment.trajectory is None and robot in self.graph.nodes[segment.begun].robots
-        return float(self.begins[segment.begun, robot] + 1 if ended else self.needed[segment.begun, robot])
+        found = np.zeros(len(segments))
+        for k, segment in enumerate(segments):
+            if segment.begun is not None:
+                ended = segment.trajectory is None and robot in self.graph.nodes[segment.begun].robots
+                found[k] = self.begins[segment.begun, robot] + 1 if ended else self.needed[segment.begun, robot]
+        return found
 
     def overlaps(self, one: int, other: int) -> Iterator[Overlap]:
         """Yield all pairs of segments of two arms of which positions can coincide."""

@@ -183,18 +183,13 @@ def _segments(plan: RobotPlan, nodes: Sequence[MotionNode], robot: int) -> Itera
 
 
 @dataclass(frozen=True, eq=False)
-class ArmActivity:
+class ArmActivity(Segment):
     """Motion or rest of one arm at an instant of a schedule."""
 
-    robot: int
-    step: int
-    trajectory: Trajectory | None
-    """None: the arm rests."""
     begin: float
+    """Time at which it begins, seconds."""
     stretch: float
-    rest: Array
-    """Configuration of rest, shape (joints,)."""
-    load: Load | None
+    """Factor on its nominal duration."""
 
     def at(self, seconds: Array) -> Array:
         """Return joint values at given times, shape (samples, joints)."""
@@ -211,7 +206,7 @@ def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array |
     graph = schedule_of(plan)
     factor = np.ones(len(graph.nodes)) if factor is None else factor
     ends = starts + factor * graph.durations
-    for robot, segments in enumerate(segments_of(plan)):
+    for segments in segments_of(plan):
         now = segments[0]
         for entry in segments[1:]:
             assert entry.begun is not None
@@ -219,7 +214,7 @@ def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array |
                 break
             now = entry
         begin, late = (0.0, 1.0) if now.begun is None else (float(starts[now.begun]), float(factor[now.begun]))
-        yield ArmActivity(robot, now.step, now.trajectory, begin, late, now.rest, now.load)
+        yield ArmActivity(**vars(now), begin=begin, stretch=late)
 
 
 def waiting_at(plan: RobotPlan, starts: Array, moment: float) -> list[Load]:

@@ -182,8 +182,7 @@ def line_fault(tools: Array, longest: float) -> str:
     """
     far = tools[-1, :3, 3] - tools[0, :3, 3]
     length = float(np.linalg.norm(far))
-    x, y, z = (far / length if length > 0 else far).tolist()
-    if fault := move_fault(tools, PathMove((), (x, y, z), length)):
+    if fault := move_fault(tools, PathMove.straight((), far / length if length > 0 else far, length)):
         return fault
     if length > longest + STRAIGHT:
         return f"is a line of {1000 * length:.0f} mm; the cell allows {1000 * longest:.0f} mm"

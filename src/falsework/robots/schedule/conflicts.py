@@ -135,7 +135,6 @@ class Itineraries:
 class Choice:
     """Conflict of two arms: either the first or the second goes first."""
 
-    robots: tuple[int, int]
     orders: tuple[tuple[Precedence, ...] | None, tuple[Precedence, ...] | None]
     """Precedences if the first arm goes first, and if the second does; None where that is impossible."""
     planned: int
@@ -194,7 +193,7 @@ def _of_pair(rows: Itineraries, one: int, other: int) -> list[Choice]:
         orders = (_goes_first(rows, one, other, cells), _goes_first(rows, other, one, cells[:, ::-1]))
         i, j = cells[0].tolist()
         planned = int(_node_after(rows, one, i) > _node_after(rows, other, j))
-        found.append(Choice((one, other), orders, planned))
+        found.append(Choice(orders, planned))
     return found
 
 

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import cached_property
-
 import numpy as np
 
 from falsework.robots.kernels.collision import Bodies, Chain
 from falsework.robots.kernels.coordination import SPLIT, Swept, still, sweep
-from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import Array, inverse_pose, move_pieces
-from falsework.robots.motion.collision_world import Attached, CollisionWorld, Scene
+from falsework.robots.motion.collision_world import Attached, CollisionWorld
 from falsework.robots.plans.loads import Load, LoadKey
 from falsework.robots.plans.trajectory import Trajectory
 
@@ -57,22 +53,16 @@ class SweptBodies:
         carried = None if load is None or load.lies else load
         key = (robot, None if carried is None else carried.key)
         if key not in self._bodies:
-            entry, pieces = self.world.cell.robots[robot], None
+            held = None
             if carried is not None:
                 assert carried.grip is not None
-                held = Attached(carried.part, inverse_pose(tool_pose(entry, carried.grip)) @ carried.pose)
-                loads = tuple(held if other == robot else None for other in range(self.world.cell.robot_count))
-                pieces = self.world.carried(robot, replace(self._nowhere, attached=loads))
-            bodies, _, _ = make_bodies(entry, pieces, self.world.parts.names)
-            self._bodies[key] = (make_chain(entry.model, entry.base), bodies)
+                back = inverse_pose(tool_pose(self.world.cell.robots[robot], carried.grip))
+                held = Attached(carried.part, back @ carried.pose)
+            self._bodies[key] = self.world.chains[robot], self.world.bodies(robot, held)[0]
         made = sweep(values, spread, *self._bodies[key])
         if load is None or not load.lies:
             return made
         return _beside(made, still(move_pieces(load.pose, self.world.parts.pieces[load.part])))
-
-    @cached_property
-    def _nowhere(self) -> Scene:
-        return Scene.at_home(self.world.cell, self.world.parts)
 
 
 def _beside(moving: Swept, lying: Swept) -> Swept:
