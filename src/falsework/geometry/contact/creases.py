@@ -21,7 +21,7 @@ _STRAIGHT = np.cos(np.radians(0.5))
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Faces and vertices of all parts, concatenated; faces without area are left out."""
+    """Faces and vertices of all parts, concatenated; faces without area, which carry no force, are left out."""
 
     points: Array
     """Shape (vertices, 3), metres."""
@@ -30,7 +30,7 @@ class Surface:
     part: NDArray[np.int32]
     """Part of every face, shape (faces,)."""
     normals: Array
-    """Shape (faces, 3)."""
+    """Outwards, unit length, shape (faces, 3)."""
 
     @staticmethod
     def from_meshes(meshes: Sequence[TriangleMesh]) -> Surface:
@@ -50,10 +50,17 @@ class Surface:
                 edges[at, step - 1] = self.points[self.faces[:, (side + step) % 3]] - self.points[at]
         return edges / np.maximum(np.linalg.norm(edges, axis=2), 1e-300)[:, :, None]
 
-    @property
+    @cached_property
     def corners(self) -> Array:
         """Corners of the faces, shape (faces, 3, 3), metres."""
         return self.points[self.faces]
+
+    @cached_property
+    def balls(self) -> tuple[Array, Array]:
+        """Centres, shape (faces, 3), and radii, shape (faces,), of balls around the faces, metres."""
+        centre: Array = self.corners.mean(axis=1)
+        radius: Array = np.linalg.norm(self.corners - centre[:, None], axis=2).max(axis=1)
+        return centre, radius
 
 
 @dataclass(frozen=True, eq=False)

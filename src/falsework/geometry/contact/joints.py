@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import AssemblyError
+from falsework.geometry.contact.creases import Surface
 from falsework.geometry.contact.grouping import planes
 from falsework.geometry.contact.overlap import Overlaps, coarse_depth, depth, vertex_depth
-from falsework.geometry.contact.patches import Faces, Patches, intersect_faces, opposed_faces
+from falsework.geometry.contact.patches import Patches, intersect_faces, opposed_faces
 from falsework.geometry.mesh.collision import inside, interpenetrate
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.utils.quantity import format_quantity
@@ -148,7 +149,7 @@ def find_joints(
         angle: largest angle between the normals of patches of one contact, degrees.
         narrowest: width below which a contact is left out, metres.
     """
-    faces = Faces.from_meshes(meshes)
+    faces = Surface.from_meshes(meshes)
     extent = np.concatenate(
         [_extents(mesh.vertices, faces.normals[faces.part == part]) for part, mesh in enumerate(meshes)]
     )

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import AssemblyError
-from falsework.geometry.contact.patches import Faces, intersect_faces, opposed_faces
+from falsework.geometry.contact.creases import Surface
+from falsework.geometry.contact.patches import intersect_faces, opposed_faces
 from falsework.geometry.mesh.boxes import box_pairs
 from falsework.geometry.mesh.collision import LESS, MORE, Body, inside, interpenetrate, nested, outwards
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -94,7 +95,7 @@ def _have_layer(
     """Return whether faces of pairs of parts that should touch overlap by more than the tolerance, shape (pairs,)."""
     if not len(pairs):
         return np.zeros(0, dtype=bool)
-    faces = Faces.from_meshes(meshes)
+    faces = Surface.from_meshes(meshes)
     row = np.full((len(meshes), len(meshes)), -1)
     row[pairs[:, 0], pairs[:, 1]] = np.arange(len(pairs))
     deepest = np.full(len(faces.part), limit.max())

@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.contact.creases import Surface
 from falsework.geometry.mesh.boxes import pairs_of_groups
-from falsework.geometry.mesh.mesh import TriangleMesh, unit_normals
+from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 
@@ -91,33 +92,6 @@ class Patches:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Faces:
-    """All faces of a structure, concatenated; those without area are left out."""
-
-    corners: Array
-    """Shape (faces, 3, 3), metres."""
-    part: NDArray[np.int32]
-    """Shape (faces,)."""
-    normals: Array
-    """Outwards, unit length, shape (faces, 3)."""
-
-    @cached_property
-    def balls(self) -> tuple[Array, Array]:
-        """Centres, shape (faces, 3), and radii, shape (faces,), of balls around the faces, metres."""
-        centre: Array = self.corners.mean(axis=1)
-        radius: Array = np.linalg.norm(self.corners - centre[:, None], axis=2).max(axis=1)
-        return centre, radius
-
-    @staticmethod
-    def from_meshes(meshes: Sequence[TriangleMesh]) -> Faces:
-        """Collect the faces of all parts."""
-        corners = np.concatenate([mesh.triangles for mesh in meshes])
-        part = np.repeat(np.arange(len(meshes), dtype=np.int32), [len(mesh.faces) for mesh in meshes])
-        normals, solid = unit_normals(corners)  # a face without area carries no force
-        return Faces(corners[solid], part[solid], normals)
-
-
 def face_patches(
     meshes: Sequence[TriangleMesh], *, gap: float, overlap: float, angle: float, least: float | None = None
 ) -> Patches:
@@ -132,7 +106,7 @@ def face_patches(
         angle: degrees.
         least: side of a square whose area is rounding, metres; None: a thousandth of the larger of gap and overlap.
     """
-    faces = Faces.from_meshes(meshes)
+    faces = Surface.from_meshes(meshes)
     least = max(gap, overlap) / 1000 if least is None else least
     count = len(faces.part)
     return Patches.join(
@@ -144,7 +118,7 @@ def face_patches(
 
 
 def opposed_faces(
-    faces: Faces, gap: Array, overlap: Array, angle: float, among: NDArray[np.bool_] | None = None
+    faces: Surface, gap: Array, overlap: Array, angle: float, among: NDArray[np.bool_] | None = None
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """Yield pairs of faces that look at each other and may touch, as far as their boxes tell; in chunks.
 
@@ -169,7 +143,7 @@ def opposed_faces(
 
 
 def intersect_faces(
-    faces: Faces,
+    faces: Surface,
     i: NDArray[np.int64],
     j: NDArray[np.int64],
     *,
@@ -232,7 +206,7 @@ def intersect_faces(
 
 
 def _balls_may_touch(
-    faces: Faces, i: NDArray[np.int64], j: NDArray[np.int64], normals: Array, *, gap: Array, overlap: Array
+    faces: Surface, i: NDArray[np.int64], j: NDArray[np.int64], normals: Array, *, gap: Array, overlap: Array
 ) -> NDArray[np.bool_]:
     """Test whether balls around pairs of faces are beside each other, and their distance along the normal in its band.
 
