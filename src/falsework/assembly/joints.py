@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.assembly_model import JointEntry
 from falsework.assembly.part_numbers import part_id
 from falsework.errors import AssemblyError
+from falsework.geometry.arrays import read_only
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.utils.models import plain, read_model
 
@@ -49,8 +50,7 @@ class Joints:
     """Index into `setting` of each contact point, -1 for none, shape (points,); empty where nothing sets."""
 
     def __post_init__(self) -> None:
-        for array in (self.friction, self.cohesion, self.tension, self.ductile, self.sets):
-            array.setflags(write=False)
+        read_only(self.friction, self.cohesion, self.tension, self.ductile, self.sets)
 
     @staticmethod
     def from_arrays(

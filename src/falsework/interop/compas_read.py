@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.draft import Block, Draft
 from falsework.errors import InputError
+from falsework.geometry.clearance.moves import apply
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.surface import warn_of, warn_of_curves
 from falsework.interop.compas_shapes import CURVED, inner, shape_mesh
@@ -298,7 +299,7 @@ class _Reader:
         vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
         if not np.isfinite(vertices).all():
             self._fail(f"block {name or '?'} has a coordinate that is not a number")
-        vertices = vertices @ place[:3, :3].T + place[:3, 3]
+        vertices = apply(place, vertices)
         if np.linalg.det(place[:3, :3]) < 0:
             faces = [face[::-1] for face in faces]
         for entry in ("density", "friction"):

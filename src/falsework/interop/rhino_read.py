@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.draft import Block, Draft
 from falsework.errors import InputError
+from falsework.geometry.clearance.moves import apply
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.read import unit_length
@@ -241,7 +242,7 @@ def _polygons(meshes: list[Any], place: NDArray[np.float64]) -> tuple[NDArray[np
         for row in range(len(mesh.Faces)):
             corners = [first + corner for corner in mesh.Faces[row]]
             faces.append(corners[:3] if corners[2] == corners[3] else corners)
-    points = np.array(vertices, dtype=float).reshape(-1, 3) @ place[:3, :3].T + place[:3, 3]
+    points = apply(place, np.array(vertices, dtype=float).reshape(-1, 3))
     if np.linalg.det(place[:3, :3]) < 0:
         faces = [face[::-1] for face in faces]
     return points, faces

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import read_only, segment_mean
 from falsework.geometry.contact.creases import expand
 from falsework.geometry.contact.joints import JointReport
 
@@ -79,6 +80,11 @@ class Contacts:
             friction: coefficient of all points, or of each.
         """
         return np.arctan(friction) < self.point_lean - PARALLEL
+
+    @property
+    def centres(self) -> NDArray[np.float64]:
+        """Mean of the points of each contact, shape (contacts, 3), metres."""
+        return segment_mean(self.points, self.contact_of_point, len(self))
 
     @property
     def dimension(self) -> NDArray[np.int8]:
@@ -178,6 +184,5 @@ def frozen(
     *arrays: Any, report: JointReport | None = None, curved: Array | None = None, lean: Array | None = None
 ) -> Contacts:
     """Make contacts of arrays in the order of their fields, which become read-only."""
-    for array in (*arrays, *(array for array in (curved, lean) if array is not None)):
-        array.setflags(write=False)
+    read_only(*arrays, *(array for array in (curved, lean) if array is not None))
     return Contacts(*arrays, report=report or JointReport.none(), curved=curved, lean=lean)

@@ -11,8 +11,9 @@ import shapely
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.geometry.arrays import segment_mean, segment_sum
 from falsework.geometry.contact.contacts import Contacts, frozen
-from falsework.geometry.contact.grouping import COPLANAR, curved_groups, planes, segment_mean, segment_sum
+from falsework.geometry.contact.grouping import COPLANAR, curved_groups, planes
 from falsework.geometry.contact.joints import JointReport, check_joints, find_joints, refuse_deep
 from falsework.geometry.contact.narrow_phase import NARROW, ContactTolerances, Narrow, merged, narrow_places
 from falsework.geometry.contact.overlap import Overlaps, find_overlaps

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import AssemblyError
+from falsework.geometry.arrays import read_only
 from falsework.geometry.contact.creases import Surface
 from falsework.geometry.contact.grouping import planes
 from falsework.geometry.contact.overlap import Overlaps, coarse_depth, depth, vertex_depth
@@ -61,10 +62,7 @@ class JointReport:
         distance = np.zeros((2, len(parts)))
         np.minimum.at(distance[0], joint.ravel(), patches.distance[:, 0])
         np.maximum.at(distance[1], joint.ravel(), patches.distance[:, 1])
-        arrays = (parts.astype(np.int32).reshape(-1, 2), -distance[0] + 0.0, distance[1])
-        for array in arrays:
-            array.setflags(write=False)
-        return JointReport(*arrays)
+        return JointReport(*read_only(parts.astype(np.int32).reshape(-1, 2), -distance[0] + 0.0, distance[1]))
 
     def line(self, names: Sequence[str]) -> str:
         """Return one line that says how many joints were resolved, and the worst of them."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
+from falsework.geometry.arrays import box_around
 from falsework.geometry.clearance.moves import apply
 from falsework.search.plans.steps import NO_ROBOT, no_such_step
 from falsework.search.problem.task import Direction
@@ -206,8 +207,7 @@ def one_state(
         box = bounds_with_arms(arms, bounds_of(timeline.assembly))
     tips = [some.ends.reshape(-1, 3) for some in arrows if len(some)]
     if tips and bounds is None:
-        points = np.concatenate([box, *tips])
-        box = np.stack([points.min(axis=0), points.max(axis=0)])
+        box = box_around(np.concatenate([box, *tips]))
         box[0, 2] = bounds_of(timeline.assembly)[0, 2]
     drawn = draw(timeline.assembly, appearance, camera, bounds=box, arrows=arrows, extra=extra, outline=outline)
     entries = list(legend(timeline) if key is None else key)
@@ -283,15 +283,12 @@ def bounds_with_motions(timeline: Timeline) -> NDArray[np.float64]:
     box = bounds_of(timeline.assembly)
     if len(timeline) == 0:
         return box
-    floor = box[0, 2]
     # Half of the path suffices: farther out a part is nearly invisible.
-    far, boxes = TRAVEL * diagonal(timeline.assembly), []
+    far, points = TRAVEL * diagonal(timeline.assembly), [box]
     for part, mesh in enumerate(timeline.assembly.meshes):
-        points = apply(timeline.displacements(part, 0.5, far)[part], mesh.vertices)
-        boxes.append([points.min(axis=0), points.max(axis=0)])
-    boxes = np.array(boxes)
-    wide = np.stack([np.minimum(box[0], boxes[:, 0].min(axis=0)), np.maximum(box[1], boxes[:, 1].max(axis=0))])
-    wide[0, 2] = floor
+        points.append(box_around(apply(timeline.displacements(part, 0.5, far)[part], mesh.vertices)))
+    wide = box_around(np.concatenate(points))
+    wide[0, 2] = box[0, 2]
     return wide
 
 
