@@ -23,7 +23,7 @@ from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
-from falsework.utils.display.frame import frame_of
+from falsework.utils.display.drawing import drawn
 from falsework.utils.lazy import importing
 
 with importing("the Gymnasium environment needs gymnasium; pip install 'falsework[learn]'"):
@@ -169,7 +169,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
             return None
         if self.render_mode == "rgb_array":
             words = self._last + (", which is not stable" if self.fell else "")
-            return frame_of(self.assembly, self._state, self.robots, words)
+            return drawn("state", self.assembly, self._state, self.robots, words)
         return "".join(_LETTERS[int(value)] for value in self._state) + (f" {self._last}" if self._last else "")
 
     def _refuse(self, action: int) -> tuple[NDArray[np.int64], float, bool, bool, dict[str, Any]]:

@@ -226,7 +226,11 @@ def one_state(
 
 
 def state_frame(assembly: Assembly, state: States, robots: int, words: str) -> Pixels:
-    """Draw a state with a line above and the legend; see `falsework.utils.display.frame.frame_of`."""
+    """Draw a state, shape (parts,), with a line of words above and the legend; of one size for a structure.
+
+    Args:
+        robots: parts that may be held at once.
+    """
     timeline = Timeline.from_state(assembly, state, robots).turned(Direction.DISASSEMBLY)
     box = bounds_of(assembly)
     # Every frame of a film has the same size, so the legend has all robots.
