@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 from collections.abc import Mapping
@@ -13,7 +12,7 @@ from typing import Any
 import torch
 
 from falsework.assembly.model import Assembly
-from falsework.errors import FalseworkError, InputError
+from falsework.errors import InputError
 from falsework.learn.config.train import TrainSettings, from_dict
 from falsework.learn.networks import policy as policies
 from falsework.learn.networks.custom_policy import PolicyOrClass
@@ -100,7 +99,7 @@ def write_run(folder: Path, metadata: Mapping[str, Any]) -> None:
         InputError: it cannot be written.
     """
     text = json.dumps({"format": FORMAT, **metadata}, indent=1, allow_nan=False) + "\n"
-    _write(folder / FILE, text.encode())
+    write_whole(folder / FILE, lambda file: file.write(text.encode()))
 
 
 def save_run(folder: Path, policy: torch.nn.Module, metadata: Mapping[str, Any]) -> None:
@@ -118,7 +117,8 @@ def save_run(folder: Path, policy: torch.nn.Module, metadata: Mapping[str, Any])
 
     folder.mkdir(parents=True, exist_ok=True)
     weights = {name: tensor.detach().cpu().clone() for name, tensor in policy.state_dict().items()}
-    _write(folder / WEIGHTS, save(weights, {"format": FORMAT}))
+    content = save(weights, {"format": FORMAT})
+    write_whole(folder / WEIGHTS, lambda file: file.write(content))
     write_run(folder, metadata)
 
 
@@ -305,8 +305,8 @@ class CheckpointFile:
         content = save(flat, header)
         try:
             write_whole(self.path, lambda file: file.write(content))
-        except (OSError, InputError) as error:
-            return f"{_reason(error)}; the last checkpoint stays, training continues"
+        except InputError as error:
+            return f"{error}; the last checkpoint stays, training continues"
         return ""
 
     def load(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
@@ -337,19 +337,6 @@ def _read(path: Path, remedy: str) -> tuple[dict[str, torch.Tensor], dict[str, s
             return {name: file.get_tensor(name) for name in file.keys()}, header  # noqa: SIM118
     except (OSError, SafetensorError, ValueError) as error:
         raise InputError(f"{path} is damaged ({' '.join(str(error).split())}); train again") from None
-
-
-def _write(path: Path, content: bytes) -> None:
-    try:
-        write_whole(path, lambda file: file.write(content))
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {_reason(error)}; free disk space and continue with --resume") from None
-
-
-def _reason(error: OSError | FalseworkError) -> str:
-    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
-        return "the disk is full"
-    return str(getattr(error, "strerror", None) or error)
 
 
 def _plain(value: Any) -> Any:
