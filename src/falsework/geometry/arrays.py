@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Base of tables: dataclasses whose fields are arrays with a row for each entry of the table."""
+
+    def take(self, chosen: Any) -> Self:
+        """Return those rows alone, in that order; `chosen` is what arrays of rows are indexed with."""
+        return type(self)(*(getattr(self, column.name)[chosen] for column in fields(self)))
+
+    @classmethod
+    def join(cls, tables: Sequence[Self]) -> Self:
+        """Return all rows of several tables, one after the other."""
+        return cls(*(np.concatenate([getattr(one, column.name) for one in tables]) for column in fields(cls)))
 
 
 def read_only(*arrays: Any) -> tuple[Any, ...]:

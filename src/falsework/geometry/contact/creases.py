@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import Rows
 from falsework.geometry.mesh.edges import directed_edges
 from falsework.geometry.mesh.mesh import TriangleMesh, joined_faces, unit_normals
 
@@ -64,7 +65,7 @@ class Surface:
 
 
 @dataclass(frozen=True, eq=False)
-class Creases:
+class Creases(Rows):
     """Convex edges of all parts, sorted by part."""
 
     tail: Array
@@ -121,10 +122,6 @@ class Creases:
             face=a[sharp],
             ends=_ends(vertices, along[sharp]),
         )
-
-    def take(self, chosen: NDArray[np.bool_]) -> Creases:
-        """Return those edges alone."""
-        return Creases(**{name: value[chosen] for name, value in self.__dict__.items()})
 
 
 def _single(keys: Index) -> NDArray[np.bool_]:

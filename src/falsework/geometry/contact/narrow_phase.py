@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import Rows
 from falsework.geometry.contact.creases import Creases, Surface, expand, rises
 from falsework.geometry.mesh.boxes import crossing_boxes, pairs_of_groups
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -29,7 +30,7 @@ are written with six digits."""
 
 
 @dataclass(frozen=True, eq=False)
-class Narrow:
+class Narrow(Rows):
     """Line and point contacts between two parts, one row each."""
 
     parts: NDArray[np.int32]
@@ -45,20 +46,11 @@ class Narrow:
     gaps: Array
     """Distance of the parts at both ends, along the normal, negative where they overlap, shape (places, 2), metres."""
 
-    def take(self, chosen: NDArray) -> Narrow:
-        """Return those places alone, in that order."""
-        return Narrow(*(array[chosen] for array in vars(self).values()))
-
     @staticmethod
     def none() -> Narrow:
         """Return no places."""
         numbers, pairs = np.zeros(0), np.zeros((0, 2))
         return Narrow(pairs.astype(np.int32), np.zeros((0, 3)), np.zeros((0, 2, 3)), numbers, numbers, pairs)
-
-    @staticmethod
-    def join(found: Sequence[Narrow]) -> Narrow:
-        """Return all places of several."""
-        return Narrow(*(np.concatenate(arrays) for arrays in zip(*(vars(n).values() for n in found), strict=True)))
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
@@ -64,17 +64,11 @@ class Patches:
     def join(found: Sequence[Patches]) -> Patches:
         """Return all patches of several, none of none."""
         found = found or [Patches.none()]
-        counts = np.cumsum([0] + [len(patches.areas) for patches in found])
-        return Patches(
-            parts=np.concatenate([patches.parts for patches in found]),
-            normals=np.concatenate([patches.normals for patches in found]),
-            areas=np.concatenate([patches.areas for patches in found]),
-            points=np.concatenate([patches.points for patches in found]),
-            owner=np.concatenate([patches.owner + first for patches, first in zip(found, counts, strict=False)]),
-            gaps=np.concatenate([patches.gaps for patches in found]),
-            faces=np.concatenate([patches.faces for patches in found]),
-            lean=np.concatenate([patches.lean for patches in found]),
+        first = np.repeat(
+            np.cumsum([0, *(len(patches.areas) for patches in found[:-1])]), [len(patches.owner) for patches in found]
         )
+        columns = {one.name: np.concatenate([getattr(some, one.name) for some in found]) for one in fields(Patches)}
+        return Patches(**{**columns, "owner": columns["owner"] + first})
 
     def take(self, chosen: NDArray[np.bool_]) -> Patches:
         """Return the chosen patches alone, shape (patches,)."""
