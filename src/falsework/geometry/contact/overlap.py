@@ -53,13 +53,15 @@ class Overlaps:
             (a, b), limit = self.parts[row].tolist(), float(self.limit[row])
             deep = depth(meshes[a], meshes[b])
             if deep > limit:
-                raise AssemblyError(
-                    f"parts {meshes[a].name} and {meshes[b].name} pass through each other by "
-                    f"{format_quantity(deep, 'length')}, "
-                    f"and {format_quantity(limit, 'length')} is allowed where they have no joint; move them "
-                    f"apart, or raise the "
-                    'tolerance ("contact": {"overlap": metres} in assembly.json)'
-                )
+                allowed = f"{format_quantity(limit, 'length')} is allowed where they have no joint; move them apart"
+                how = '("contact": {"overlap": metres} in assembly.json)'
+                raise too_deep(meshes[a], meshes[b], deep, f"{allowed}, or raise the tolerance {how}")
+
+
+def too_deep(one: TriangleMesh, other: TriangleMesh, deep: float, allowed: str) -> AssemblyError:
+    """Return the error of parts that pass through each other by a depth, metres; `allowed` says what is, and a way."""
+    how = f"parts {one.name} and {other.name} pass through each other by {format_quantity(deep, 'length')}"
+    return AssemblyError(f"{how}, and {allowed}")
 
 
 def find_overlaps(meshes: Sequence[TriangleMesh], tolerance: float, *, corner: float | None) -> Overlaps:
