@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from falsework.search.plans.plan_source import check_source
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
-from falsework.utils.models import FileModel, read_model
+from falsework.utils.models import FileModel, plain, read_model
 
 FORMAT = "falsework.run/2"
 CHECKPOINT_FORMAT = "falsework.checkpoint/3"
@@ -81,14 +80,14 @@ def describe_structure(assembly: Assembly, source: Mapping[str, Any]) -> dict[st
     Raises:
         InputError: another source, which `load_run` would refuse.
     """
-    plain = {name: _plain(value) for name, value in source.items()}
+    values = plain(source)
     about = f"the source of {assembly.name} cannot be recorded: "
-    check_source(read_model(SourceEntry, plain, about, InputError, "structure.source"), about)
+    check_source(read_model(SourceEntry, values, about, InputError, "structure.source"), about)
     return {
         "name": assembly.name,
         "identity": assembly.identity,
         "parts": assembly.part_count,
-        "source": plain,
+        "source": values,
     }
 
 
@@ -157,15 +156,6 @@ def read_run(folder: Path) -> dict[str, Any]:
     if read.structure is not None:
         check_source(read.structure.source, about)
     return content
-
-
-def settings_of(metadata: Mapping[str, Any]) -> TrainSettings:
-    """Read the settings of a run.
-
-    Raises:
-        InputError: they are none.
-    """
-    return from_dict(TrainSettings, metadata["settings"])
 
 
 def load_structure_of(folder: Path, metadata: Mapping[str, Any]) -> Assembly:
@@ -240,7 +230,7 @@ def load_run(
             assembly = load_structure_of(folder, metadata)
         else:
             check_structure(folder, metadata, assembly)
-        settings = settings_of(metadata)
+        settings = from_dict(TrainSettings, metadata["settings"])
     if policy is not None and not settings.policy.custom:
         raise InputError(f"the policy of {folder} is a {settings.policy.kind} of falsework; leave the policy out")
     trained = make_policy(assembly, settings.policy, where, given=policy)
@@ -337,7 +327,3 @@ def _read(path: Path, remedy: str) -> tuple[dict[str, torch.Tensor], dict[str, s
             return {name: file.get_tensor(name) for name in file.keys()}, header  # noqa: SIM118
     except (OSError, SafetensorError, ValueError) as error:
         raise InputError(f"{path} is damaged ({' '.join(str(error).split())}); train again") from None
-
-
-def _plain(value: Any) -> Any:
-    return os.fspath(value) if isinstance(value, Path) else value
