@@ -144,7 +144,8 @@ def load_dataset(path: Path | str, assembly: Assembly) -> Dataset:
         found = {name: arrays[name] for name in _SETS}
         check_states(path, found, task.part_count, "make it anew")
         settings = DataSettings(header["train_width"], header["test_width"])
-    return Dataset(**found, task=task, name=header["name"], settings=settings)
+    train, test, validation, more = (found[name] for name in _SETS)
+    return Dataset(train, test, validation, more, task=task, name=header["name"], settings=settings)
 
 
 def check_states(path: Path | str, arrays: Mapping[str, NDArray[Any]], parts: int, remedy: str) -> None:

@@ -23,7 +23,7 @@ from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, PRESS, ROBOTS, SLIDING, hex_of, ramp, robot_color
 from falsework.viewer.pictures.render import Camera, ColoredSolid, Image, render
 from falsework.viewer.proof import StateProof
-from falsework.viewer.timeline import Timeline, interesting
+from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -111,9 +111,8 @@ def _scene(
 
 def contact_sheet(
     timeline: Timeline,
+    places: Sequence[int],
     *,
-    places: Sequence[int] | None = None,
-    frames: int = 12,
     columns: int = 4,
     camera: Camera = CELL,
     title: str = "",
@@ -123,20 +122,18 @@ def contact_sheet(
     """Return some states of a timeline with their steps, and the legend.
 
     Args:
-        places: states to show; chosen evenly if not given.
+        places: states to show, at least one.
         proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
             above.
     """
-    chosen = list(interesting(timeline, frames) if places is None else places)
-    check_places(timeline, chosen)
     pillow = import_pillow()
-    columns = min(columns, len(chosen))
-    rows = -(-len(chosen) // columns)
+    columns = min(columns, len(places))
+    rows = -(-len(places) // columns)
     head, cell = (_LINE + 6 if title else 0), camera.height + _LINE
     proofs = proofs or {}
-    sliding = any(proofs[position].slides for position in chosen if position in proofs)
-    pressing = any(timeline.presses_at(position) for position in chosen)
-    entries = legend(timeline, sliding, pressing, outlined=True, places=chosen)
+    sliding = any(proofs[position].slides for position in places if position in proofs)
+    pressing = any(timeline.presses_at(position) for position in places)
+    entries = legend(timeline, sliding, pressing, outlined=True, places=places)
     box = bounds_of(timeline.assembly)
     box = box if arms is None else bounds_with_arms(arms, box)
     outline = outline_of(timeline, camera, box)
@@ -146,7 +143,7 @@ def contact_sheet(
     pen = pillow.ImageDraw.Draw(sheet)
     if title:
         write_text(pen, (across / 2, head / 2 + 2), title, 18, across=across)
-    for number, position in enumerate(chosen):
+    for number, position in enumerate(places):
         left, top = (number % columns) * camera.width, head + (number // columns) * cell
         proof = proofs.get(position)
         marks = None if proof is None else proof.marks
