@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from falsework.assembly.touching import ContactWarning
 from falsework.errors import AssemblyError
-from falsework.geometry.contact.contacts import frozen
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings
 from falsework.geometry.contact.patches import frames_of
 from falsework.geometry.mesh.collision import Body
@@ -123,7 +122,7 @@ def interface_contacts(meshes: Sequence[TriangleMesh], interfaces: Sequence[Stor
     kind = np.array([min(len(points), 3) for points in corners])
     pairs = np.array(parts, dtype=np.int32)
     order = np.lexsort((*middles.T[::-1], -kind, pairs[:, 1], pairs[:, 0]))
-    return frozen(
+    return Contacts(
         pairs[order],
         np.ascontiguousarray(frames_of(np.array(normals))[order]),
         np.concatenate([corners[index] for index in order]),
