@@ -24,7 +24,7 @@ from falsework.geometry.mesh.surface import warn_of, warn_of_curves
 from falsework.interop.compas_shapes import CURVED, inner, shape_mesh
 from falsework.utils.files.formats import Reader
 from falsework.utils.json_text import parse_json
-from falsework.utils.quantity import listed
+from falsework.utils.quantity import is_number, listed
 
 LARGEST_FILE = 512 * 1024 * 1024
 """Bytes; a file beyond that is refused rather than read into memory."""
@@ -304,7 +304,7 @@ class _Reader:
             faces = [face[::-1] for face in faces]
         for entry in ("density", "friction"):
             value = attributes.get(entry)
-            if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
+            if value is not None and not is_number(value):
                 self._fail(f"the {entry} of block {name or '?'} is {value!r}", "give a number")
         return Block(str(name), vertices, faces, self._flag(attributes.get("is_support"), name), attributes)
 
