@@ -25,7 +25,7 @@ import time
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -245,7 +245,6 @@ def _learning(assembly: Assembly, plan: Plan, scratch: Path) -> Iterator[tuple[s
     except ImportError:
         return
     from falsework.learn import PolicySettings, TrainSettings, load_run, make_policy
-    from falsework.learn.config.train import to_dict
     from falsework.learn.data.dataset import Dataset, load_dataset, save_dataset, training_task
     from falsework.learn.networks.factory import describe
     from falsework.learn.training.checkpoint import FILE, WEIGHTS, describe_structure, save_run
@@ -260,7 +259,7 @@ def _learning(assembly: Assembly, plan: Plan, scratch: Path) -> Iterator[tuple[s
     policy = make_policy(assembly, settings.policy, "cpu", 0)
     metadata = {
         "structure": describe_structure(assembly, {"built_in": "arch:blocks=3"}),
-        "settings": to_dict(settings),
+        "settings": asdict(settings),
         "policy": describe(policy, settings.policy),
         "results": {},
         "versions": {},

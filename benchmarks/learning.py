@@ -28,7 +28,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -42,7 +42,7 @@ from falsework import StabilityOracle, StabilitySettings, load_structure, train
 from falsework.errors import InputError
 from falsework.learn import Environment, Policy, PolicySettings, TrainSettings, roll_out, transfer
 from falsework.learn.config.policy import recommended
-from falsework.learn.config.train import METHODS, Criterion, from_dict, phases_of, to_dict
+from falsework.learn.config.train import METHODS, Criterion, from_dict, phases_of
 from falsework.learn.data.dataset import Dataset, build_dataset, search_states, training_task
 from falsework.learn.data.goal_dataset import GoalDataset, GoalDataSettings, SearchStates, build_goal_dataset
 from falsework.learn.data.goal_pairs import Pairs
@@ -108,7 +108,7 @@ def settings_of(options: argparse.Namespace, row: str, robots: int, seed: int, *
     if options.set:
         *others, last = given["phases"]
         changed = {name: json.loads(value) for name, _, value in (one.partition("=") for one in options.set)}
-        given["phases"] = (*others, from_dict(type(last), to_dict(last) | changed))
+        given["phases"] = (*others, from_dict(type(last), asdict(last) | changed))
     given |= changes
     sizes = {name: getattr(options, name) for name in ("layers", "channels", "heads") if getattr(options, name)}
     return TrainSettings(**{**given, "policy": replace(given.get("policy", PolicySettings()), **sizes)})

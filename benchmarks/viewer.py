@@ -24,7 +24,7 @@ from falsework.viewer import Timeline
 from falsework.viewer.page.page import Page
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.pictures.contact_sheet import contact_sheet, one_state
-from falsework.viewer.timeline import holders
+from falsework.viewer.timeline import holders, interesting
 
 FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
 COUNT = """() => new Promise(done => {
@@ -41,7 +41,7 @@ def pictures() -> None:
     timeline = Timeline.from_plan(find_plans(vault, make_task(vault)).plans[0], vault, Direction.ASSEMBLY)
     one_state(timeline, 0.5)
     begun = time.perf_counter()
-    contact_sheet(timeline)
+    contact_sheet(timeline, interesting(timeline, 12))
     sheet = time.perf_counter() - begun
     begun = time.perf_counter()
     one_state(timeline, len(timeline) / 2)

@@ -18,7 +18,7 @@ from falsework.errors import InputError
 from falsework.learn.algorithms.imitation import imitation_loss
 from falsework.learn.algorithms.policy_optimizer import PolicyOptimizer
 from falsework.learn.config.policy import PolicySettings
-from falsework.learn.config.train import TrainSettings, to_dict
+from falsework.learn.config.train import TrainSettings
 from falsework.learn.networks.local_attention import LocalAttention
 from falsework.learn.training.checkpoint import WEIGHTS, CheckpointFile, load_weights, save_run
 from falsework.utils.quantity import check_seed
@@ -175,7 +175,7 @@ class GeneralTraining:
         settings = TrainSettings(policy=self.settings.policy, seed=self.settings.seed)
         metadata = {
             "structure": None,
-            "settings": to_dict(settings),
+            "settings": asdict(settings),
             "policy": {**asdict(self.settings.policy.resolved()), "parameters": _count(self.network)},
             "results": {
                 "general": asdict(self.settings),

@@ -33,14 +33,15 @@ def old(planned_once: Callable[..., bytes], tmp_path: Path) -> Path:
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     """A run as training leaves it, with a policy that was never trained."""
+    from dataclasses import asdict
+
     from falsework.learn import PolicySettings, TrainSettings, make_policy
-    from falsework.learn.config.train import to_dict
     from falsework.learn.training.checkpoint import describe_structure, save_run
 
     settings = TrainSettings(policy=PolicySettings("mlp"))
     metadata = {
         "structure": describe_structure(ARCH, {"built_in": "arch:blocks=5"}),
-        "settings": to_dict(settings),
+        "settings": asdict(settings),
         "policy": {},
         "results": {},
         "versions": {},

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from falsework.errors import InputError
 from falsework.geometry import Contacts, ContactSettings, TriangleMesh, find_contacts, load_meshes
+from falsework.geometry.contact.creases import Surface
 from falsework.geometry.contact.grouping import planes
-from falsework.geometry.contact.patches import Faces, face_patches, opposed_faces
+from falsework.geometry.contact.patches import face_patches, opposed_faces
 from falsework.geometry.mesh.collision import Body
 
 linprog: Any = vars(scipy.optimize)["linprog"]  # without types, which take a type checker long to infer
@@ -290,7 +291,7 @@ def test_pairs_of_faces_that_are_compared_grow_with_the_faces_alone():
     """Of a bearing, also within the wide bounds of joints."""
 
     def compared(scale):
-        faces = Faces.from_meshes(
+        faces = Surface.from_meshes(
             [tube("shaft", 0.005, 0.01, 24 * scale, 6 * scale), tube("bush", 0.0101, 0.02, 24, 6)]
         )
         extent = np.full(len(faces.part), 0.02)

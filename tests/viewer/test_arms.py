@@ -106,8 +106,8 @@ def test_contact_sheets_have_the_arms(robot_plan: RobotPlan, cell: Cell, arch: t
         look = appearance_with_arms(appearance_at(timeline, place, travelling=False), arms.at(place))
         alone = draw(arch[0], look, CELL, bounds=box, extra=extra)
         there = (alone < 0.6).any(axis=2)
-        sheet = contact_sheet(timeline, places=[place], arms=arms)[26:326]
-        plain = contact_sheet(timeline, places=[place])[26:326]
+        sheet = contact_sheet(timeline, [place], arms=arms)[26:326]
+        plain = contact_sheet(timeline, [place])[26:326]
         np.testing.assert_array_equal(sheet[there], np.rint(np.clip(alone, 0, 1) * 255).astype(np.uint8)[there])
         assert (sheet != plain).any()
 

@@ -85,7 +85,7 @@ def test_the_first_picture_shows_where_everything_comes(arch: Any) -> None:
     timeline = Timeline.from_plan(arch[1], arch[0])
 
     def covered_at(place: int) -> np.ndarray:
-        return np.any(contact_sheet(timeline, places=[place])[26:326] < 255, axis=2)
+        return np.any(contact_sheet(timeline, [place])[26:326] < 255, axis=2)
 
     whole = outline_of(timeline, CELL, bounds_of(arch[0]))
     outline = (np.rint(whole * 255) < 255).any(axis=2)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from falsework import Assembly, Direction, Plan, StabilityOracle, StabilitySettings
+from falsework import Assembly, Direction, Plan, StabilityOracle
 from falsework.stability.holds import Press
 from falsework.stability.verdict import Criterion
 from falsework.utils.quantity import format_quantity
@@ -94,8 +94,8 @@ def test_pictures_show_it(arch: tuple[Assembly, Plan], pressed: tuple[Plan, int,
     def legend_there(pixels: np.ndarray) -> bool:
         return bool((pixels == rgb(PRESS)).all(axis=2).any())
 
-    assert legend_there(contact_sheet(timeline, places=[place], camera=camera))
-    assert not legend_there(contact_sheet(timeline, places=[place - 1], camera=camera))
+    assert legend_there(contact_sheet(timeline, [place], camera=camera))
+    assert not legend_there(contact_sheet(timeline, [place - 1], camera=camera))
     arrows = list(arrows_of_step(timeline, place).values())
     plain, drawn = (one_state(timeline, place, camera, arrows=some, words="") for some in ((), arrows))
     changed = (plain != drawn).any(axis=2)
@@ -167,7 +167,7 @@ def test_the_page_says_how_a_state_was_judged(
     model = ViewerState(
         Timeline.from_plan(plan, assembly),
         plan=plan,
-        oracle=StabilityOracle(assembly, StabilitySettings(criterion=criterion)),
+        criterion=criterion,
     )
     contact = criterion == "contact"
     model.go_to(place)

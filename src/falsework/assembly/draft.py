@@ -6,7 +6,7 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, TypeGuard, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +23,7 @@ from falsework.geometry.mesh.read import read_surfaces, unit_length
 from falsework.geometry.mesh.repair import check_meshes, thicken_supports
 from falsework.geometry.mesh.surface import distinct_names, warn_of
 from falsework.geometry.settling.fits import settled_if_loose
-from falsework.utils.quantity import listed
+from falsework.utils.quantity import is_number, listed
 
 InterfaceSource = Literal["found", "stored", "compare"]
 """Contacts of an assembly: found from its meshes, those that its file stores, or the former, compared with the
@@ -220,11 +220,11 @@ class Draft:
 
     def _density(self) -> list[float]:
         """Return the density of each part, the default where the file has none."""
-        lacking = [block.name for block in self.blocks if not _is_number(block.attributes.get("density"))]
+        lacking = [block.name for block in self.blocks if not is_number(block.attributes.get("density"))]
         if 0 < len(lacking) < len(self.blocks):
             warn_of(self.path, f"parts without a density were given {DENSITY:g} kg/m3: {listed(lacking)}")
         given = [block.attributes.get("density") for block in self.blocks]
-        return [float(value) if _is_number(value) else DENSITY for value in given]
+        return [float(value) if is_number(value) else DENSITY for value in given]
 
     def _loads(self, assembly: Assembly) -> Loads | None:
         """Return the loads of the blocks; None if they have none."""
@@ -243,8 +243,4 @@ class Draft:
     def _values(self, name: str) -> list[float]:
         """Return an attribute of the blocks that have it as a number."""
         values = [block.attributes.get(name) for block in self.blocks]
-        return [value for value in values if _is_number(value)]
-
-
-def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+        return [value for value in values if is_number(value)]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from falsework.assembly.touching import ContactWarning
 from falsework.errors import AssemblyError
-from falsework.geometry.contact.contacts import frozen
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings
 from falsework.geometry.contact.patches import frames_of
+from falsework.geometry.mesh.collision import Body
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.geometry.mesh.polygon import newell_normal
 from falsework.utils.quantity import format_quantity, listed
@@ -122,7 +122,7 @@ def interface_contacts(meshes: Sequence[TriangleMesh], interfaces: Sequence[Stor
     kind = np.array([min(len(points), 3) for points in corners])
     pairs = np.array(parts, dtype=np.int32)
     order = np.lexsort((*middles.T[::-1], -kind, pairs[:, 1], pairs[:, 0]))
-    return frozen(
+    return Contacts(
         pairs[order],
         np.ascontiguousarray(frames_of(np.array(normals))[order]),
         np.concatenate([corners[index] for index in order]),
@@ -168,7 +168,8 @@ def _check_fit(meshes: Sequence[TriangleMesh], interfaces: Sequence[StoredInterf
             points_of.setdefault(part, []).append((number, interface.points))
     worst, where = 0.0, (0, 0, 0.0)
     for part, entries in points_of.items():
-        distance = _distances(np.concatenate([points for _, points in entries]), meshes[part].triangles)
+        surface = Body(meshes[part].vertices, meshes[part].faces)
+        distance = surface.distances(np.concatenate([points for _, points in entries]))
         ends = np.cumsum([len(points) for _, points in entries])[:-1]
         for (number, _), far in zip(entries, np.split(distance, ends), strict=True):
             a, b = interfaces[number].parts
@@ -183,21 +184,6 @@ def _check_fit(meshes: Sequence[TriangleMesh], interfaces: Sequence[StoredInterf
             f"away from "
             f"part {meshes[part].name}; find them instead (--interfaces found)"
         )
-
-
-def _distances(points: Array, triangles: Array) -> Array:
-    """Return the distance of each point to the nearest triangle, shape (points,)."""
-    from trimesh.triangles import closest_point
-
-    nearest = np.full(len(points), np.inf)
-    step = max(1, 200_000 // len(triangles))
-    for first in range(0, len(points), step):
-        some = points[first : first + step]
-        pairs = np.repeat(some, len(triangles), axis=0)
-        feet = closest_point(np.tile(triangles, (len(some), 1, 1)), pairs)
-        gaps = np.linalg.norm(feet - pairs, axis=1).reshape(len(some), -1)
-        nearest[first : first + step] = gaps.min(axis=1)
-    return nearest
 
 
 def _distinct(points: Array, tolerance: float) -> Array:

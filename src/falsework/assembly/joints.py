@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.assembly_model import JointEntry
 from falsework.assembly.part_numbers import part_id
 from falsework.errors import AssemblyError
+from falsework.geometry.arrays import read_only
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.utils.models import plain, read_model
 
@@ -49,8 +50,7 @@ class Joints:
     """Index into `setting` of each contact point, -1 for none, shape (points,); empty where nothing sets."""
 
     def __post_init__(self) -> None:
-        for array in (self.friction, self.cohesion, self.tension, self.ductile, self.sets):
-            array.setflags(write=False)
+        read_only(self.friction, self.cohesion, self.tension, self.ductile, self.sets)
 
     @staticmethod
     def from_arrays(
@@ -93,10 +93,7 @@ class Joints:
         bare = np.flatnonzero(strong & (share == 0))
         if len(bare):
             a, b = contacts.parts[bare[0]].tolist()
-            raise AssemblyError(
-                f"parts {a} and {b} touch along a line or at a point, which has no area for cohesion or tension; "
-                "leave them out of the joint, or join them at points (fasteners)"
-            )
+            raise _without_area(a, b, "them out of the joint")
         owner = contacts.contact_of_point
         ways = tuple(_setting(way) for way in setting)
         return Joints(
@@ -163,10 +160,7 @@ class Joints:
             strong = named.get("cohesion", 0.0) > 0 or named.get("tension", 0.0) > 0
             if strong and rows.any() and not flat[rows].any():
                 a, b = (names[part] for part in contacts.parts[np.flatnonzero(rows)[0]].tolist())
-                raise AssemblyError(
-                    f"parts {a} and {b} touch along a line or at a point, which has no area for cohesion or tension; "
-                    "leave the joint out, or join them at points (fasteners)"
-                )
+                raise _without_area(a, b, "the joint out")
             for name, value in named.items():
                 values[name][rows if name == "friction" else rows & flat] = value
             if strong or entry.ductile is not None:
@@ -197,8 +191,7 @@ class Joints:
 
     def scale_friction(self, factor: float) -> Joints:
         """Return the same joints with other coefficients of friction; cohesion that was given is kept."""
-        friction = factor * self.friction
-        return Joints(friction, self.cohesion, self.tension, self.ductile, self.setting, self.sets)
+        return replace(self, friction=factor * self.friction)
 
     def fully_set(self) -> Joints:
         """Return the same joints, fully set from the start."""
@@ -265,6 +258,13 @@ class Joints:
         return Joints(
             self.friction[kept], self.cohesion[kept], self.tension[kept], self.ductile[kept], self.setting, sets
         )
+
+
+def _without_area(a: object, b: object, what: str) -> AssemblyError:
+    return AssemblyError(
+        f"parts {a} and {b} touch along a line or at a point, which has no area for cohesion or tension; leave {what}, "
+        "or join them at points (fasteners)"
+    )
 
 
 def _materials(given: Any, names: Sequence[str]) -> list[str]:

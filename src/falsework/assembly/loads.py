@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.assembly_model import Earthquake, LoadEntry
 from falsework.assembly.part_numbers import part_id
 from falsework.errors import AssemblyError
+from falsework.geometry.arrays import read_only
 from falsework.utils.models import plain, read_model
 
 Array = NDArray[np.float64]
@@ -46,9 +47,8 @@ class Loads:
             array = np.array(value, dtype=np.float64)
             if array.shape != shape or not np.isfinite(array).all():
                 raise AssemblyError(f"{name} must be finite numbers of shape {shape}, but have shape {array.shape}")
-            array.setflags(write=False)
             arrays.append(array)
-        return Loads(*arrays)
+        return Loads(*read_only(*arrays))
 
     @staticmethod
     def from_entries(entries: Any, earthquake: Any, names: Sequence[str], center: Array) -> Loads | None:

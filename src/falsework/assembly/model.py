@@ -18,6 +18,7 @@ from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.touching import check_touching, contact_warnings, warn_of
 from falsework.errors import AssemblyError
+from falsework.geometry.arrays import read_only
 from falsework.geometry.clearance.part_sets import SetClearance
 from falsework.geometry.clearance.table import ClearanceTable, StraightWays
 from falsework.geometry.contact.interfaces import Contacts, ContactSettings, find_contacts
@@ -131,8 +132,7 @@ class Assembly(Displayed):
             mass = mass_properties(parts, densities)
         contacts = find_contacts(parts, settings) if contacts is None else contacts
         check_touching(parts, fixed, contacts, settings, settle or None)
-        fixed.setflags(write=False)
-        densities.setflags(write=False)
+        read_only(fixed, densities)
         assembly = Assembly(
             name, parts, fixed, densities, friction, contacts, mass, settings, given, settlement=settlement
         )
@@ -286,8 +286,7 @@ class Assembly(Displayed):
             loads=self.loads if loads is None else _loads(loads, self.part_count),
             joints=self.joints if joints is None else _joints(joints, self.contacts),
         )
-        for array in (fixed, densities):
-            array.setflags(write=False)
+        read_only(fixed, densities)
         for name in ("straight_ways", "clearance_of_sets", "part_motions"):  # they depend on the meshes alone
             if name in self.__dict__:
                 changed.__dict__[name] = self.__dict__[name]

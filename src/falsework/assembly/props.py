@@ -20,6 +20,7 @@ from falsework.assembly.assembly_model import Prop
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, States, complete_state
 from falsework.errors import AssemblyError
+from falsework.geometry.arrays import read_only
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.contact.patches import frames_of
 from falsework.geometry.mesh.mesh import MassProperties, TriangleMesh, mass_properties, triangle_normals
@@ -146,8 +147,7 @@ def with_props(assembly: Assembly, props: Sequence[Prop]) -> Assembly:
         joints=None if assembly.joints is None else assembly.joints.with_more_parts(contacts, merged, parts),
         props=tuple(head.prop for head in heads),
     )
-    for array in (propped.boundary, propped.density):
-        array.setflags(write=False)
+    read_only(propped.boundary, propped.density)
     return propped
 
 

@@ -110,10 +110,7 @@ def action_mask(states: States, boundary: Mask, robots: int) -> Mask:
 
 def apply_actions(states: States, actions: NDArray[np.integer]) -> States:
     """Return states after one action each: hold sets 2, remove sets 0. Shapes (batch, parts), (batch,)."""
-    batch, parts = _checked(states, actions)
-    after = states.copy()
-    after[np.arange(batch), actions % parts] = np.where(actions < parts, HELD, REMOVED)
-    return after
+    return _changed(states, actions, HELD, REMOVED)
 
 
 def undo_mask(states: States, boundary: Mask, robots: int) -> Mask:
@@ -135,14 +132,11 @@ def undo_mask(states: States, boundary: Mask, robots: int) -> Mask:
 
 def undo_actions(states: States, actions: NDArray[np.integer]) -> States:
     """Return states before one action each: the reverse of `apply_actions`. Shapes (batch, parts), (batch,)."""
-    batch, parts = _checked(states, actions)
-    before = states.copy()
-    before[np.arange(batch), actions % parts] = np.where(actions < parts, INSTALLED, HELD)
-    return before
+    return _changed(states, actions, INSTALLED, HELD)
 
 
-def _checked(states: States, actions: NDArray[np.integer]) -> tuple[int, int]:
-    """Return the numbers of states and of parts."""
+def _changed(states: States, actions: NDArray[np.integer], hold: int, remove: int) -> States:
+    """Return states with the value of a part changed in each: the first for actions that hold, else the second."""
     if states.ndim != 2 or np.shape(actions) != states.shape[:1]:
         raise StateError(
             f"states have shape {states.shape} and actions {np.shape(actions)}; expected (batch, parts) and (batch,)"
@@ -151,7 +145,9 @@ def _checked(states: States, actions: NDArray[np.integer]) -> tuple[int, int]:
     wrong = (actions < 0) | (actions >= 2 * parts)
     if wrong.any():
         raise StateError(f"action {actions[wrong][0]} does not exist; actions are numbered 0 to {2 * parts - 1}")
-    return batch, parts
+    changed = states.copy()
+    changed[np.arange(batch), actions % parts] = np.where(actions < parts, hold, remove)
+    return changed
 
 
 STEP_WORDS = {

@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 
 from falsework.assembly.draft import Block, Draft
 from falsework.errors import InputError
+from falsework.geometry.clearance.moves import apply
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.surface import warn_of, warn_of_curves
 from falsework.interop.compas_shapes import CURVED, inner, shape_mesh
 from falsework.utils.files.formats import Reader
 from falsework.utils.json_text import parse_json
-from falsework.utils.quantity import listed
+from falsework.utils.quantity import is_number, listed
 
 LARGEST_FILE = 512 * 1024 * 1024
 """Bytes; a file beyond that is refused rather than read into memory."""
@@ -298,12 +299,12 @@ class _Reader:
         vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
         if not np.isfinite(vertices).all():
             self._fail(f"block {name or '?'} has a coordinate that is not a number")
-        vertices = vertices @ place[:3, :3].T + place[:3, 3]
+        vertices = apply(place, vertices)
         if np.linalg.det(place[:3, :3]) < 0:
             faces = [face[::-1] for face in faces]
         for entry in ("density", "friction"):
             value = attributes.get(entry)
-            if value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
+            if value is not None and not is_number(value):
                 self._fail(f"the {entry} of block {name or '?'} is {value!r}", "give a number")
         return Block(str(name), vertices, faces, self._flag(attributes.get("is_support"), name), attributes)
 

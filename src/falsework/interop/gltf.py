@@ -24,7 +24,7 @@ from falsework.interop.tracks import Track, Tracks, tracks_of
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.stability.holds import robot_number
 from falsework.utils.files.formats import Exporter, writer_of
-from falsework.viewer.palette import BOUNDARY, INSTALLED, robot_color, unit_rgb
+from falsework.viewer.palette import BOUNDARY, INSTALLED, linear_rgb, robot_color, unit_rgb
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -175,7 +175,11 @@ class _Document:
                 name, color = look, BOUNDARY
             else:
                 name, color = ("part", INSTALLED) if look == NO_ROBOT else (f"robot {look + 1}", robot_color(look))
-            surface = {"baseColorFactor": [*_linear(color), 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.9}
+            surface = {
+                "baseColorFactor": [*linear_rgb(unit_rgb(color)).round(4).tolist(), 1.0],
+                "metallicFactor": 0.0,
+                "roughnessFactor": 0.9,
+            }
             self._materials[look] = self._add("materials", {"name": name, "pbrMetallicRoughness": surface})
         return self._materials[look]
 
@@ -265,12 +269,6 @@ def _y_up(points: ArrayLike) -> NDArray[np.float64]:
     """Return points of a world with z up in one with y up; shape (..., 3)."""
     points = np.asarray(points, dtype=np.float64)
     return points[..., [0, 2, 1]] * (1.0, 1.0, -1.0)
-
-
-def _linear(color: str) -> list[float]:
-    """Return red, green, blue as renderers compute with them, from a colour as screens show it (sRGB)."""
-    values = np.array(unit_rgb(color))
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).round(4).tolist()
 
 
 GLB = Exporter(writer_of(to_gltf), (".glb",), ("Assembly", "Plan"), ("step_seconds",))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import DependencyError, InputError
+from falsework.geometry.arrays import box_around
 from falsework.interop.instruction_table import AssemblyInstruction, AssemblyInstructions, sheet
 from falsework.interop.pdf_page import REGULAR, jpeg, register_fonts
 from falsework.interop.setting_out import setting_out
@@ -260,8 +261,7 @@ def step_arrows(sheet: AssemblyInstructions, step: AssemblyInstruction) -> Arrow
 def _box(sheet: AssemblyInstructions) -> NDArray[np.float64]:
     """Return the box that all pictures show: the structure and the arrows of insertions, shape (2, 3)."""
     arrows = [step_arrows(sheet, step).ends.reshape(-1, 3) for step in sheet.steps if step.place]
-    points = np.concatenate([bounds_of(sheet.assembly), *arrows])
-    box = np.stack([points.min(axis=0), points.max(axis=0)])
+    box = box_around(np.concatenate([bounds_of(sheet.assembly), *arrows]))
     box[0, 2] = bounds_of(sheet.assembly)[0, 2]
     return box
 

@@ -21,7 +21,7 @@ from falsework.errors import InputError
 from falsework.geometry.mesh.surface import warn_of
 from falsework.utils.files.formats import FOLDER, Reader
 from falsework.utils.json_text import parse_json
-from falsework.utils.quantity import listed
+from falsework.utils.quantity import is_number, listed
 
 UNIT = "cm"
 """Unit of these folders, which none of their files names."""
@@ -78,9 +78,7 @@ def _is_part(entry: Any) -> bool:
 
 def _pose(file: Path, name: str, state: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the rotation and the translation of a state."""
-    numbers = isinstance(state, list) and all(
-        isinstance(value, (int, float)) and not isinstance(value, bool) for value in state
-    )
+    numbers = isinstance(state, list) and all(map(is_number, state))
     values = np.array(state if numbers else [], dtype=float)
     if len(values) not in (3, 6) or not np.isfinite(values).all():
         raise InputError(

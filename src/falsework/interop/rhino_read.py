@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from falsework.assembly.draft import Block, Draft
 from falsework.errors import InputError
+from falsework.geometry.clearance.moves import apply
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.read import unit_length
-from falsework.geometry.mesh.sheets import is_sheet
+from falsework.geometry.mesh.sheets import is_flat, is_sheet
 from falsework.geometry.mesh.surface import PartSurface, separated, warn_of, warn_of_curves
 from falsework.utils.child_process import read_apart
 from falsework.utils.files.formats import Reader
@@ -91,7 +92,7 @@ def _read(path: Path, unit: str | None) -> Draft:
             faces = triangles_of(f"object {solid.name or '?'} of {path}", solid.vertices, solid.faces)
             support = bool(solid.words & _SUPPORTS)
             sheet = support and len(faces) > 0 and is_sheet(solid.vertices, faces)
-            if (len(faces) < 4 or _is_flat(solid.vertices)) and not sheet:
+            if (len(faces) < 4 or is_flat(solid.vertices, _FLAT)) and not sheet:
                 left_out.setdefault("surfaces that are not solids", Counter())[solid.layer] += 1
                 continue
             if solid.curved:
@@ -241,7 +242,7 @@ def _polygons(meshes: list[Any], place: NDArray[np.float64]) -> tuple[NDArray[np
         for row in range(len(mesh.Faces)):
             corners = [first + corner for corner in mesh.Faces[row]]
             faces.append(corners[:3] if corners[2] == corners[3] else corners)
-    points = np.array(vertices, dtype=float).reshape(-1, 3) @ place[:3, :3].T + place[:3, 3]
+    points = apply(place, np.array(vertices, dtype=float).reshape(-1, 3))
     if np.linalg.det(place[:3, :3]) < 0:
         faces = [face[::-1] for face in faces]
     return points, faces
@@ -268,11 +269,6 @@ def _meshes(geometry: Any, kind: str) -> list[Any]:
     if kind == "Extrusion":
         return [geometry.GetMesh(rhino3dm.MeshType.Any)]
     return [None]  # rhino3dm gives no mesh of a SubD
-
-
-def _is_flat(points: NDArray[np.float64]) -> bool:
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[2] <= _FLAT * spread[0])
 
 
 READER = Reader((".3dm",), parts=read_rhino)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -46,7 +47,6 @@ def _read(path: Path) -> Draft:
         from OCP.IFSelect import IFSelect_RetDone
         from OCP.STEPControl import STEPControl_Reader
         from OCP.TopAbs import TopAbs_EDGE, TopAbs_FACE, TopAbs_SOLID
-        from OCP.TopExp import TopExp_Explorer
     reader = STEPControl_Reader()
     if reader.ReadFile(str(path)) != IFSelect_RetDone:
         raise InputError(f"{path} is not a STEP file, or is damaged; export it again")
@@ -58,14 +58,12 @@ def _read(path: Path) -> Draft:
     if not shape.IsNull():
         products = _Products(reader)
         BRepMesh_IncrementalMesh(shape, _DEFLECTION, True, float(_ANGLE), False)
-        explorer = TopExp_Explorer(shape, TopAbs_SOLID)
-        while explorer.More():
-            block, bent = _block(explorer.Current())
-            own, place = products.names(explorer.Current())
+        for solid in _shapes_in(shape, TopAbs_SOLID):
+            block, bent = _block(solid)
+            own, place = products.names(solid)
             curved += [len(blocks)] if bent else []
             blocks.append(replace(block, name=own))
             places.append(place)
-            explorer.Next()
     if not blocks:
         raise InputError(f"{path} has no solid; export the parts as solids, not as surfaces")
     # Programs call the bodies of many parts alike; their places in the assembly tell them apart.
@@ -75,11 +73,7 @@ def _read(path: Path) -> Draft:
         for block, place in zip(blocks, places, strict=True)
     ]
     for kind, within, what in ((TopAbs_FACE, TopAbs_SOLID, "surfaces"), (TopAbs_EDGE, TopAbs_FACE, "curves")):
-        explorer, count = TopExp_Explorer(shape, kind, within), 0
-        while explorer.More():
-            count += 1
-            explorer.Next()
-        if count:
+        if count := sum(1 for _ in _shapes_in(shape, kind, within)):
             warn_of(path, f"{what} that bound no solid were left out: {count}")
     hidden = len(re.findall(rb"=\s*INVISIBILITY\s*\(", path.read_bytes()))
     if hidden:
@@ -139,20 +133,28 @@ def _name_of_product(definition: Any) -> str:
     return "" if name.startswith(_NAMELESS) else name
 
 
+def _shapes_in(shape: Any, *kinds: Any) -> Iterator[Any]:
+    """Yield the shapes of a kind in a shape, without those within shapes of a second kind."""
+    from OCP.TopExp import TopExp_Explorer
+
+    explorer = TopExp_Explorer(shape, *kinds)
+    while explorer.More():
+        yield explorer.Current()
+        explorer.Next()
+
+
 def _block(solid: Any) -> tuple[Block, bool]:
     """Return the triangles of a solid, without a name, and whether it has curved faces."""
     from OCP.BRep import BRep_Tool
     from OCP.BRepAdaptor import BRepAdaptor_Surface
     from OCP.GeomAbs import GeomAbs_Plane
     from OCP.TopAbs import TopAbs_FACE, TopAbs_REVERSED
-    from OCP.TopExp import TopExp_Explorer
     from OCP.TopLoc import TopLoc_Location
     from OCP.TopoDS import TopoDS
 
     vertices, faces, bent = [], [], False
-    explorer = TopExp_Explorer(solid, TopAbs_FACE)
-    while explorer.More():
-        face = TopoDS.Face(explorer.Current())
+    for shape in _shapes_in(solid, TopAbs_FACE):
+        face = TopoDS.Face(shape)
         bent = bent or BRepAdaptor_Surface(face).GetType() != GeomAbs_Plane
         location = TopLoc_Location()
         triangles = BRep_Tool.Triangulation_s(face, location)
@@ -163,7 +165,6 @@ def _block(solid: Any) -> tuple[Block, bool]:
             for row in range(triangles.NbTriangles()):
                 corners = [first + corner for corner in triangles.Triangle(row + 1).Get()]
                 faces.append(corners[::-1] if face.Orientation() == TopAbs_REVERSED else corners)
-        explorer.Next()
     return Block("", np.array(vertices, dtype=float).reshape(-1, 3), faces), bent
 
 

@@ -46,10 +46,10 @@ class ProcessGroup:
         """Return every `size`-th of some items: similar neighbours are spread over the processes."""
         return slice(self.rank, None, self.size)
 
-    def block(self, count: int) -> tuple[slice, int]:
-        """Return one stretch of `count` items for this process, and how long the longest stretch is."""
+    def block(self, count: int) -> slice:
+        """Return one stretch of `count` items for this process."""
         each = -(-count // self.size)
-        return slice(min(self.rank * each, count), min((self.rank + 1) * each, count)), each
+        return slice(min(self.rank * each, count), min((self.rank + 1) * each, count))
 
     def add(self, tensor: torch.Tensor) -> torch.Tensor:
         """Return the sum over the processes, in place; only ever of integers, so that the order does not matter."""
@@ -69,15 +69,6 @@ class ProcessGroup:
         whole = torch.empty((self.size, *tensor.shape), dtype=tensor.dtype, device=tensor.device)
         dist.all_gather(list(whole.unbind()), tensor.contiguous())
         return whole.flatten(0, 1)
-
-    def gather_blocks(self, tensor: torch.Tensor, count: int) -> torch.Tensor:
-        """Join the stretches that `block(count)` dealt out; shape (count, ...)."""
-        if self.size == 1:
-            return tensor
-        _, each = self.block(count)
-        padded = tensor.new_zeros((each, *tensor.shape[1:]))
-        padded[: len(tensor)] = tensor
-        return self.gather(padded)[:count]
 
 
 @contextmanager

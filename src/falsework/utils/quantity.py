@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from decimal import Decimal
+from typing import Any, TypeGuard
 
 from falsework.errors import InputError
 
@@ -111,6 +112,11 @@ def format_number(value: float, digits: int = _DIGITS) -> str:
 def _rounded(value: float, digits: int) -> float:
     """Round to the digits that are written."""
     return float(f"{value:.{digits}g}")
+
+
+def is_number(value: Any) -> TypeGuard[float]:
+    """Return whether a value of a file is a number, which true and false are not."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def check_seed(seed: int) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, States
+from falsework.geometry.arrays import box_around
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.viewer.palette import BOUNDARY, INSTALLED, ramp_in_steps, rgb, robot_color
 from falsework.viewer.section import Axis, Plane
@@ -147,8 +148,7 @@ class SceneView:
 
 def bounds_of(assembly: Assembly, parts: Sequence[int] | slice = slice(None)) -> Array:
     """Return the lowest and highest coordinates of all parts, or of some, shape (2, 3), metres."""
-    boxes = np.array([mesh.bounds for mesh in assembly.meshes])[parts]
-    return np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+    return box_around(np.array([mesh.bounds for mesh in assembly.meshes])[parts].reshape(-1, 3))
 
 
 def diagonal(assembly: Assembly) -> float:

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD
+from falsework.geometry.arrays import box_around
+from falsework.geometry.clearance.moves import apply
 from falsework.robots.cells.visuals import VisualShape, arm_frames, link_visuals, shapes_of
 from falsework.robots.plans.timeline import activities_at, waiting_at
 from falsework.search.plans.steps import NO_ROBOT
@@ -161,24 +163,19 @@ def appearance_with_arms(look: Appearance, arm_poses: ArmPoses) -> Appearance:
 def solids_of_arms(arms: Arms, arm_poses: ArmPoses, assembly: Assembly) -> list[ColoredSolid]:
     """Return arms, and the parts that they carry, as meshes."""
     solids = [
-        ColoredSolid(link.vertices @ pose[:3, :3].T + pose[:3, 3], link.faces, link.color)
+        ColoredSolid(apply(pose, link.vertices), link.faces, link.color)
         for link, pose in zip(arms.links, arm_poses.poses, strict=True)
     ]
     for carried in arm_poses.carried:
-        mesh, pose = assembly.meshes[carried.part], carried.pose
-        vertices = mesh.vertices @ pose[:3, :3].T + pose[:3, 3]
-        solids.append(ColoredSolid(vertices, mesh.faces, unit_rgb(carried.color)))
+        mesh = assembly.meshes[carried.part]
+        solids.append(ColoredSolid(apply(carried.pose, mesh.vertices), mesh.faces, unit_rgb(carried.color)))
     return solids
 
 
 def bounds_with_arms(arms: Arms, box: Array) -> Array:
     """Return the bounds of the structure and of the robots at the first keyframe, shape (2, 3)."""
-    arm_poses = arms.at(0.0)
-    points = [box]
-    for link, pose in zip(arms.links, arm_poses.poses, strict=True):
-        points.append(link.vertices @ pose[:3, :3].T + pose[:3, 3])
-    every = np.concatenate(points)
-    return np.stack([every.min(axis=0), every.max(axis=0)])
+    links = zip(arms.links, arms.at(0.0).poses, strict=True)
+    return box_around(np.concatenate([box, *(apply(pose, link.vertices) for link, pose in links)]))
 
 
 def _similar(pose: Array, scale: float) -> Array:

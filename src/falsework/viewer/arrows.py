@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import INSTALLED, REMOVED, States
-from falsework.geometry.contact.grouping import segment_sum
+from falsework.geometry.arrays import segment_sum
 from falsework.stability.holds import Press
 from falsework.utils.quantity import format_quantity
 from falsework.viewer.appearance import bounds_of, diagonal

@@ -58,9 +58,14 @@ def unit_rgb(color: str) -> tuple[float, float, float]:
 
 def ink_on(color: str, alpha: float = 1.0) -> str:
     """Return the colour of letters on a colour over white: dark, or white where that has more contrast."""
-    channels = np.array(unit_rgb(color)) * alpha + 1 - alpha
-    linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+    linear = linear_rgb(np.array(unit_rgb(color)) * alpha + 1 - alpha)
     return INK if linear @ (0.2126, 0.7152, 0.0722) > _EQUAL else "#ffffff"
+
+
+def linear_rgb(channels: ArrayLike) -> NDArray[np.float64]:
+    """Return red, green, blue as renderers compute with them, of those from 0 to 1 that screens show (sRGB)."""
+    values = np.asarray(channels, dtype=float)
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
 def bytes_of(color: Sequence[float]) -> tuple[int, int, int]:

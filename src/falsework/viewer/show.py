@@ -220,7 +220,7 @@ def picture(
     else:
         view_of_all = camera(480, 5 / 8)
         look = {"camera": view_of_all, "title": title, "arms": shown.arms, "proofs": proofs}
-        content = png_of(contact_sheet(timeline, places=places, columns=columns, **look))
+        content = png_of(contact_sheet(timeline, places, columns=columns, **look))
     shows = f"{len(places)} of {len(timeline) + 1} states" if len(timeline) else f"{shown.assembly.name}"
     if single is not None:
         shows = "; ".join(filter(None, (caption(timeline, single), timeline.loads_text(single))))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,8 @@ from falsework import load_structure  # noqa: E402
 from falsework.assembly.store import save_assembly  # noqa: E402
 from falsework.errors import InputError  # noqa: E402
 from falsework.learn import PolicySettings, PpoPhase, TrainSettings, load_run, make_policy  # noqa: E402
-from falsework.learn.config.train import from_dict, to_dict  # noqa: E402
+from falsework.learn.config.train import from_dict  # noqa: E402
 from falsework.learn.networks.factory import describe  # noqa: E402
-from falsework.learn.training import checkpoint as module  # noqa: E402
 from falsework.learn.training.checkpoint import CheckpointFile, describe_structure, save_run  # noqa: E402
 
 SETTINGS = TrainSettings(policy=PolicySettings("resmlp", channels=8, layers=1), widths=(4, 8), robots=3)
@@ -34,7 +34,7 @@ def arch() -> Any:
 def metadata(assembly: Any, policy: Any, **source: Any) -> dict[str, Any]:
     return {
         "structure": describe_structure(assembly, source),
-        "settings": to_dict(SETTINGS),
+        "settings": asdict(SETTINGS),
         "policy": describe(policy, SETTINGS.policy),
         "results": {},
         "versions": {},
@@ -69,7 +69,7 @@ def test_a_run_comes_back_as_it_was(arch: Any, run: Path) -> None:
 
 def test_a_run_names_its_criterion(arch: Any, run: Path) -> None:
     assert load_run(run).settings.criterion == "contact"
-    change(run, settings=to_dict(replace(SETTINGS, criterion="equilibrium")))
+    change(run, settings=asdict(replace(SETTINGS, criterion="equilibrium")))
     assert load_run(run).settings == replace(SETTINGS, criterion="equilibrium")
     with pytest.raises(InputError, match="unknown criterion 'good'; choose contact or equilibrium"):
         TrainSettings(criterion="good")  # type: ignore[arg-type]
@@ -149,25 +149,17 @@ def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pyt
     file = CheckpointFile(tmp_path)
     assert file.save({"x": torch.arange(5)}, {"step": 1}) == ""
     good = file.path.read_bytes()
-    full = OSError(errno.ENOSPC, "No space left on device")
 
-    def no_room(path: Path, write: Any) -> None:
-        class Half:
-            def write(self, content: bytes) -> None:
-                raise full
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
 
-        write(Half())
-
-    monkeypatch.setattr(module, "write_whole", no_room)
-    assert "the disk is full; the last checkpoint stays" in file.save({"x": torch.arange(6)}, {"step": 2})
-    monkeypatch.undo()
-
-    def cannot_rename(*_: Any) -> None:
-        raise full
-
-    monkeypatch.setattr("os.replace", cannot_rename)
-    assert "the disk is full" in file.save({"x": torch.arange(6)}, {"step": 2})
-    monkeypatch.undo()
+    for step in ("pathlib.Path.open", "os.fsync", "os.replace"):
+        monkeypatch.setattr(step, full)
+        said = file.save({"x": torch.arange(6)}, {"step": 2})
+        monkeypatch.undo()
+        assert re.fullmatch(
+            "cannot write .*: the disk is full; .*; the last checkpoint stays, training continues", said
+        )
     assert file.path.read_bytes() == good
     assert [path.name for path in file.path.parent.iterdir()] == ["last.safetensors"]
     tensors, state = file.load()
@@ -190,9 +182,9 @@ def test_checkpoints_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
 
 
 def test_settings_survive_json() -> None:
-    assert from_dict(TrainSettings, json.loads(json.dumps(to_dict(SETTINGS)))) == SETTINGS
+    assert from_dict(TrainSettings, json.loads(json.dumps(asdict(SETTINGS)))) == SETTINGS
     filled = SETTINGS.resolved(62, "cuda")
-    assert from_dict(TrainSettings, json.loads(json.dumps(to_dict(filled)))) == filled
+    assert from_dict(TrainSettings, json.loads(json.dumps(asdict(filled)))) == filled
     assert filled.resolved(62, "cuda") == filled
 
 
@@ -204,8 +196,8 @@ def test_a_source_that_could_not_be_read_again_is_refused_at_once(arch: Any) -> 
 
 def test_settings_that_earlier_versions_had_are_left_out() -> None:
     """Others are unknown."""
-    phase = {**to_dict(PpoPhase(rollouts=7)), "hindsight": 0.0, "weight_decay": 0.01}
-    read = from_dict(TrainSettings, {**to_dict(TrainSettings()), "phases": [phase], "pairs": 20_000})
+    phase = {**asdict(PpoPhase(rollouts=7)), "hindsight": 0.0, "weight_decay": 0.01}
+    read = from_dict(TrainSettings, {**asdict(TrainSettings()), "phases": [phase], "pairs": 20_000})
     assert read.phases == (PpoPhase(rollouts=7),)
     with pytest.raises(InputError, match="'weight' is not a setting of PpoPhase"):
         from_dict(PpoPhase, {**phase, "weight": 1.0})

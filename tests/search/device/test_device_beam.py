@@ -212,7 +212,7 @@ def test_shares_cover_everything_once() -> None:
     for size, count in ((1, 5), (3, 10), (4, 3), (4, 0)):
         shards = [ProcessGroup(rank, size) for rank in range(size)]
         whole = np.arange(count)
-        assert np.array_equal(np.concatenate([whole[shard.block(count)[0]] for shard in shards]), whole)
+        assert np.array_equal(np.concatenate([whole[shard.block(count)] for shard in shards]), whole)
         assert sorted(np.concatenate([whole[shard.interleaved()] for shard in shards]).tolist()) == whole.tolist()
 
 

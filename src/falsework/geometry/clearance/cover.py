@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import Rows
 from falsework.geometry.clearance.cones import Cones
 from falsework.utils.kernels import njit
 
@@ -20,7 +21,7 @@ _TESTS = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Triangles:
+class Triangles(Rows):
     """Triangles on the sphere of directions."""
 
     corners: Array
@@ -44,10 +45,6 @@ class Triangles:
         total = self.corners.sum(axis=1)
         return total / np.linalg.norm(total, axis=1, keepdims=True)
 
-    def chosen(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Triangles:
-        """Return some of them."""
-        return Triangles(self.corners[rows], self.cut[rows])
-
     def quartered(self) -> Triangles:
         """Return each one cut into four, at the middles of its edges."""
         a, b, c = self.corners[:, 0], self.corners[:, 1], self.corners[:, 2]
@@ -55,10 +52,6 @@ class Triangles:
         pieces = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
         corners = np.concatenate([np.stack(piece, axis=1) for piece in pieces])
         return Triangles(corners, np.tile(self.cut + 1, 4))
-
-    def joined(self, other: Triangles) -> Triangles:
-        """Return these triangles and the others."""
-        return Triangles(np.concatenate([self.corners, other.corners]), np.concatenate([self.cut, other.cut]))
 
 
 def uncovered(

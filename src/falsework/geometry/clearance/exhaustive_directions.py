@@ -62,5 +62,5 @@ def all_exits(sweeper: Sweeper, part: int | Sequence[int], exits: Exits) -> tupl
         if not exits.blockers.any(axis=1).all():
             return exits, True
         # A triangle whose centre is a new exit direction may be settled by it or not: its quarters decide.
-        triangles = left.chosen(now).quartered().joined(left.chosen(later))
+        triangles = Triangles.join([left.take(now).quartered(), left.take(later)])
     return exits, False

@@ -49,8 +49,7 @@ class LockedSets:
     @staticmethod
     def directions(contact_normals: Array) -> Array:
         """Return normals of planes to try: those of contacts, each once, then a covering of the sphere."""
-        signed = np.where(contact_normals @ (1.0, 0.1, 0.01) < 0, -1.0, 1.0)[:, None] * contact_normals
-        own = np.unique(np.round(signed, 9) + 0.0, axis=0)
+        own = np.unique(np.round(unsigned(contact_normals), 9) + 0.0, axis=0)
         return np.concatenate([own, sphere_directions(_PLANES)])
 
     def find(self, movable: NDArray[np.integer], largest: int, most: int = MOST_SETS) -> tuple[PartSet, ...]:
@@ -113,8 +112,8 @@ class LockedSets:
 
     def _cycles(self, parts: PartSet) -> bool:
         """Return whether a set may be strongly connected along a direction."""
-        separators = {pair: self._separators(*pair) for pair in combinations(range(len(parts)), 2)}
-        separators = {(a, b): self._separators(parts[a], parts[b]) for a, b in separators}
+        pairs = combinations(range(len(parts)), 2)
+        separators = {(a, b): self._separators(parts[a], parts[b]) for a, b in pairs}
         circles = np.concatenate(list(separators.values()))
         if not len(circles) or len(circles) > _CIRCLES:
             return True
@@ -139,13 +138,18 @@ class LockedSets:
         return np.where(side[chosen], -1.0, 1.0)[:, None] * self._normals[chosen]
 
 
+def unsigned(normals: Array) -> Array:
+    """Return normals turned such that those of opposite sense are equal, shape (normals, 3)."""
+    return np.where(normals @ (1.0, 0.1, 0.01) < 0, -1.0, 1.0)[:, None] * normals
+
+
 def one_in_each_cell(normals: Array) -> Array:
     """Return a direction in each region into which great circles with some normals cut the sphere.
 
     Each region has a corner, where circles cross, unless all circles are one. So directions beside all corners are
     enough, one in each sector.
     """
-    normals = np.unique(np.round(np.where(normals @ (1.0, 0.1, 0.01) < 0, -1.0, 1.0)[:, None] * normals, 9), axis=0)
+    normals = np.unique(np.round(unsigned(normals), 9), axis=0)
     if len(normals) == 1:
         return np.concatenate([normals, -normals])
     first, second = np.triu_indices(len(normals), 1)

@@ -11,11 +11,12 @@ lines relative to each other, so that sweeps of pairs decide whether nothing col
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import box_around, box_corners
 from falsework.geometry.clearance.locked import PartSet
 from falsework.geometry.clearance.sweep import INTO, Sweeper
 from falsework.geometry.contact.interfaces import Contacts
@@ -182,8 +183,7 @@ def _one_begins(contacts: Contacts, parts: PartSet, rest: Mask) -> bool:
         axes = np.linalg.eigh(arms[own].T @ arms[own])[1].T
         local = arms @ axes.T
         extent = max(float(np.abs(local[own]).max()), 1e-12)  # shifts and turns then have like sizes
-        ends = np.stack([local[own].min(axis=0), local[own].max(axis=0)]) / extent
-        corners = [[ends[i, 0], ends[j, 1], ends[k, 2]] for i, j, k in product((0, 1), repeat=3)]
+        corners = box_corners(box_around(local[own]) / extent)
         fastest = np.concatenate([np.hstack([np.eye(3), np.cross(corner, np.eye(3))]) for corner in corners])
         fastest = np.unique(np.round(fastest, 12), axis=0)
         if np.linalg.matrix_rank(fastest) < 6:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import read_only, segment_mean
 from falsework.geometry.contact.creases import expand
 from falsework.geometry.contact.joints import JointReport
 
@@ -24,9 +24,9 @@ inclined by so much leaves a residual of this share of it, as much as is allowed
 class Contacts:
     """Contacts between pairs of parts: planar ones, of which a curved interface is several, and lines and points.
 
-    Lines and points arise where parts touch by an edge or a corner. Real ones have some width, which the meshes do not
-    contain; `areas` assumes the default gap, so that they have a small, nonzero weight wherever contacts are weighted
-    by area.
+    The arrays become read-only. Lines and points arise where parts touch by an edge or a corner. Real ones have some
+    width, which the meshes do not contain; `areas` assumes the default gap, so that they have a small, nonzero weight
+    wherever contacts are weighted by area.
     """
 
     parts: NDArray[np.int32]
@@ -50,6 +50,9 @@ class Contacts:
     lean: NDArray[np.float64] | None = None
     """Largest angle between the normal of every contact point and that of either surface there, shape (points,),
     radians; None: all are zero. Read `point_lean` instead."""
+
+    def __post_init__(self) -> None:
+        read_only(*(array for array in vars(self).values() if isinstance(array, np.ndarray)))
 
     def __len__(self) -> int:
         return len(self.parts)
@@ -79,6 +82,11 @@ class Contacts:
             friction: coefficient of all points, or of each.
         """
         return np.arctan(friction) < self.point_lean - PARALLEL
+
+    @property
+    def centres(self) -> NDArray[np.float64]:
+        """Mean of the points of each contact, shape (contacts, 3), metres."""
+        return segment_mean(self.points, self.contact_of_point, len(self))
 
     @property
     def dimension(self) -> NDArray[np.int8]:
@@ -112,7 +120,7 @@ class Contacts:
     def take(self, chosen: NDArray[np.integer]) -> Contacts:
         """Return those contacts alone, in that order."""
         points = self.points_of(chosen)
-        return frozen(
+        return Contacts(
             self.parts[chosen],
             self.frames[chosen],
             self.points[points],
@@ -127,7 +135,7 @@ class Contacts:
         """Return these contacts and then the other ones, unsorted, with the report of these."""
         flat = self.curved is None and other.curved is None
         parallel = self.lean is None and other.lean is None
-        return frozen(
+        return Contacts(
             np.concatenate([self.parts, other.parts]),
             np.concatenate([self.frames, other.frames]),
             np.concatenate([self.points, other.points]),
@@ -155,7 +163,7 @@ class Contacts:
         areas = self.areas / np.where(bent, count, 1)
         start = np.append(rows, len(owner)).astype(np.int32)
         arrays = self.parts[contact], self.curved[rows], self.points, start, areas[contact]
-        return frozen(*arrays, report=self.report, lean=self.lean)
+        return Contacts(*arrays, report=self.report, lean=self.lean)
 
     def pushes(self, part_count: int) -> NDArray[np.float64]:
         """Return the area times normal into part `i` of all its contacts with part `j`, m2, shape (parts, parts, 3)."""
@@ -172,12 +180,3 @@ class Contacts:
         np.add.at(push, (first, second), -weighted)
         np.add.at(push, (second, first), weighted)
         return push
-
-
-def frozen(
-    *arrays: Any, report: JointReport | None = None, curved: Array | None = None, lean: Array | None = None
-) -> Contacts:
-    """Make contacts of arrays in the order of their fields, which become read-only."""
-    for array in (*arrays, *(array for array in (curved, lean) if array is not None)):
-        array.setflags(write=False)
-    return Contacts(*arrays, report=report or JointReport.none(), curved=curved, lean=lean)

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import Rows
 from falsework.geometry.mesh.edges import directed_edges
 from falsework.geometry.mesh.mesh import TriangleMesh, joined_faces, unit_normals
 
@@ -21,7 +22,7 @@ _STRAIGHT = np.cos(np.radians(0.5))
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Faces and vertices of all parts, concatenated; faces without area are left out."""
+    """Faces and vertices of all parts, concatenated; faces without area, which carry no force, are left out."""
 
     points: Array
     """Shape (vertices, 3), metres."""
@@ -30,7 +31,7 @@ class Surface:
     part: NDArray[np.int32]
     """Part of every face, shape (faces,)."""
     normals: Array
-    """Shape (faces, 3)."""
+    """Outwards, unit length, shape (faces, 3)."""
 
     @staticmethod
     def from_meshes(meshes: Sequence[TriangleMesh]) -> Surface:
@@ -50,14 +51,21 @@ class Surface:
                 edges[at, step - 1] = self.points[self.faces[:, (side + step) % 3]] - self.points[at]
         return edges / np.maximum(np.linalg.norm(edges, axis=2), 1e-300)[:, :, None]
 
-    @property
+    @cached_property
     def corners(self) -> Array:
         """Corners of the faces, shape (faces, 3, 3), metres."""
         return self.points[self.faces]
 
+    @cached_property
+    def balls(self) -> tuple[Array, Array]:
+        """Centres, shape (faces, 3), and radii, shape (faces,), of balls around the faces, metres."""
+        centre: Array = self.corners.mean(axis=1)
+        radius: Array = np.linalg.norm(self.corners - centre[:, None], axis=2).max(axis=1)
+        return centre, radius
+
 
 @dataclass(frozen=True, eq=False)
-class Creases:
+class Creases(Rows):
     """Convex edges of all parts, sorted by part."""
 
     tail: Array
@@ -114,10 +122,6 @@ class Creases:
             face=a[sharp],
             ends=_ends(vertices, along[sharp]),
         )
-
-    def take(self, chosen: NDArray[np.bool_]) -> Creases:
-        """Return those edges alone."""
-        return Creases(**{name: value[chosen] for name, value in self.__dict__.items()})
 
 
 def _single(keys: Index) -> NDArray[np.bool_]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import segment_mean, segment_sum
 from falsework.geometry.contact.creases import expand
 from falsework.geometry.contact.patches import Patches
 
@@ -16,17 +17,6 @@ CURVED_FROM = 16
 """Pairs of parts with more planes than this have their interface grouped by its curvature."""
 _MANY = 256
 """Patches of a pair from which a tree takes less time than comparing all."""
-
-
-def segment_sum(values: Array, owner: NDArray[np.integer], count: int) -> Array:
-    """Return the sum of the rows of each owner, shape (count, columns)."""
-    columns = [np.bincount(owner, column, count) for column in values.T]
-    return np.stack(columns, axis=1).astype(np.float64)
-
-
-def segment_mean(values: Array, owner: NDArray[np.integer], count: int) -> Array:
-    """Return the mean of the rows of each owner, shape (count, columns); zero for an owner without rows."""
-    return segment_sum(values, owner, count) / np.maximum(np.bincount(owner, minlength=count), 1)[:, None]
 
 
 def planes(patches: Patches, coplanar: float, tolerance: float | Array, many: int = _MANY) -> NDArray[np.int64]:

@@ -11,8 +11,9 @@ import shapely
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
-from falsework.geometry.contact.contacts import Contacts, frozen
-from falsework.geometry.contact.grouping import COPLANAR, curved_groups, planes, segment_mean, segment_sum
+from falsework.geometry.arrays import segment_mean, segment_sum
+from falsework.geometry.contact.contacts import Contacts
+from falsework.geometry.contact.grouping import COPLANAR, curved_groups, planes
 from falsework.geometry.contact.joints import JointReport, check_joints, find_joints, refuse_deep
 from falsework.geometry.contact.narrow_phase import NARROW, ContactTolerances, Narrow, merged, narrow_places
 from falsework.geometry.contact.overlap import Overlaps, find_overlaps
@@ -226,7 +227,7 @@ def _contacts(
     narrow = Narrow(
         parts[rows], normals[rows], ends, extent, np.where(leans > FLAT, leans, 0.0)[rows], np.zeros((len(rows), 2))
     )
-    return frozen(*arrays, curved=curved, lean=lean), width[index] < tolerance, narrow
+    return Contacts(*arrays, curved=curved, lean=lean), width[index] < tolerance, narrow
 
 
 def _own_surfaces(
@@ -321,7 +322,7 @@ def _with_narrow(
     counts = np.where(lines, 2, 1)
     each = np.stack([np.ones(len(lines), dtype=bool), lines], axis=1)
     bent = (np.linalg.norm(normals - places.normals[:, None], axis=2) > FLAT) & each
-    narrow = frozen(
+    narrow = Contacts(
         places.parts,
         frames_of(places.normals),
         places.ends[each],

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import AssemblyError
+from falsework.geometry.arrays import read_only
+from falsework.geometry.contact.creases import Surface
 from falsework.geometry.contact.grouping import planes
-from falsework.geometry.contact.overlap import Overlaps, coarse_depth, depth, vertex_depth
-from falsework.geometry.contact.patches import Faces, Patches, intersect_faces, opposed_faces
+from falsework.geometry.contact.overlap import Overlaps, coarse_depth, depth, too_deep, vertex_depth
+from falsework.geometry.contact.patches import Patches, intersect_faces, opposed_faces
 from falsework.geometry.mesh.collision import inside, interpenetrate
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.utils.quantity import format_quantity
@@ -60,10 +62,7 @@ class JointReport:
         distance = np.zeros((2, len(parts)))
         np.minimum.at(distance[0], joint.ravel(), patches.distance[:, 0])
         np.maximum.at(distance[1], joint.ravel(), patches.distance[:, 1])
-        arrays = (parts.astype(np.int32).reshape(-1, 2), -distance[0] + 0.0, distance[1])
-        for array in arrays:
-            array.setflags(write=False)
-        return JointReport(*arrays)
+        return JointReport(*read_only(parts.astype(np.int32).reshape(-1, 2), -distance[0] + 0.0, distance[1]))
 
     def line(self, names: Sequence[str]) -> str:
         """Return one line that says how many joints were resolved, and the worst of them."""
@@ -148,7 +147,7 @@ def find_joints(
         angle: largest angle between the normals of patches of one contact, degrees.
         narrowest: width below which a contact is left out, metres.
     """
-    faces = Faces.from_meshes(meshes)
+    faces = Surface.from_meshes(meshes)
     extent = np.concatenate(
         [_extents(mesh.vertices, faces.normals[faces.part == part]) for part, mesh in enumerate(meshes)]
     )
@@ -246,11 +245,8 @@ def refuse_deep(meshes: Sequence[TriangleMesh], overlaps: Overlaps) -> None:
     for (a, b), allowed in zip(overlaps.parts.tolist(), deepest_of_joints(meshes, overlaps).tolist(), strict=True):
         deep = coarse_depth(meshes[a], meshes[b], allowed)
         if deep > allowed:
-            raise AssemblyError(
-                f"parts {meshes[a].name} and {meshes[b].name} pass through each other by "
-                f"{format_quantity(deep, 'length')}, and at "
-                f"most {format_quantity(allowed, 'length')} is allowed to parts that are so thin; move them apart"
-            )
+            most = f"at most {format_quantity(allowed, 'length')} is allowed to parts that are so thin; move them apart"
+            raise too_deep(meshes[a], meshes[b], deep, most)
 
 
 def _lies_inside(one: TriangleMesh, other: TriangleMesh) -> bool:
@@ -280,14 +276,13 @@ def check_joints(meshes: Sequence[TriangleMesh], overlaps: Overlaps, bound: Arra
     for (a, b), allowed in zip(overlaps.parts.tolist(), bound.tolist(), strict=True):
         if not allowed:
             continue
-        names = f"parts {meshes[a].name} and {meshes[b].name}"
         for one, other in ((a, b), (b, a)):
             if _lies_inside(meshes[one], meshes[other]):
-                raise AssemblyError(f"{names} pass through each other: {meshes[one].name} lies inside; move them apart")
+                raise AssemblyError(
+                    f"parts {meshes[a].name} and {meshes[b].name} pass through each other: {meshes[one].name} lies "
+                    "inside; move them apart"
+                )
         deep = vertex_depth(meshes[a], meshes[b])
         if deep > allowed:
-            raise AssemblyError(
-                f"{names} pass through each other by {format_quantity(deep, 'length')}, and "
-                f"{format_quantity(allowed, 'length')} is allowed, "
-                "a third of the smaller part; move them apart"
-            )
+            most = f"{format_quantity(allowed, 'length')} is allowed, a third of the smaller part; move them apart"
+            raise too_deep(meshes[a], meshes[b], deep, most)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import Rows
 from falsework.geometry.contact.creases import Creases, Surface, expand, rises
 from falsework.geometry.mesh.boxes import crossing_boxes, pairs_of_groups
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -29,7 +30,7 @@ are written with six digits."""
 
 
 @dataclass(frozen=True, eq=False)
-class Narrow:
+class Narrow(Rows):
     """Line and point contacts between two parts, one row each."""
 
     parts: NDArray[np.int32]
@@ -45,20 +46,11 @@ class Narrow:
     gaps: Array
     """Distance of the parts at both ends, along the normal, negative where they overlap, shape (places, 2), metres."""
 
-    def take(self, chosen: NDArray) -> Narrow:
-        """Return those places alone, in that order."""
-        return Narrow(*(array[chosen] for array in vars(self).values()))
-
     @staticmethod
     def none() -> Narrow:
         """Return no places."""
         numbers, pairs = np.zeros(0), np.zeros((0, 2))
         return Narrow(pairs.astype(np.int32), np.zeros((0, 3)), np.zeros((0, 2, 3)), numbers, numbers, pairs)
-
-    @staticmethod
-    def join(found: Sequence[Narrow]) -> Narrow:
-        """Return all places of several."""
-        return Narrow(*(np.concatenate(arrays) for arrays in zip(*(vars(n).values() for n in found), strict=True)))
 
 
 @dataclass(frozen=True)
@@ -209,10 +201,8 @@ def _edges_on_faces(
     climb = np.einsum("ei,ei->e", arm, normal)
     _clip(start, stop, low + limits.overlap, climb)
     _clip(start, stop, limits.gap - low, -climb)
-    for side in range(3):
-        inwards = np.cross(normal, corners[:, (side + 1) % 3] - corners[:, side])
-        inwards /= np.maximum(np.linalg.norm(inwards, axis=1), 1e-300)[:, None]
-        level = np.einsum("ei,ei->e", tail - corners[:, side], inwards)
+    for corner, inwards in _sides(corners, normal):
+        level = np.einsum("ei,ei->e", tail - corner, inwards)
         _clip(start, stop, level + 1e-6 * limits.tolerance, np.einsum("ei,ei->e", arm, inwards))
     extent = (stop - start) * sharp.length[edge]
     keep = extent > 1e-3 * limits.tolerance
@@ -226,6 +216,13 @@ def _edges_on_faces(
     parts, normals = _ordered(sharp.part[edge], surface.part[face], -normal)
     # The face has a normal and the edge has none, so that nothing is inclined to it.
     return Narrow(parts, normals, ends, extent, np.zeros(len(extent)), height).take(extent > 1e-3 * limits.tolerance)
+
+
+def _sides(corners: Array, normal: Array) -> Iterator[tuple[Array, Array]]:
+    """Yield a corner of each face and the unit vector into it from the side that begins there, for its three sides."""
+    for side in range(3):
+        inwards = np.cross(normal, corners[:, (side + 1) % 3] - corners[:, side])
+        yield corners[:, side], inwards / np.maximum(np.linalg.norm(inwards, axis=1), 1e-300)[:, None]
 
 
 def _clip(start: Array, stop: Array, level: Array, climb: Array) -> None:
@@ -315,10 +312,8 @@ def _corners_on_faces(
     height = np.einsum("ei,ei->e", point - surface.points[surface.faces[face, 0]], normal)
     inside = (height <= limits.gap) & (height >= -limits.overlap)
     corners = surface.points[surface.faces[face]]
-    for side in range(3):
-        inwards = np.cross(normal, corners[:, (side + 1) % 3] - corners[:, side])
-        inwards /= np.maximum(np.linalg.norm(inwards, axis=1), 1e-300)[:, None]
-        inside &= np.einsum("ei,ei->e", point - corners[:, side], inwards) >= -1e-6 * limits.tolerance
+    for corner, inwards in _sides(corners, normal):
+        inside &= np.einsum("ei,ei->e", point - corner, inwards) >= -1e-6 * limits.tolerance
     keep = np.flatnonzero(inside)
     keep = keep[rises(surface, vertex[keep], normal[keep], limits.sine)]
     keep = keep[~_on_edges(point[keep], surface.part[face[keep]], rims, NARROW * limits.tolerance)]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import Rows
 from falsework.geometry.contact.narrow_phase import ContactTolerances, Narrow, narrow_places
 from falsework.geometry.contact.patches import face_patches
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -19,7 +20,7 @@ ANGLE = 30.0
 
 
 @dataclass(frozen=True, eq=False)
-class NearPoints:
+class NearPoints(Rows):
     """Points between two parts, with the distance of their surfaces there."""
 
     parts: NDArray[np.int32]
@@ -30,10 +31,6 @@ class NearPoints:
     """Midway between the surfaces, shape (points, 3), metres."""
     gaps: Array
     """Along the normal, negative where the parts overlap, shape (points,), metres."""
-
-    def take(self, chosen: NDArray) -> NearPoints:
-        """Return those points alone."""
-        return NearPoints(*(array[chosen] for array in vars(self).values()))
 
 
 def near_points(meshes: Sequence[TriangleMesh], reach: float, tolerance: float) -> NearPoints:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import AssemblyError
-from falsework.geometry.contact.patches import Faces, intersect_faces, opposed_faces
+from falsework.geometry.contact.creases import Surface
+from falsework.geometry.contact.patches import intersect_faces, opposed_faces
 from falsework.geometry.mesh.boxes import box_pairs
 from falsework.geometry.mesh.collision import LESS, MORE, Body, inside, interpenetrate, nested, outwards
 from falsework.geometry.mesh.mesh import TriangleMesh
@@ -52,13 +53,15 @@ class Overlaps:
             (a, b), limit = self.parts[row].tolist(), float(self.limit[row])
             deep = depth(meshes[a], meshes[b])
             if deep > limit:
-                raise AssemblyError(
-                    f"parts {meshes[a].name} and {meshes[b].name} pass through each other by "
-                    f"{format_quantity(deep, 'length')}, "
-                    f"and {format_quantity(limit, 'length')} is allowed where they have no joint; move them "
-                    f"apart, or raise the "
-                    'tolerance ("contact": {"overlap": metres} in assembly.json)'
-                )
+                allowed = f"{format_quantity(limit, 'length')} is allowed where they have no joint; move them apart"
+                how = '("contact": {"overlap": metres} in assembly.json)'
+                raise too_deep(meshes[a], meshes[b], deep, f"{allowed}, or raise the tolerance {how}")
+
+
+def too_deep(one: TriangleMesh, other: TriangleMesh, deep: float, allowed: str) -> AssemblyError:
+    """Return the error of parts that pass through each other by a depth, metres; `allowed` says what is, and a way."""
+    how = f"parts {one.name} and {other.name} pass through each other by {format_quantity(deep, 'length')}"
+    return AssemblyError(f"{how}, and {allowed}")
 
 
 def find_overlaps(meshes: Sequence[TriangleMesh], tolerance: float, *, corner: float | None) -> Overlaps:
@@ -94,7 +97,7 @@ def _have_layer(
     """Return whether faces of pairs of parts that should touch overlap by more than the tolerance, shape (pairs,)."""
     if not len(pairs):
         return np.zeros(0, dtype=bool)
-    faces = Faces.from_meshes(meshes)
+    faces = Surface.from_meshes(meshes)
     row = np.full((len(meshes), len(meshes)), -1)
     row[pairs[:, 0], pairs[:, 1]] = np.arange(len(pairs))
     deepest = np.full(len(faces.part), limit.max())

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.contact.creases import Surface
 from falsework.geometry.mesh.boxes import pairs_of_groups
-from falsework.geometry.mesh.mesh import TriangleMesh, unit_normals
+from falsework.geometry.mesh.mesh import TriangleMesh
 
 Array = NDArray[np.float64]
 
@@ -63,17 +64,11 @@ class Patches:
     def join(found: Sequence[Patches]) -> Patches:
         """Return all patches of several, none of none."""
         found = found or [Patches.none()]
-        counts = np.cumsum([0] + [len(patches.areas) for patches in found])
-        return Patches(
-            parts=np.concatenate([patches.parts for patches in found]),
-            normals=np.concatenate([patches.normals for patches in found]),
-            areas=np.concatenate([patches.areas for patches in found]),
-            points=np.concatenate([patches.points for patches in found]),
-            owner=np.concatenate([patches.owner + first for patches, first in zip(found, counts, strict=False)]),
-            gaps=np.concatenate([patches.gaps for patches in found]),
-            faces=np.concatenate([patches.faces for patches in found]),
-            lean=np.concatenate([patches.lean for patches in found]),
+        first = np.repeat(
+            np.cumsum([0, *(len(patches.areas) for patches in found[:-1])]), [len(patches.owner) for patches in found]
         )
+        columns = {one.name: np.concatenate([getattr(some, one.name) for some in found]) for one in fields(Patches)}
+        return Patches(**{**columns, "owner": columns["owner"] + first})
 
     def take(self, chosen: NDArray[np.bool_]) -> Patches:
         """Return the chosen patches alone, shape (patches,)."""
@@ -91,33 +86,6 @@ class Patches:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Faces:
-    """All faces of a structure, concatenated; those without area are left out."""
-
-    corners: Array
-    """Shape (faces, 3, 3), metres."""
-    part: NDArray[np.int32]
-    """Shape (faces,)."""
-    normals: Array
-    """Outwards, unit length, shape (faces, 3)."""
-
-    @cached_property
-    def balls(self) -> tuple[Array, Array]:
-        """Centres, shape (faces, 3), and radii, shape (faces,), of balls around the faces, metres."""
-        centre: Array = self.corners.mean(axis=1)
-        radius: Array = np.linalg.norm(self.corners - centre[:, None], axis=2).max(axis=1)
-        return centre, radius
-
-    @staticmethod
-    def from_meshes(meshes: Sequence[TriangleMesh]) -> Faces:
-        """Collect the faces of all parts."""
-        corners = np.concatenate([mesh.triangles for mesh in meshes])
-        part = np.repeat(np.arange(len(meshes), dtype=np.int32), [len(mesh.faces) for mesh in meshes])
-        normals, solid = unit_normals(corners)  # a face without area carries no force
-        return Faces(corners[solid], part[solid], normals)
-
-
 def face_patches(
     meshes: Sequence[TriangleMesh], *, gap: float, overlap: float, angle: float, least: float | None = None
 ) -> Patches:
@@ -132,7 +100,7 @@ def face_patches(
         angle: degrees.
         least: side of a square whose area is rounding, metres; None: a thousandth of the larger of gap and overlap.
     """
-    faces = Faces.from_meshes(meshes)
+    faces = Surface.from_meshes(meshes)
     least = max(gap, overlap) / 1000 if least is None else least
     count = len(faces.part)
     return Patches.join(
@@ -144,7 +112,7 @@ def face_patches(
 
 
 def opposed_faces(
-    faces: Faces, gap: Array, overlap: Array, angle: float, among: NDArray[np.bool_] | None = None
+    faces: Surface, gap: Array, overlap: Array, angle: float, among: NDArray[np.bool_] | None = None
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """Yield pairs of faces that look at each other and may touch, as far as their boxes tell; in chunks.
 
@@ -169,7 +137,7 @@ def opposed_faces(
 
 
 def intersect_faces(
-    faces: Faces,
+    faces: Surface,
     i: NDArray[np.int64],
     j: NDArray[np.int64],
     *,
@@ -232,7 +200,7 @@ def intersect_faces(
 
 
 def _balls_may_touch(
-    faces: Faces, i: NDArray[np.int64], j: NDArray[np.int64], normals: Array, *, gap: Array, overlap: Array
+    faces: Surface, i: NDArray[np.int64], j: NDArray[np.int64], normals: Array, *, gap: Array, overlap: Array
 ) -> NDArray[np.bool_]:
     """Test whether balls around pairs of faces are beside each other, and their distance along the normal in its band.
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from falsework.geometry.mesh.collision import inside
 from falsework.geometry.mesh.edges import components, directed_edges, equal_faces
+from falsework.geometry.mesh.sheets import is_flat
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -70,7 +71,8 @@ def separate_solids(vertices: Array, faces: Faces) -> list[Faces]:
         return []
     if not (label >= 0).any():
         return [faces]
-    sheets = [surface for surface in _open(vertices, faces, label) if _is_flat(vertices[faces[label == surface]])]
+    unclosed = {surface: vertices[faces[label == surface]].reshape(-1, 3) for surface in _open(vertices, faces, label)}
+    sheets = [surface for surface, points in unclosed.items() if is_flat(points, _SHEET)]
     label = np.where(np.isin(label, sheets), -2, label)
     solid = np.unique(label, return_index=True)
     start = np.sort([first for name, first in zip(*solid, strict=True) if name != -1])
@@ -107,12 +109,6 @@ def _open(vertices: Array, faces: Faces, label: NDArray[np.int64]) -> list[int]:
     (tail, head), count = directed_edges(corners), int(corners.max()) + 1
     forward, backward = ((of * count + a) * count + b for a, b in ((tail, head), (head, tail)))
     return np.unique(of[~np.isin(forward, backward)]).tolist()
-
-
-def _is_flat(corners: Array) -> bool:
-    points = corners.reshape(-1, 3)
-    spread = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[1]
-    return bool(spread[-1] <= _SHEET * spread[0])
 
 
 def surfaces_of(points: Array, corners: Faces) -> NDArray[np.int64] | None:

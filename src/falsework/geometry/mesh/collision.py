@@ -8,6 +8,7 @@ import fcl
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import segment_sum
 from falsework.geometry.mesh.mesh import TriangleMesh, unit_normals
 
 Array = NDArray[np.float64]
@@ -36,8 +37,7 @@ def outwards(mesh: TriangleMesh) -> Array:
     at = np.repeat(normals, 3, axis=0)
     count = len(mesh.vertices)
     outer = (at[:, :, None] * at[:, None, :]).reshape(-1, 9)
-    gram = np.stack([np.bincount(vertex, column, count) for column in outer.T], axis=1).reshape(-1, 3, 3)
-    total = np.stack([np.bincount(vertex, column, count) for column in at.T], axis=1)
+    gram, total = segment_sum(outer, vertex, count).reshape(-1, 3, 3), segment_sum(at, vertex, count)
     # Directions in which the planes hardly differ say nothing about where the vertex should go.
     move = np.einsum("vij,vj->vi", np.linalg.pinv(gram, rcond=1e-3, hermitian=True), total)
     size = np.linalg.norm(move, axis=1)

@@ -17,7 +17,7 @@ from falsework.errors import MeshError
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.surface import PartSurface, content_of, joined, warn_of
 from falsework.utils.json_text import parse_json
-from falsework.utils.quantity import listed
+from falsework.utils.quantity import is_number, listed
 
 Array = NDArray[np.float64]
 
@@ -206,6 +206,7 @@ class _Reader:
         extras = node.get("extras")
         extras = extras if isinstance(extras, dict) else {}
         number, density = extras.get("part"), extras.get("density")
+        friction = (self._json["asset"].get("extras") or {}).get("friction")
         own = isinstance(number, int) and not isinstance(number, bool)
         if not own and extras.keys() & {"boundary", "density"}:
             self._lacking.append(self._name(node, index))
@@ -215,8 +216,8 @@ class _Reader:
             faces,
             support=own and extras.get("boundary") is True,
             number=number if own else None,
-            density=_number(density) if own else None,
-            friction=_number((self._json["asset"].get("extras") or {}).get("friction")) if own else None,
+            density=float(density) if own and is_number(density) else None,
+            friction=float(friction) if own and is_number(friction) else None,
             whole=own,
         )
 
@@ -321,10 +322,6 @@ class _Reader:
 
     def _fail(self, what: str, remedy: str) -> NoReturn:
         raise MeshError(f"cannot read {self._file}: {what}; {remedy}")
-
-
-def _number(value: Any) -> float | None:
-    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
 
 
 def _transform(node: dict[str, Any]) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import MeshError
+from falsework.geometry.arrays import box_around, read_only
 from falsework.utils.quantity import format_quantity
 
 
@@ -47,9 +48,7 @@ class TriangleMesh:
             raise MeshError(f"part {name}: faces have shape {corners.shape}; expected (faces, 3)")
         if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
             raise MeshError(f"part {name}: a face uses a vertex that does not exist; there are {len(points)} vertices")
-        points.setflags(write=False)
-        corners.setflags(write=False)
-        return TriangleMesh(name, points, corners)
+        return TriangleMesh(name, *read_only(points, corners))
 
     @property
     def triangles(self) -> NDArray[np.float64]:
@@ -59,9 +58,7 @@ class TriangleMesh:
     @cached_property
     def bounds(self) -> NDArray[np.float64]:
         """Lowest and highest coordinates, shape (2, 3), metres."""
-        bounds = np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
-        bounds.setflags(write=False)
-        return bounds
+        return read_only(box_around(self.vertices))[0]
 
     @property
     def volume(self) -> float:
@@ -154,10 +151,7 @@ def mass_properties(meshes: Sequence[TriangleMesh], density: NDArray[np.float64]
     second -= volume[:, None, None] * offset[:, :, None] * offset[:, None, :]
     trace = np.trace(second, axis1=1, axis2=2)
     inertia = trace[:, None, None] * np.eye(3) - second
-    arrays = (density * volume, anchor + offset, density[:, None, None] * inertia, volume)
-    for array in arrays:
-        array.setflags(write=False)
-    return MassProperties(*arrays)
+    return MassProperties(*read_only(density * volume, anchor + offset, density[:, None, None] * inertia, volume))
 
 
 def ground_slab(meshes: Sequence[TriangleMesh]) -> TriangleMesh:

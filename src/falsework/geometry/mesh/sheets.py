@@ -34,6 +34,12 @@ def is_sheet(points: Array, faces: Faces) -> bool:
     return bool(np.ptp((used - used.mean(axis=0)) @ normal) <= 2 * _FLAT * np.linalg.norm(np.ptp(used, axis=0)))
 
 
+def is_flat(points: Array, share: float) -> bool:
+    """Return whether points, shape (points, 3), lie in a plane to within a share of their extent."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[2] <= share * spread[0])
+
+
 def plane_normal(points: Array) -> Array:
     """Return the unit normal of the plane that fits points best, of either sign, shape (3,)."""
     return np.linalg.svd(points - points.mean(axis=0))[2][2]

@@ -111,11 +111,8 @@ def warn_of(file: Path, what: str) -> None:
 def warn_of_curves(file: Path, names: Sequence[str]) -> None:
     """Warn of parts with curved faces, which became flat ones."""
     if names:
-        warnings.warn(
-            f"{file}: curved faces became flat ones, on which a part may rest that rolls in fact: {listed(names)}",
-            ReadWarning,
-            stacklevel=3,
-        )
+        what = "curved faces became flat ones, on which a part may rest that rolls in fact"
+        warn_of(file, f"{what}: {listed(names)}")
 
 
 def joined(name: str, surfaces: Sequence[PartSurface]) -> PartSurface:

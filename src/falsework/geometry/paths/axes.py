@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import Rows
 from falsework.geometry.mesh.collision import Body
 from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.utils.interruption import check_interruption
@@ -43,7 +44,7 @@ class Axis:
 
 
 @dataclass(frozen=True, eq=False)
-class _Surface:
+class _Surface(Rows):
     """Samples of near surfaces, from the side of the part."""
 
     points: Array
@@ -54,10 +55,6 @@ class _Surface:
     """Shape (samples,), square metres."""
     gaps: Array
     """To the other surface, shape (samples,), metres."""
-
-    def within(self, gap: float) -> _Surface:
-        near = self.gaps <= gap
-        return _Surface(self.points[near], self.normals[near], self.areas[near], self.gaps[near])
 
 
 def axes_of(part: Array, others: Sequence[Array], tolerance: float, thickness: float) -> list[Axis]:
@@ -75,7 +72,7 @@ def axes_of(part: Array, others: Sequence[Array], tolerance: float, thickness: f
     found: list[Axis] = []
     extent, seen, gap = float(np.linalg.norm(np.ptp(part.reshape(-1, 3), axis=0))), 0, tolerance
     while gap <= thickness:
-        near = surface.within(gap)
+        near = surface.take(surface.gaps <= gap)
         if len(near.points) > seen:
             seen = len(near.points)
             for axis in _slides(near, extent):
@@ -96,7 +93,7 @@ def _near_surface(part: Array, others: Sequence[Array], most: float, tolerance: 
     rest = np.concatenate(list(others))
     low, high = part.min(axis=(0, 1)) - most, part.max(axis=(0, 1)) + most
     rest = rest[((rest.min(axis=1) <= high) & (rest.max(axis=1) >= low)).all(axis=1)]
-    samples = []
+    samples = [_Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))]
     for own, other, sign in ((part, rest, 1.0), (rest, part, -1.0)):
         normals = triangle_normals(own)
         double = np.linalg.norm(normals, axis=1)
@@ -114,10 +111,8 @@ def _near_surface(part: Array, others: Sequence[Array], most: float, tolerance: 
         near = np.flatnonzero(gaps <= most)
         before, behind = (body.distances(middles[near] + side * tolerance * outwards[near]) for side in (1.0, -1.0))
         near = near[before <= behind + 0.5 * tolerance]
-        samples.append((middles[near], sign * outwards[near], double[kept][near] / 2, gaps[near]))
-    if not samples:
-        return _Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), np.zeros(0))
-    return _Surface(*(np.concatenate(arrays) for arrays in zip(*samples, strict=True)))
+        samples.append(_Surface(middles[near], sign * outwards[near], double[kept][near] / 2, gaps[near]))
+    return _Surface.join(samples)
 
 
 def _slides(surface: _Surface, extent: float) -> list[Axis]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import box_around
 from falsework.geometry.clearance.moves import PathMove, Poses, after, apply
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
@@ -147,8 +148,7 @@ class PartMotions:
 
     def box(self, part: int, pose: Array = _HOME) -> Array:
         """Return the lowest and highest coordinates of a part in a pose, shape (2, 3), metres."""
-        points = apply(pose, self.meshes[part].vertices)
-        return np.stack([points.min(axis=0), points.max(axis=0)])
+        return box_around(apply(pose, self.meshes[part].vertices))
 
     def bounds(self, parts: Mask, poses: Poses = IN_PLACE) -> Array:
         """Return the lowest and highest coordinates of parts, shape (2, 3), metres."""

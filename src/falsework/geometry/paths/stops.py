@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.clearance.locked import unsigned
 from falsework.geometry.mesh.mesh import triangle_normals
 
 Array = NDArray[np.float64]
@@ -37,7 +38,7 @@ def face_normals(triangles: Sequence[Array]) -> tuple[Array, bool]:
     normals = np.concatenate([triangle_normals(some) for some in triangles])
     size = np.linalg.norm(normals, axis=1)
     normals, size = normals[size > 0] / size[size > 0, None], size[size > 0]
-    normals *= np.where(normals @ (1.0, 0.1, 0.01) < 0, -1.0, 1.0)[:, None]
+    normals = unsigned(normals)
     lines, owner = np.unique(np.round(normals / _SAME).astype(np.int64), axis=0, return_inverse=True)
     area = np.bincount(owner.ravel(), size, len(lines))
     found: list[Array] = []

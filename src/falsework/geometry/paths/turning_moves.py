@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import box_corners
 from falsework.geometry.clearance.moves import PathMove, Poses, apply
 from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.geometry.paths.axes import Axis, axes_of
@@ -76,9 +77,8 @@ class TurningMoves:
         direction, angle, distance = axis.direction, 2 * np.pi, 0.0
         if axis.pitch != 0.0:
             sense = np.sign(axis.pitch)
-            corners = np.array([[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
             direction = sense * direction
-            distance = float((corners @ direction).max() - (own.reshape(-1, 3) @ direction).min())
+            distance = float((box_corners(box) @ direction).max() - (own.reshape(-1, 3) @ direction).min())
             angle = sense * distance / abs(axis.pitch)
         (x, y, z), (a, b, c) = (direction + 0.0).tolist(), axis.point.tolist()
         return PathMove((self._part,), (x, y, z), distance, float(angle), (a, b, c))

@@ -126,7 +126,8 @@ class PPO(Learner):
         learnable = replace(learnable, advantage=normalized(advantage, self.shards))
         count = len(learnable)
         if count == 0:  # zero weight: other processes average their gradients with this one
-            learnable = _padding(batch, self.environment.part_count)
+            goals = None if batch.targets is None else batch.targets[:1]
+            learnable = Transitions.blank(batch.states[:1], goals, transitions.success)
         asks = settings.removals and batch.targets is not None and count
         removals = Removals.draw(self.environment, learnable, self.generator) if asks else None
         rollouts = len(batch.states)
@@ -243,21 +244,3 @@ class PPO(Learner):
         averages = {name: total / self.shards.size for name, total in zip(names, totals, strict=True)}
         played = {"rollout_success": success / max(count, 1.0), "rollout_return": returns / max(count, 1.0)}
         return {**played, "transitions": moves, **averages}
-
-
-def _padding(batch: StartBatch, parts: int) -> Transitions:
-    """Make one dummy transition for padding."""
-    device = batch.states.device
-    zero = torch.zeros(1, device=device)
-    return Transitions(
-        batch.states[:1],
-        None if batch.targets is None else batch.targets[:1],
-        zero.long(),
-        torch.zeros((1, 2 * parts), dtype=torch.bool, device=device),
-        zero,
-        zero,
-        zero,
-        zero.long(),
-        torch.zeros(len(batch.states), dtype=torch.bool, device=device),
-        torch.zeros(len(batch.states), device=device),
-    )

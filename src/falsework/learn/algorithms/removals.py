@@ -8,6 +8,7 @@ import torch
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from falsework.assembly.state import HELD, REMOVED
+from falsework.geometry.arrays import Rows
 from falsework.learn.algorithms.rollout_storage import Transitions
 from falsework.learn.env.environment import Environment
 from falsework.learn.networks.policy import masked_log_probabilities
@@ -17,7 +18,7 @@ _LEAST = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
-class Removals:
+class Removals(Rows):
     """For each transition a part of a random legal action, and whether the structure stands without that part.
 
     A policy has a logit for the removal of each part, and only those of held parts count for its actions. Where the
@@ -39,10 +40,6 @@ class Removals:
         part = torch.multinomial(transitions.mask.float(), 1, generator=generator) % parts
         stable = environment.stable(states.scatter(1, part, REMOVED), states).float()
         return cls(part[:, 0], stable, (states.gather(1, part) == HELD)[:, 0])
-
-    def take(self, rows: torch.Tensor) -> Removals:
-        """Select some of the transitions."""
-        return Removals(self.part[rows], self.stable[rows], self.held[rows])
 
     def loss(self, logits: torch.Tensor, mask: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
         """Return the mean loss.

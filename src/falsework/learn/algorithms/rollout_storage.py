@@ -41,6 +41,13 @@ class Transitions:
     def __len__(self) -> int:
         return len(self.states)
 
+    @classmethod
+    def blank(cls, states: torch.Tensor, targets: torch.Tensor | None, success: torch.Tensor) -> Transitions:
+        """Make transitions of some states without a legal action or reward; `success` is that of all rollouts."""
+        zero = torch.zeros(len(states), device=states.device)
+        mask = torch.zeros((len(states), 2 * states.shape[1]), dtype=torch.bool, device=states.device)
+        return cls(states, targets, zero.long(), mask, zero, zero, zero, zero.long(), success, success * 0.0)
+
     def take(self, rows: torch.Tensor) -> Transitions:
         """Select some of the actions."""
         whole = {"success": self.success, "total": self.total}
@@ -83,10 +90,7 @@ def collect_transitions(
         success.index_copy_(0, move.rows, move.step.success)
         moves.append(move)
     if not moves:
-        none = torch.empty(0, device=starts.device)
-        mask = torch.empty((0, 2 * environment.part_count), dtype=torch.bool, device=starts.device)
-        goals = None if targets is None else targets[:0]
-        return Transitions(starts[:0], goals, none.long(), mask, none, none, none, none.long(), success, success * 0.0)
+        return Transitions.blank(starts[:0], None if targets is None else targets[:0], success)
     rows = [move.rows for move in moves]
     values = [move.value for move in moves]
     rewards = rewards_of(moves, reward)

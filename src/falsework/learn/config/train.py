@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal, TypeVar, get_args, get_type_hints
 
 from falsework.assembly.state import check_robots
@@ -180,13 +180,8 @@ def default_target_widths(parts: int, device: str, minutes: float) -> tuple[int,
     return (128,) * min(max(round(6 * minutes * (37 / parts) ** 3), 12), 120)
 
 
-def to_dict(settings: Any) -> dict[str, Any]:
-    """Return settings as plain JSON values."""
-    return asdict(settings)
-
-
 def from_dict(kind: type[T], values: Mapping[str, Any]) -> T:
-    """Read settings that `to_dict` gave, without those that earlier versions had.
+    """Read settings that `asdict` gave, without those that earlier versions had.
 
     Raises:
         InputError: a name that is no setting, or a value of another type.

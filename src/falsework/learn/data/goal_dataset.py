@@ -14,7 +14,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.learn.data.dataset import DataSettings, Report, check_states, search_several, search_states
-from falsework.learn.data.goal_pairs import Pairs, PairSource, joined_pairs, unsolved_at_random
+from falsework.learn.data.goal_pairs import Pairs, PairSource, unsolved_at_random
 from falsework.learn.env.verdict_cache import VerdictTable
 from falsework.search.device.oracle import TensorOracle, tensor_oracle, without_fallback
 from falsework.search.device.rules import TensorRules
@@ -237,7 +237,7 @@ def _unseen(
     for number in range(_ROUNDS):
         drawn = source.draw(rng, 2 * count)
         kept.append(drawn[unsolved_at_random(drawn, rules, oracle, known, settings.random_tries, number)])
-        pairs = joined_pairs(kept)
+        pairs = Pairs.join(kept)
         both = np.concatenate([pairs.states, pairs.targets], axis=1)
         kept = [pairs[np.sort(np.unique(both, axis=0, return_index=True)[1])]]
         if len(kept[0]) >= count:

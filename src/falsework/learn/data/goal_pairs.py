@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.errors import InputError
+from falsework.geometry.arrays import Rows
 from falsework.learn.env.verdict_cache import VerdictTable
 from falsework.search.device.oracle import TensorOracle
 from falsework.search.device.rules import TensorRules
@@ -28,7 +29,7 @@ _TARGETS = 1024
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
+class Pairs(Rows):
     """States with targets."""
 
     states: States
@@ -41,7 +42,7 @@ class Pairs:
 
     def __getitem__(self, rows: slice | Mask | NDArray[np.intp]) -> Pairs:
         """Return some of the pairs."""
-        return Pairs(self.states[rows], self.targets[rows])
+        return self.take(rows)
 
     def tensors(self, device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
         """Return states and targets on a device."""
@@ -90,7 +91,7 @@ class PairSource:
         for begin in range(0, len(ends), _TARGETS):
             if count is None or sum(map(len, pieces)) < count:
                 pieces.append(self._pairs(ends[begin : begin + _TARGETS], rng))
-        return joined_pairs(pieces)[: len(ends) if count is None else count]
+        return Pairs.join(pieces)[: len(ends) if count is None else count]
 
     def _pairs(self, ends: NDArray[np.intp], rng: np.random.Generator) -> Pairs:
         leads = self.leads_to(ends)
@@ -182,8 +183,3 @@ def _solved_at_random(
         solved[rows[stable & there]] = True
         rows = rows[stable & ~there]
     return solved
-
-
-def joined_pairs(pieces: list[Pairs]) -> Pairs:
-    """Concatenate pairs."""
-    return Pairs(*(np.concatenate([getattr(piece, name) for piece in pieces]) for name in ("states", "targets")))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import States
 from falsework.errors import InputError
+from falsework.geometry.arrays import Rows
 from falsework.search.device.oracle import TensorOracle
 from falsework.search.device.rules import TensorRules
 from falsework.search.problem.task import Direction, Task
@@ -30,8 +31,8 @@ _OWNER_BITS = 20
 """Of a key that orders candidates by search and then at random."""
 
 
-@dataclass(eq=False)
-class _Level:
+@dataclass(frozen=True, eq=False)
+class _Level(Rows):
     """States of several searches the same number of steps away from their origins, those of one search together."""
 
     states: torch.Tensor
@@ -40,10 +41,6 @@ class _Level:
     """Search that each belongs to, ascending, shape (count,)."""
     value: torch.Tensor
     """Number that the order of successors depends on, such as a hash or a score, shape (count,)."""
-
-    def take(self, rows: torch.Tensor) -> _Level:
-        """Return some of the states."""
-        return _Level(self.states[rows], self.owner[rows], self.value[rows])
 
 
 def parallel_beam_search(

@@ -23,7 +23,7 @@ from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
-from falsework.utils.display.frame import frame_of
+from falsework.utils.display.drawing import drawn
 from falsework.utils.lazy import importing
 
 with importing("the Gymnasium environment needs gymnasium; pip install 'falsework[learn]'"):
@@ -92,17 +92,14 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         self._oracle: Oracle = oracle
         table = self.assembly.clearance if removable_only_if_clear else None
         whole = Task.from_rules(self.assembly.boundary, robots, target=target, fixed=fixed, clearance=table)
-        whole = whole.judged_by(oracle)
         # Legal moves do not depend on the start, so that one task serves all episodes.
-        self._task = whole
+        self._task = whole.judged_by(oracle)
         self._starts = self._check_starts(starts)
         self._shown = target is not None
         parts = self.assembly.part_count
         self.observation_space = gymnasium.spaces.MultiDiscrete([3] * (2 * parts if self._shown else parts))
         self.action_space = gymnasium.spaces.Discrete(2 * parts)
-        self._state = self._starts[0].copy()
-        self._mask = self._legal(self._state)
-        self._last, self.fell = "", False
+        self._begin(self._starts[0])
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -119,11 +116,9 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         super().reset(seed=seed)
         start = (options or {}).get("start")
         if start is not None:
-            self._state = self._checked(as_states(start, self.assembly.boundary))[0].copy()
+            self._begin(self._checked(as_states(start, self.assembly.boundary))[0])
         else:
-            self._state = self._starts[self.np_random.integers(len(self._starts))].copy()
-        self._mask = self._legal(self._state)
-        self._last, self.fell = "", False
+            self._begin(self._starts[self.np_random.integers(len(self._starts))])
         return self._observe(), self._tell()
 
     def step(self, action: np.int64 | int) -> tuple[NDArray[np.int64], float, bool, bool, dict[str, Any]]:
@@ -146,7 +141,7 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
         near = before[None] if self._oracle.holds_keep_stable else None  # as `Environment.stable`
         stands = not needed or bool(self._oracle.verdicts(self._state[None], near=near).stable[0])
         self.fell = not stands
-        success = stands and self._reached(self._state)
+        success = stands and np.array_equal(self._state, self._task.target)
         failed = not stands or (not success and not self._mask.any())
         info = self._tell(success=success, unstable=not stands)
         return self._observe(), float(success) - float(failed), success or failed, False, info
@@ -169,8 +164,12 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
             return None
         if self.render_mode == "rgb_array":
             words = self._last + (", which is not stable" if self.fell else "")
-            return frame_of(self.assembly, self._state, self.robots, words)
+            return drawn("state", self.assembly, self._state, self.robots, words)
         return "".join(_LETTERS[int(value)] for value in self._state) + (f" {self._last}" if self._last else "")
+
+    def _begin(self, state: States) -> None:
+        self._state, self._mask = state.copy(), self._legal(state)
+        self._last, self.fell = "", False
 
     def _refuse(self, action: int) -> tuple[NDArray[np.int64], float, bool, bool, dict[str, Any]]:
         if self._illegal == "error":
@@ -188,9 +187,6 @@ class DisassemblyEnv(gymnasium.Env[NDArray[np.int64], np.int64]):
 
     def _legal(self, state: States) -> Mask:
         return self._task.moves(state[None], Direction.DISASSEMBLY)[0]
-
-    def _reached(self, state: States) -> bool:
-        return bool(np.array_equal(state, self._task.target))
 
     def _check_starts(self, starts: StateGraph | ArrayLike | None) -> States:
         if starts is None:

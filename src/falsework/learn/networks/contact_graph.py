@@ -8,7 +8,7 @@ whose lengths it takes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from falsework.assembly.model import Assembly
+from falsework.geometry.arrays import read_only, segment_sum
 
 PART_FEATURES = 18
 PAIR_FEATURES = 19
@@ -49,8 +50,7 @@ class ContactGraph:
     """Shape (parts,)."""
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            getattr(self, entry.name).setflags(write=False)
+        read_only(*vars(self).values())
 
     @property
     def part_count(self) -> int:
@@ -95,9 +95,9 @@ class ContactGraph:
         low, high = _heights(assembly, movable)
         neighbours = np.bincount(own, minlength=parts)
         carried = np.bincount(own, pairs.up, parts)
-        support = np.stack([np.bincount(own, pairs.up * arm[:, axis], parts) for axis in (0, 1)], axis=1)
+        support = segment_sum(pairs.up[:, None] * arm[:, :2], own, parts)
         support /= np.maximum(carried, 1e-9 * whole_area + 1e-300)[:, None]
-        total = np.stack([np.bincount(own, pairs.push[:, axis], parts) for axis in range(3)], axis=1)
+        total = segment_sum(pairs.push, own, parts)
         total /= np.maximum(whole_area, 1e-300)[:, None]
         raised = np.maximum(centre[:, 2] - low, 0.0)
         part = np.stack(
@@ -144,8 +144,7 @@ class _Pairs:
         contacts = assembly.contacts
         points = np.maximum(np.diff(contacts.start), 1)
         owner = contacts.contact_of_point
-        centre = np.stack([np.bincount(owner, column, len(contacts)) for column in contacts.points.T], axis=1)
-        centre /= points[:, None]
+        centre = contacts.centres
         away = ((contacts.points - centre[owner]) ** 2).sum(axis=1)
         radius = np.bincount(owner, away, len(contacts)) / points
         friction = np.full(len(contacts), assembly.friction)
@@ -162,17 +161,14 @@ class _Pairs:
         def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
             return np.bincount(back, values, len(unique)).astype(np.float64)
 
-        def totals(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            return np.stack([total(column) for column in values.T], axis=1)
-
         areas = total(area)
-        middle = totals(area[:, None] * np.tile(centre, (2, 1))) / areas[:, None]
+        middle = segment_sum(area[:, None] * np.tile(centre, (2, 1)), back, len(unique)) / areas[:, None]
         shift = ((np.tile(centre, (2, 1)) - middle[back]) ** 2).sum(axis=1)
         return _Pairs(
             unique[:, 0],
             unique[:, 1],
             areas,
-            totals(area[:, None] * normals),
+            segment_sum(area[:, None] * normals, back, len(unique)),
             total(area * np.maximum(normals[:, 2], 0)),
             total(area * np.maximum(-normals[:, 2], 0)),
             middle,

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
+from falsework.geometry.arrays import read_only
 
 PARALLEL = 5.0
 """Contacts of one pair whose normals differ by less are one force, degrees."""
@@ -94,15 +95,13 @@ class ForceTorqueGraph:
         length = float(np.median(np.linalg.norm(bounds[:, 1] - bounds[:, 0], axis=1)[movable]))
         levers = (contacts.points[points, None] - assembly.mass.center[force_parts[point_force]]) / length
         mass = np.log(assembly.mass.mass / np.median(assembly.mass.mass[movable]))
-        arrays = (
+        arrays = read_only(
             mass.astype(np.float32),
             force_parts,
             np.array(normals, dtype=np.float32).reshape(-1, 3),
             point_force,
             levers.astype(np.float32).reshape(-1, 2, 3),
         )
-        for array in arrays:
-            array.setflags(write=False)
         return ForceTorqueGraph(fixed, *arrays)
 
     @property

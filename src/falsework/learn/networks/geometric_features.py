@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import shortest_path
 
 from falsework.assembly.model import Assembly
+from falsework.geometry.arrays import read_only
 
 PART_FEATURES = 14
 """Features of a part."""
@@ -55,12 +56,11 @@ class PartFeatures:
         push = contacts.pushes(parts)
         spot = np.zeros((parts, parts, 3))
         signed = np.zeros((parts, parts, 6))
-        middle_of_contact = _contact_centres(assembly)
         for one, other, sign in ((a, b, -1.0), (b, a, 1.0)):
             normals = sign * contacts.normals
             weighted = contacts.areas[:, None] * normals
             np.add.at(area, (one, other), contacts.areas)
-            np.add.at(spot, (one, other), contacts.areas[:, None] * middle_of_contact)
+            np.add.at(spot, (one, other), contacts.areas[:, None] * contacts.centres)
             both = np.stack([np.maximum(weighted, 0), np.maximum(-weighted, 0)], axis=2).reshape(-1, 6)
             np.add.at(signed, (one, other), both)
         touches = area > 0
@@ -110,15 +110,5 @@ class PartFeatures:
             ],
             axis=2,
         )
-        arrays = tuple(np.ascontiguousarray(array, dtype=np.float32) for array in (part, pair, ports))
-        for array in arrays:
-            array.setflags(write=False)
-        return PartFeatures(*arrays, boundary=fixed)
-
-
-def _contact_centres(assembly: Assembly) -> NDArray[np.float64]:
-    """Return the mean of the points of every contact, shape (contacts, 3)."""
-    contacts = assembly.contacts
-    count = np.maximum(np.diff(contacts.start), 1)
-    sums = np.stack([np.bincount(contacts.contact_of_point, column, len(contacts)) for column in contacts.points.T])
-    return (sums / count).T
+        arrays = (np.ascontiguousarray(array, dtype=np.float32) for array in (part, pair, ports))
+        return PartFeatures(*read_only(*arrays), boundary=fixed)

@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from torch.nn.functional import gelu
 
 from falsework.assembly.model import Assembly
+from falsework.geometry.arrays import Rows
 from falsework.learn.config.policy import EXPANSION, PolicySettings
 from falsework.learn.networks.contact_graph import PAIR_FEATURES, PART_FEATURES, WHOLE_FEATURES, ContactGraph
 from falsework.learn.networks.policy import Policy, small_head
@@ -40,7 +41,7 @@ _CHUNK_BYTES = {"cpu": 2**23, "cuda": 2**31}
 
 
 @dataclass(frozen=True, eq=False)
-class GraphTensors:
+class GraphTensors(Rows):
     """Graphs of several structures, filled up to the same number of parts and of slots."""
 
     part: Tensor
@@ -82,10 +83,6 @@ class GraphTensors:
     def joined(graphs: Sequence[GraphTensors]) -> GraphTensors:
         """Return the structures of several ones that are filled up alike."""
         return GraphTensors(*(torch.cat([getattr(one, name.name) for one in graphs]) for name in fields(GraphTensors)))
-
-    def take(self, rows: Tensor) -> GraphTensors:
-        """Return some of the structures."""
-        return GraphTensors(*(getattr(self, entry.name)[rows] for entry in fields(self)))
 
 
 def conditions(robots: int, equilibrium: bool) -> Tensor:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +11,7 @@ from typing import Any
 import torch
 
 from falsework.assembly.model import Assembly
-from falsework.errors import FalseworkError, InputError
+from falsework.errors import InputError
 from falsework.learn.config.train import TrainSettings, from_dict
 from falsework.learn.networks import policy as policies
 from falsework.learn.networks.custom_policy import PolicyOrClass
@@ -23,7 +21,7 @@ from falsework.search.plans.plan_source import check_source
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
-from falsework.utils.models import FileModel, read_model
+from falsework.utils.models import FileModel, plain, read_model
 
 FORMAT = "falsework.run/2"
 CHECKPOINT_FORMAT = "falsework.checkpoint/3"
@@ -82,14 +80,14 @@ def describe_structure(assembly: Assembly, source: Mapping[str, Any]) -> dict[st
     Raises:
         InputError: another source, which `load_run` would refuse.
     """
-    plain = {name: _plain(value) for name, value in source.items()}
+    values = plain(source)
     about = f"the source of {assembly.name} cannot be recorded: "
-    check_source(read_model(SourceEntry, plain, about, InputError, "structure.source"), about)
+    check_source(read_model(SourceEntry, values, about, InputError, "structure.source"), about)
     return {
         "name": assembly.name,
         "identity": assembly.identity,
         "parts": assembly.part_count,
-        "source": plain,
+        "source": values,
     }
 
 
@@ -100,7 +98,7 @@ def write_run(folder: Path, metadata: Mapping[str, Any]) -> None:
         InputError: it cannot be written.
     """
     text = json.dumps({"format": FORMAT, **metadata}, indent=1, allow_nan=False) + "\n"
-    _write(folder / FILE, text.encode())
+    write_whole(folder / FILE, lambda file: file.write(text.encode()))
 
 
 def save_run(folder: Path, policy: torch.nn.Module, metadata: Mapping[str, Any]) -> None:
@@ -118,7 +116,8 @@ def save_run(folder: Path, policy: torch.nn.Module, metadata: Mapping[str, Any])
 
     folder.mkdir(parents=True, exist_ok=True)
     weights = {name: tensor.detach().cpu().clone() for name, tensor in policy.state_dict().items()}
-    _write(folder / WEIGHTS, save(weights, {"format": FORMAT}))
+    content = save(weights, {"format": FORMAT})
+    write_whole(folder / WEIGHTS, lambda file: file.write(content))
     write_run(folder, metadata)
 
 
@@ -157,15 +156,6 @@ def read_run(folder: Path) -> dict[str, Any]:
     if read.structure is not None:
         check_source(read.structure.source, about)
     return content
-
-
-def settings_of(metadata: Mapping[str, Any]) -> TrainSettings:
-    """Read the settings of a run.
-
-    Raises:
-        InputError: they are none.
-    """
-    return from_dict(TrainSettings, metadata["settings"])
 
 
 def load_structure_of(folder: Path, metadata: Mapping[str, Any]) -> Assembly:
@@ -240,7 +230,7 @@ def load_run(
             assembly = load_structure_of(folder, metadata)
         else:
             check_structure(folder, metadata, assembly)
-        settings = settings_of(metadata)
+        settings = from_dict(TrainSettings, metadata["settings"])
     if policy is not None and not settings.policy.custom:
         raise InputError(f"the policy of {folder} is a {settings.policy.kind} of falsework; leave the policy out")
     trained = make_policy(assembly, settings.policy, where, given=policy)
@@ -305,8 +295,8 @@ class CheckpointFile:
         content = save(flat, header)
         try:
             write_whole(self.path, lambda file: file.write(content))
-        except (OSError, InputError) as error:
-            return f"{_reason(error)}; the last checkpoint stays, training continues"
+        except InputError as error:
+            return f"{error}; the last checkpoint stays, training continues"
         return ""
 
     def load(self) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
@@ -337,20 +327,3 @@ def _read(path: Path, remedy: str) -> tuple[dict[str, torch.Tensor], dict[str, s
             return {name: file.get_tensor(name) for name in file.keys()}, header  # noqa: SIM118
     except (OSError, SafetensorError, ValueError) as error:
         raise InputError(f"{path} is damaged ({' '.join(str(error).split())}); train again") from None
-
-
-def _write(path: Path, content: bytes) -> None:
-    try:
-        write_whole(path, lambda file: file.write(content))
-    except OSError as error:
-        raise InputError(f"cannot write {path}: {_reason(error)}; free disk space and continue with --resume") from None
-
-
-def _reason(error: OSError | FalseworkError) -> str:
-    if isinstance(error, OSError) and error.errno == errno.ENOSPC:
-        return "the disk is full"
-    return str(getattr(error, "strerror", None) or error)
-
-
-def _plain(value: Any) -> Any:
-    return os.fspath(value) if isinstance(value, Path) else value

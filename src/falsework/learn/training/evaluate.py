@@ -17,7 +17,7 @@ from falsework.learn.env.environment import Environment
 from falsework.learn.env.rollout import PolicyFunction, roll_out
 from falsework.replanning.result import Stage
 from falsework.search.problem.task import Direction
-from falsework.utils.collectives import summed
+from falsework.utils.collectives import gather_rows, summed
 from falsework.utils.distributed import ProcessGroup
 from falsework.utils.tensors import put
 
@@ -72,10 +72,10 @@ def greedy_success(
     Returns:
         Numbers over all processes, and which states succeeded, in every process, bool, shape (count,).
     """
-    mine, _ = shards.block(len(states))
+    mine = shards.block(len(states))
     goals = None if targets is None else targets[mine]
     ended = roll_out(environment, policy, states[mine], goals, greedy=True, keep="ends").success
-    success = shards.gather_blocks(ended.to(torch.uint8), len(states)).bool()
+    success = gather_rows(ended.to(torch.uint8), shards).bool()
     return Success(len(states), int(success.sum())), success
 
 

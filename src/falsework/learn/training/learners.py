@@ -119,8 +119,6 @@ def share_solved(solved: SolvableStates, known: int, shards: ProcessGroup) -> No
 
 def gather_local(local: dict[str, torch.Tensor], shards: ProcessGroup, device: torch.device) -> dict[str, torch.Tensor]:
     """Gather the local state of all processes, under names with the rank of each."""
-    if shards.size == 1:
-        return {f"process.0.{name}": tensor for name, tensor in local.items()}
     whole: dict[str, torch.Tensor] = {}
     for name in sorted(local):
         rows = local[name].to(device)

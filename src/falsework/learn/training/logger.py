@@ -15,6 +15,7 @@ from falsework.learn.env.environment import Environment
 from falsework.learn.training.budget import TrainingBudget
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.lazy import importing
+from falsework.utils.quantity import is_number
 
 PROGRESS = "progress.jsonl"
 TENSORBOARD = "tensorboard"
@@ -69,7 +70,7 @@ class Journal:
             warnings.warn(f"cannot write {self._path}: {error.strerror}; training continues", stacklevel=2)
         if self._tensorboard is not None:
             for name, value in values.items():
-                if isinstance(value, (int, float)) and not isinstance(value, bool):
+                if is_number(value):
                     self._tensorboard.add_scalar(name, value, step)
         if self._wandb is not None:
             self._wandb.log(dict(values), step=step)

@@ -18,13 +18,13 @@ from falsework.assembly.load import AnyStructure, as_assembly, means_built_in
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.learn.algorithms.reward import Reward, environment_reward
-from falsework.learn.config.train import TrainSettings
+from falsework.learn.config.train import TrainSettings, from_dict
 from falsework.learn.data.dataset import Dataset
 from falsework.learn.data.goal_dataset import GoalDataset
 from falsework.learn.networks.custom_policy import PolicyOrClass
 from falsework.learn.networks.factory import transfer
 from falsework.learn.networks.policy import Policy
-from falsework.learn.training.checkpoint import FILE, check_structure, load_policy, read_run, run_folder, settings_of
+from falsework.learn.training.checkpoint import FILE, check_structure, load_policy, read_run, run_folder
 from falsework.learn.training.iteration import Callback
 from falsework.learn.training.logger import check_logs
 from falsework.learn.training.plugins import LearnerMaker, Plugins
@@ -118,7 +118,7 @@ def _first_policy(folder: Path, assembly: Assembly, settings: TrainSettings) -> 
             structure.
     """
     metadata = read_run(run_folder(folder))
-    trained = settings_of(metadata).policy
+    trained = from_dict(TrainSettings, metadata["settings"]).policy
     if trained.custom or settings.policy.custom:
         raise InputError("a training begins with the weights of a network of this package; hand yours over as policy")
     if trained.goal_conditioned != settings.policy.goal_conditioned:
@@ -173,7 +173,7 @@ def _begin(
         return settings.resolved(assembly.part_count, device.type)
     metadata = read_run(folder)
     check_structure(folder, metadata, assembly)
-    kept = settings_of(metadata)
+    kept = from_dict(TrainSettings, metadata["settings"])
     if settings.steps or settings.minutes:
         kept = replace(kept, steps=settings.steps, minutes=settings.minutes or kept.minutes)
     return kept

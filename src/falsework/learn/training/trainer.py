@@ -6,7 +6,7 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.learn.algorithms.learner import Learner
 from falsework.learn.config.imitation import ImitationPhase
-from falsework.learn.config.train import TrainSettings, to_dict
+from falsework.learn.config.train import TrainSettings
 from falsework.learn.data.dataset import Dataset
 from falsework.learn.data.goal_dataset import GoalDataset
 from falsework.learn.data.solvable_states import SolvableStates
@@ -384,7 +384,7 @@ class Trainer:
     def _metadata(self) -> dict[str, Any]:
         return {
             "structure": self._structure,
-            "settings": to_dict(self.settings),
+            "settings": asdict(self.settings),
             "policy": describe(self.policy, self.settings.policy),
             "results": self._results,
             "versions": {"falsework": __version__, "torch": torch.__version__, "python": platform.python_version()},

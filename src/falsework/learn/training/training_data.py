@@ -162,8 +162,8 @@ def _keep(run: RunContext, path: Path | None, save: Callable[[Path], None]) -> N
         return
     try:
         save(path)
-    except OSError as error:
-        run.note(f"cannot keep {path}: {error.strerror}; a resumed run searches again")
+    except InputError as error:
+        run.note(f"{error}; a resumed run searches again")
 
 
 def _widths(settings: TrainSettings) -> tuple[int, ...]:

@@ -6,31 +6,19 @@ import sys
 import time
 from collections.abc import Callable
 from html import escape
-from importlib import import_module
 from typing import Any, Protocol, TypeVar
+
+from falsework.utils.display.drawing import drawn
 
 _EVERY = 0.2
 """Seconds between two updates of a line."""
-_display = ""
-
-
-def register_display(place: str) -> None:
-    """Name the function that makes HTML of an object, `package.module:function`.
-
-    It is in a layer that depends on those of the objects, which must not know it.
-    """
-    global _display
-    _display = place
 
 
 class Displayed:
     """Object that notebooks show with a picture and a table, made when it is shown."""
 
     def _repr_html_(self) -> str | None:
-        if not _display:
-            return None
-        module, _, name = _display.partition(":")
-        return getattr(import_module(module), name)(self)
+        return drawn("html", self)
 
 
 def in_notebook() -> bool:

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
+from falsework.geometry.arrays import box_around
+from falsework.geometry.clearance.moves import apply
 from falsework.robots.cells.cell_file import builtin_cells, load_faulty_cell
 from falsework.robots.cells.urdf_meshes import hull_mesh
 from falsework.robots.cells.validate import check_cell, no_parts
@@ -106,10 +108,9 @@ class CellModel:
         """Bounds of everything with the arms at home, shape (2, 3)."""
         points = [body.vertices for body in self.bodies]
         if self.cell is not None:
-            points += [link.vertices @ at[:3, :3].T + at[:3, 3] for link, at in self._placed(self.cell.homes)]
+            points += [apply(at, link.vertices) for link, at in self._placed(self.cell.homes)]
             points += [robot.places[:, :3, 3] for robot in self.cell.robots if len(robot.places)]
-        every = np.concatenate(points) if points else np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]])
-        return np.stack([every.min(axis=0), every.max(axis=0)])
+        return box_around(np.concatenate(points)) if points else np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 1.0]])
 
     def frames(self, configurations: Sequence[Array]) -> list[Array]:
         """Return for each robot the poses of its links and its flange, shape (joints + 2, 4, 4)."""
@@ -140,7 +141,7 @@ class CellModel:
         for link, at in self._placed(configurations):
             mark = marks.get(self.link_name(link))
             color = link.color if mark is None else unit_rgb(mark)
-            found.append(ColoredSolid(link.vertices @ at[:3, :3].T + at[:3, 3], link.faces, color))
+            found.append(ColoredSolid(apply(at, link.vertices), link.faces, color))
         return found
 
     def _placed(self, configurations: Sequence[Array]) -> list[tuple[Link, Array]]:

@@ -55,20 +55,13 @@ def view_cell(
         InputError: there is no such cell or structure, or the address cannot be listened at.
     """
     loaded = None if structure is None else as_assembly(structure, **options)
-    return CellPage(lambda: build_cell_model(subject, loaded), host=host, port=port, allowed_hosts=allowed_hosts)
+    return CellPage(lambda: build_cell_model(subject, loaded), host, port, allowed_hosts)
 
 
 class CellPage(ServedPage):
     """Page of one cell."""
 
-    def __init__(
-        self,
-        look: Callable[[], CellModel],
-        *,
-        host: str = "127.0.0.1",
-        port: int = 8080,
-        allowed_hosts: Iterable[str] = (),
-    ) -> None:
+    def __init__(self, look: Callable[[], CellModel], host: str, port: int, allowed_hosts: Iterable[str]) -> None:
         """Read the cell by `look`, which is called again when its files have changed, and start the server."""
         self.sight, self._look = look(), look
         super().__init__(host, port, allowed_hosts)

@@ -78,13 +78,8 @@ class PlayPanel:
             slider.value = min(round(model.reading / step) * step, slider.max)
             self._order.value = _WORDS[model.direction]
         slider.visible = self._folder.visible = len(model.timeline) > 0
-        self.say()
         place = round(model.position) if model.clock is None else model.step
         self._margins.content = margin_strip(model.plan, place, model.built)
-
-    def say(self) -> None:
-        """Update what changes within a step: the text and the marker of the chart."""
-        model = self._page.model
         self.where.content = where_text(model, ask=self._page.asks)
         if model.arms is not self._arms:
             self._arms = model.arms

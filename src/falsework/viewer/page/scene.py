@@ -20,7 +20,7 @@ from falsework.utils.quantity import format_quantity
 from falsework.viewer.appearance import Appearance, bounds_of, diagonal
 from falsework.viewer.arms import ArmPoses, Arms, Link
 from falsework.viewer.arrows import KINDS, Arrows, scale_arrow
-from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, bytes_of, rgb
+from falsework.viewer.palette import INK, INSTALLED, MISSING, MOTION, bytes_of, hex_of, rgb
 from falsework.viewer.section import Plane, cut
 from falsework.viewer.timeline import Timeline
 
@@ -121,8 +121,7 @@ class ViserScene:
             if plain[part]:
                 wanted.setdefault(f"/parts/standing/{self._chunk[part]}", []).append(part)
             else:
-                red, green, blue = appearance.color[part].tolist()
-                wanted.setdefault(f"/parts/colour/{red:02x}{green:02x}{blue:02x}", []).append(part)
+                wanted.setdefault(f"/parts/colour/{hex_of(appearance.color[part])[1:]}", []).append(part)
         for name, parts in (("/parts/missing", missing), ("/parts/pale", pale)):
             if chosen := sorted(int(part) for part in parts):
                 wanted[name] = chosen

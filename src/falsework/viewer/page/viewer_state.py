@@ -48,7 +48,6 @@ class ViewerState:
         policy: Any = None,
         graph: StateGraph | None = None,
         arms: Arms | None = None,
-        oracle: StabilityOracle | None = None,
         criterion: Criterion = "contact",
         deadline: float | None = 60.0,
     ) -> None:
@@ -76,9 +75,8 @@ class ViewerState:
         self.view = SceneView()
         self.show_probabilities = policy is not None
         self.deadline = deadline
-        self._oracles = {} if oracle is None else {(oracle.assembly.identity, oracle.settings): oracle}
-        self._settings = StabilitySettings(criterion=criterion) if oracle is None else oracle.settings
-        self.criterion: Criterion = criterion if oracle is None else oracle.settings.criterion
+        self.criterion: Criterion = criterion
+        self._oracles: dict[tuple[str, StabilitySettings], StabilityOracle] = {}
         self._proofs = ProofCache(contact=self.criterion == "contact")
         self._guide: PolicyGuide | None = None
         self._before: list[tuple[Timeline, Plan | None, int, Disruption, float, Arms | None]] = []
@@ -91,7 +89,8 @@ class ViewerState:
     @property
     def oracle(self) -> StabilityOracle:
         """Stability oracle of the structure under the gravity of the plan, created at first use."""
-        settings = self._settings.under_gravity_of(None if self.plan is None else self.plan.claim)
+        claim = None if self.plan is None else self.plan.claim
+        settings = StabilitySettings(criterion=self.criterion).under_gravity_of(claim)
         key = self.assembly.identity, settings
         if key not in self._oracles:
             self._oracles[key] = StabilityOracle(self.assembly, settings)
@@ -348,7 +347,7 @@ class ViewerState:
                 done = {"step": place - self.built, "since": self.disruption.since(self.state)}
                 ask = partial(replan, old, **done, structure=assembly, policy=policy)
             else:
-                stability = self._settings
+                stability = StabilitySettings(criterion=self.criterion)
                 if old is not None:  # what robots can do, and the ways of parts, stay as they were
                     stability = StabilitySettings.from_claim(old.claim)
                     question |= {"removable_only_if_clear": old.removable_only_if_clear, **exit_rules(old)}

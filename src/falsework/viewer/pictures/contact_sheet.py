@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
+from falsework.geometry.arrays import box_around
 from falsework.geometry.clearance.moves import apply
 from falsework.search.plans.steps import NO_ROBOT, no_such_step
 from falsework.search.problem.task import Direction
@@ -22,7 +23,7 @@ from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.palette import BOUNDARY, INK, INSTALLED, PRESS, ROBOTS, SLIDING, hex_of, ramp, robot_color
 from falsework.viewer.pictures.render import Camera, ColoredSolid, Image, render
 from falsework.viewer.proof import StateProof
-from falsework.viewer.timeline import Timeline, interesting
+from falsework.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -110,9 +111,8 @@ def _scene(
 
 def contact_sheet(
     timeline: Timeline,
+    places: Sequence[int],
     *,
-    places: Sequence[int] | None = None,
-    frames: int = 12,
     columns: int = 4,
     camera: Camera = CELL,
     title: str = "",
@@ -122,20 +122,18 @@ def contact_sheet(
     """Return some states of a timeline with their steps, and the legend.
 
     Args:
-        places: states to show; chosen evenly if not given.
+        places: states to show, at least one.
         proofs: verdicts on states, by place; sliding parts are marked, and verdicts other than stable are written
             above.
     """
-    chosen = list(interesting(timeline, frames) if places is None else places)
-    check_places(timeline, chosen)
     pillow = import_pillow()
-    columns = min(columns, len(chosen))
-    rows = -(-len(chosen) // columns)
+    columns = min(columns, len(places))
+    rows = -(-len(places) // columns)
     head, cell = (_LINE + 6 if title else 0), camera.height + _LINE
     proofs = proofs or {}
-    sliding = any(proofs[position].slides for position in chosen if position in proofs)
-    pressing = any(timeline.presses_at(position) for position in chosen)
-    entries = legend(timeline, sliding, pressing, outlined=True, places=chosen)
+    sliding = any(proofs[position].slides for position in places if position in proofs)
+    pressing = any(timeline.presses_at(position) for position in places)
+    entries = legend(timeline, sliding, pressing, outlined=True, places=places)
     box = bounds_of(timeline.assembly)
     box = box if arms is None else bounds_with_arms(arms, box)
     outline = outline_of(timeline, camera, box)
@@ -145,7 +143,7 @@ def contact_sheet(
     pen = pillow.ImageDraw.Draw(sheet)
     if title:
         write_text(pen, (across / 2, head / 2 + 2), title, 18, across=across)
-    for number, position in enumerate(chosen):
+    for number, position in enumerate(places):
         left, top = (number % columns) * camera.width, head + (number // columns) * cell
         proof = proofs.get(position)
         marks = None if proof is None else proof.marks
@@ -206,8 +204,7 @@ def one_state(
         box = bounds_with_arms(arms, bounds_of(timeline.assembly))
     tips = [some.ends.reshape(-1, 3) for some in arrows if len(some)]
     if tips and bounds is None:
-        points = np.concatenate([box, *tips])
-        box = np.stack([points.min(axis=0), points.max(axis=0)])
+        box = box_around(np.concatenate([box, *tips]))
         box[0, 2] = bounds_of(timeline.assembly)[0, 2]
     drawn = draw(timeline.assembly, appearance, camera, bounds=box, arrows=arrows, extra=extra, outline=outline)
     entries = list(legend(timeline) if key is None else key)
@@ -226,7 +223,11 @@ def one_state(
 
 
 def state_frame(assembly: Assembly, state: States, robots: int, words: str) -> Pixels:
-    """Draw a state with a line above and the legend; see `falsework.utils.display.frame.frame_of`."""
+    """Draw a state, shape (parts,), with a line of words above and the legend; of one size for a structure.
+
+    Args:
+        robots: parts that may be held at once.
+    """
     timeline = Timeline.from_state(assembly, state, robots).turned(Direction.DISASSEMBLY)
     box = bounds_of(assembly)
     # Every frame of a film has the same size, so the legend has all robots.
@@ -283,15 +284,12 @@ def bounds_with_motions(timeline: Timeline) -> NDArray[np.float64]:
     box = bounds_of(timeline.assembly)
     if len(timeline) == 0:
         return box
-    floor = box[0, 2]
     # Half of the path suffices: farther out a part is nearly invisible.
-    far, boxes = TRAVEL * diagonal(timeline.assembly), []
+    far, points = TRAVEL * diagonal(timeline.assembly), [box]
     for part, mesh in enumerate(timeline.assembly.meshes):
-        points = apply(timeline.displacements(part, 0.5, far)[part], mesh.vertices)
-        boxes.append([points.min(axis=0), points.max(axis=0)])
-    boxes = np.array(boxes)
-    wide = np.stack([np.minimum(box[0], boxes[:, 0].min(axis=0)), np.maximum(box[1], boxes[:, 1].max(axis=0))])
-    wide[0, 2] = floor
+        points.append(box_around(apply(timeline.displacements(part, 0.5, far)[part], mesh.vertices)))
+    wide = box_around(np.concatenate(points))
+    wide[0, 2] = box[0, 2]
     return wide
 
 

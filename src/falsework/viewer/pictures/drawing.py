@@ -13,7 +13,7 @@ from falsework.errors import InputError
 from falsework.geometry.mesh.mesh import unit_normals
 from falsework.viewer.appearance import appearance_at
 from falsework.viewer.arrows import Arrows, arrows_of_step
-from falsework.viewer.palette import INK
+from falsework.viewer.palette import INK, hex_of
 from falsework.viewer.pictures.contact_sheet import caption, in_rows, legend
 from falsework.viewer.proof import StateProof
 from falsework.viewer.timeline import Timeline
@@ -118,10 +118,9 @@ def drawing(
         look = appearance_at(timeline, place, marks=None if proof is None else proof.marks, travelling=False)
         body.append(_text(x + column / 2, y + _LINE - 8, captions[place]))
         for part in np.flatnonzero(look.opacity > 0):
-            red, green, blue = look.color[part].tolist()
             path = " ".join(f"M{at(line)}Z" for line in lines[part])
             body.append(
-                f'<path d="{path}" fill="#{red:02x}{green:02x}{blue:02x}" fill-rule="evenodd" '
+                f'<path d="{path}" fill="{hex_of(look.color[part])}" fill-rule="evenodd" '
                 f'stroke="{INK}" stroke-width="0.9" stroke-linejoin="round"><title>{escape(assembly.names[part])}'
                 "</title></path>"
             )

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
+from falsework.geometry.arrays import box_corners
 from falsework.geometry.mesh.mesh import unit_normals
 from falsework.viewer.pictures.raster import average, depth_buffer, lay_over, shade
 
@@ -61,8 +62,7 @@ class Camera:
 
     def fit(self, bounds: Array) -> tuple[float, Array]:
         """Return pixels per metre, and the point in the plane of the picture that is its middle, shape (2,)."""
-        corners = np.array([[bounds[i, 0], bounds[j, 1], bounds[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
-        flat = corners @ self.axes[:2].T
+        flat = box_corners(bounds) @ self.axes[:2].T
         low, high = flat.min(0), flat.max(0)
         return self.zoom * min(self.width / (high[0] - low[0]), self.height / (high[1] - low[1])), (low + high) / 2
 
