@@ -79,7 +79,7 @@ class Oracle(Criterion, Protocol):
 class CountingOracle:
     """Oracle wrapper that queries in batches of bounded size and counts."""
 
-    def __init__(self, oracle: Oracle, *, batch: int = 1024) -> None:
+    def __init__(self, oracle: Oracle) -> None:
         """Bound the batches, so that an interruption never has to wait for a whole level."""
         self.oracle = oracle
         self.asked = 0
@@ -96,7 +96,7 @@ class CountingOracle:
         decide there is none."""
         self.replayed = False
         """Whether replays decide, so that `Oracle.plausible`, which rejects what falls by a cheap proof, is enough."""
-        self.batch = batch
+        self.batch = 1024
         """States asked for at once at most."""
 
     def stable(self, states: States, parents: States) -> Mask:
