@@ -38,7 +38,7 @@ from falsework.cli.planning import (
     writable,
 )
 from falsework.errors import InputError
-from falsework.utils.quantity import counted
+from falsework.utils.quantity import check_deadline, counted
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -145,7 +145,7 @@ class MakePlan(Command):
         from falsework.search.find import find_plans, make_task
         from falsework.search.margins.demands import Demands, MarginOracle
         from falsework.search.maximise import maximise_margin
-        from falsework.search.problem.deadline import Deadline, check_deadline
+        from falsework.search.problem.deadline import Deadline
         from falsework.stability.oracle import StabilityOracle
 
         self._refuse_pairs()

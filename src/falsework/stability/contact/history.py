@@ -12,6 +12,7 @@ from falsework.errors import InputError
 from falsework.stability.contact.newton import OPEN, RESTS
 from falsework.stability.holds import Press
 from falsework.stability.settings import NumericalSettings
+from falsework.utils.quantity import check_positive
 
 Array = NDArray[np.float64]
 
@@ -36,8 +37,7 @@ class ReplaySettings:
     def __post_init__(self) -> None:
         if self.increments < 1:
             raise InputError("a replay needs at least one increment")
-        if not (np.isfinite(self.first_step) and self.first_step > 0):
-            raise InputError(f"first_step is {self.first_step}; give a positive number")
+        check_positive(self, "first_step")
         if not (np.isfinite(self.friction_noise) and self.friction_noise >= 0):
             raise InputError(f"friction_noise is {self.friction_noise}; give a number from 0 up")
 
