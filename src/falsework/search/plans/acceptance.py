@@ -10,18 +10,13 @@ from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.plan_replay import PlanReplay
-from falsework.stability.contact.history import ReplaySettings
+from falsework.stability.contact.history import ReplaySettings, of_all
 from falsework.stability.contact.varied_replay import DRAWS, FEW_DRAWS, AllVariations, RouteReplay
-from falsework.stability.holds import HoldLoad, Press
+from falsework.stability.holds import HoldLoad
 
 if TYPE_CHECKING:
     from falsework.search.problem.result import Stop
     from falsework.stability.contact.varied_replay import AnyReplayer
-
-
-def _of_all(presses: tuple[tuple[Press, ...], ...], states: States) -> tuple[tuple[Press, ...], ...]:
-    """Return one entry for every state: a replay has none for those that it did not reach."""
-    return (*presses, *((),) * (len(states) - len(presses)))
 
 
 class Acceptance:
@@ -66,7 +61,7 @@ class Acceptance:
         """
         if self._plain is None:
             return found
-        presses, plain, row = _of_all(found.presses, states), self._plain.replayer, None
+        presses, plain, row = of_all(found.presses, len(states)), self._plain.replayer, None
         done = self._plain.begin(states, presses)
         loads = self._loads = self._loads[:done]
         try:
@@ -101,7 +96,7 @@ class Acceptance:
         """
         if self._variations is None:
             return None
-        return self._variations.falls_at(states, _of_all(found.presses, states))
+        return self._variations.falls_at(states, of_all(found.presses, len(states)))
 
     def judged(self, states: States, found: PlanReplay, stop: Stop | None = None) -> PlanReplay:
         """Return the replay of a route that stands with how far discrete elements built it, if that is asked for.
@@ -113,7 +108,7 @@ class Acceptance:
         """
         if self._judge is None:
             return found
-        presses = _of_all(found.presses, states)
+        presses = of_all(found.presses, len(states))
         return replace(found, judgement=self._judge.judge(states, presses, stop or (lambda: False)))
 
     def falls_at(self, states: States) -> int | None:

@@ -18,7 +18,7 @@ from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
 from falsework.stability.certificate import chunks
 from falsework.stability.contact.build_verifier import BuildVerifier
-from falsework.stability.contact.history import Presses
+from falsework.stability.contact.history import Presses, of_all
 from falsework.stability.contact.hold_loads import Loads, larger_loads, loads_in
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.cpu.solver import TASK
@@ -67,7 +67,7 @@ def prove_build(
     claim = replace(claim, holds=claim.holds.resolved(assembly, claim.gravity))
     if known is None or (known.stands and not known.presses):
         known = PlanReplay.from_replay(replayer.replay(states))
-    presses = (*known.presses, *[()] * (len(states) - len(known.presses)))
+    presses = of_all(known.presses, len(states))
     verifier = BuildVerifier(assembly, claim)
     verdicts = Verdicts.all_undecided(len(states), points=replayer.problem.points if forces else None)
     steps, loads = [], []

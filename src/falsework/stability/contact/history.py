@@ -20,6 +20,11 @@ Presses = Sequence[Sequence[Press]]
 """Presses of the steps that lead to each state, one entry a state."""
 
 
+def of_all(presses: Presses, count: int) -> tuple[tuple[Press, ...], ...]:
+    """Return one entry for each of some states: a replay has none for those that it did not reach."""
+    return (*map(tuple, presses), *((),) * (count - len(presses)))
+
+
 @dataclass(frozen=True)
 class ReplaySettings:
     """Numerical settings of a replay; the result for a stable plan must not depend on them."""
