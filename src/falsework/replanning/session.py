@@ -233,7 +233,9 @@ class ReplanSession:
                 try:
                     prover, forces = self.context.prover, self.context.settings.forces
                     for route in chosen.routes:
-                        whole, task = (route, self.task) if self.built is None else self._with_built(route)
+                        whole, task = route, self.task
+                        if self.built is not None:
+                            whole, task = self.built.extended(route), self.built.whole_task(self.task)
                         left = self.clock.left
                         plan = prover.plan(whole, task, self.replayer, built=self._done, forces=forces, seconds=left)
                         plans = (*plans, plan if self.built is None else self.built.with_ways(plan))
@@ -273,10 +275,6 @@ class ReplanSession:
     def _route(self, states: States) -> Route:
         """Return the route through states in the order of assembly."""
         return Route.from_states(states[::-1].copy())
-
-    def _with_built(self, route: Route) -> tuple[Route, Task]:
-        assert self.built is not None
-        return self.built.extended(route), self.built.whole_task(self.task)
 
     def _choose(self) -> Alternatives:
         """Choose the requested number of the plans found."""

@@ -82,8 +82,8 @@ def prove_build(
         if verdicts.forces is not None:
             verdicts.forces[row] = proof.forces
             steps.append(certificate)
-    make = Plan.from_route if known.stands else Plan.from_unproven_route
-    plan = replace(make(route, assembly, task, verdicts, claim), replay=replace(known, steps=()), presses=presses[1:])
+    plan = Plan.from_route(route, assembly, task, verdicts, claim, proven=known.stands)
+    plan = replace(plan, replay=replace(known, steps=()), presses=presses[1:])
     if len(loads) == len(states) and known.stands:
         borne = larger_loads(tuple(loads), known.loads or _true_loads(replayer, states, presses, tuple(loads)))
         plan = replace(plan, loads=borne)
