@@ -24,9 +24,7 @@ from falsework.cli.hold_options import HoldOptions
 from falsework.cli.planning import (
     RegraspOptions,
     first_steps,
-    lacks_changes,
-    lacks_judge,
-    lacks_reserve,
+    lacks_of,
     load_record,
     need_text,
     policy_guide,
@@ -211,15 +209,10 @@ class MakePlan(Command):
             if result.interrupted:
                 output.note(f"{cut}; {saved}")
             first = planning.plans[0]
-            changes = self.robust or first.claim.reserve > 1
-            lacking = [
-                lacks_reserve(first, stability.reserve),
-                lacks_changes(first, asked=changes),
-                lacks_judge(first, asked=self.judge),
-            ]
-            for lack in filter(None, lacking):
+            lacking = lacks_of(first, stability.reserve, robust=self.robust, judged=self.judge)
+            for lack in lacking:
                 output.note(f"falsework: {lack}")
-            if any(lacking):
+            if lacking:
                 return output.outcome("weaker")
         else:
             failure = explain(assembly, oracle, result)
