@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
     from falsework.search.plans.plan import Plan
+    from falsework.stability.criterion import Cone
+    from falsework.stability.settings import SolverName, StabilitySettings
+    from falsework.stability.verdict import Criterion
 
 
 def split_parts(text: str, option: str) -> list[str]:
@@ -150,6 +153,14 @@ class ChosenStates:
         """Take the states after some steps of a plan; all of them if none are given."""
         chosen = range(len(plan) + 1) if steps is None else steps
         return ChosenStates(plan.states[list(chosen)], plan, chosen)
+
+    def settings(self, criterion: Criterion | None, cone: Cone | None, solver: SolverName = "cpu") -> StabilitySettings:
+        """Return settings of stability: the criterion, unless it is given, and the gravity of the plan, if any."""
+        from falsework.stability.settings import StabilitySettings
+
+        claim = None if self.plan is None else self.plan.claim
+        criterion = criterion or ("contact" if claim is None else claim.criterion)
+        return StabilitySettings(criterion=criterion, cone=cone, solver=solver).under_gravity_of(claim)
 
     def number(self, row: int) -> int:
         """Return the step of the plan that leads to a state, or its number."""

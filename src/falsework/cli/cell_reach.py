@@ -47,14 +47,12 @@ def report_reach(assembly: Assembly, cell: Cell, picture: Path | None, output: O
     parts = place_parts(assembly, cell.placement)
     check_cell(cell, parts)
     CellScale.from_cell(assembly, cell)  # which refuses a cell in which other states are stable
-    with output.bar("reaching") as show:
-        table = reach_table(assembly, cell, parts, lambda done, total: show(done, total, f"part {done} of {total}"))
+    with output.count("reaching", "part") as progress:
+        table = reach_table(assembly, cell, parts, progress)
     proposal = None
     if (table.levels == Reachability.OUT_OF_REACH).any():
-        with output.bar("looking for bases") as show:
-            proposal = propose_bases(
-                assembly, cell, parts, lambda done, total: show(done, total, f"place {done} of {total}")
-            )
+        with output.count("looking for bases", "place") as progress:
+            proposal = propose_bases(assembly, cell, parts, progress)
     _say(output, assembly, cell, parts, table)
     _propose(output, proposal)
     if picture is not None:

@@ -129,14 +129,8 @@ class CheckPlan(JudgingCommand):
         demands = None if self.margin is None else Demands.from_text(self.margin)
         plan = load_plan(self.plan)
         assembly, overrides = structure_to_check(plan, self.plan, self.structure, **self.reading.given())
-        with output.bar("checking") as show:
-            found = validate_plan(
-                plan,
-                assembly,
-                settings,
-                demands=demands,
-                progress=lambda done, total: show(done, total, f"state {done} of {total}"),
-            )
+        with output.count("checking", "state") as progress:
+            found = validate_plan(plan, assembly, settings, demands=demands, progress=progress)
         self._report(plan, assembly, found, overrides, output)
         if not found.good:
             return Exit.NO

@@ -82,7 +82,7 @@ class Export(Command):
             )
         # The cell of a robot plan is looked for beside its file.
         options = self.structure.given() if assembly is None else {}
-        with output.bar("drawing") as show:
+        with output.count("drawing", "step") as progress:
             export(
                 self.structure.spec if assembly is None else subject,
                 self.out,
@@ -91,7 +91,7 @@ class Export(Command):
                 step_seconds=self.step_seconds,
                 azimuth=self.azimuth,
                 elevation=self.elevation,
-                progress=lambda done, total: show(done, total, f"step {done} of {total}"),
+                progress=progress,
                 **options,
             )
         made = plan or assembly

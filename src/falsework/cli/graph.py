@@ -76,11 +76,11 @@ class MakeGraph(JudgingCommand):
         from falsework.stability.settings import StabilitySettings
 
         writable(self.out, ".npz")
-        clock = Deadline(self.deadline)
-        if clock.limited and int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        clock, shared = Deadline(self.deadline), int(os.environ.get("WORLD_SIZE", "1")) > 1
+        if clock.limited and shared:
             raise InputError("processes that share a search cannot end it at a deadline; leave --deadline out")
         widths = None if self.sets is None else self._widths(self.sets)
-        if self.presses and int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        if self.presses and shared:
             raise InputError("processes that share a search choose no presses; leave out --presses")
         if self.presses and widths is not None:
             raise InputError("data sets are judged from rest; leave out --presses or --sets")

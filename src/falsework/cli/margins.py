@@ -79,27 +79,24 @@ class FindMargins(Command):
         """Find and print the margins."""
         from falsework.stability.margins.margins import QUICK
         from falsework.stability.oracle import StabilityOracle
-        from falsework.stability.settings import StabilitySettings
         from falsework.utils.quantity import parse_quantity
 
         limits = self._limits()
         errors = [parse_quantity(text, "length", "--placement") for text in (self.placement or "").split(",") if text]
         assembly, chosen = self.structure.load_states(self.states, output)
         plan, states = chosen.plan, chosen.states
-        criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
-        settings = StabilitySettings(criterion=criterion, cone=self.cone)
-        settings = settings.under_gravity_of(None if plan is None else plan.claim)
+        settings = chosen.settings(self.criterion, self.cone)
         if self.out is not None:
             self._refuse_out(plan, settings)
         extra = [kind for kind in ("polygon", "settlement") if getattr(self, kind)]
         oracle, found, interrupted = StabilityOracle(assembly, settings), [], False
         histories = _histories(chosen, assembly, settings) if self.out is None else ()
-        with output.bar("margins") as show:
+        with output.count("margins", "state") as progress:
             try:
                 for row in range(len(states)):
                     built = histories[row : row + 1]
                     found += oracle.margins(states[row], (*QUICK, *extra), deadline=self.deadline, histories=built)
-                    show(row + 1, len(states), f"state {row + 1} of {len(states)}")
+                    progress(row + 1, len(states))
             except KeyboardInterrupt:
                 interrupted = True
         if interrupted:
@@ -197,7 +194,7 @@ class FindMargins(Command):
 
         if not errors:
             return []
-        with output.bar("placing") as show:
+        with output.count("placing", "draw") as progress:
             curve = placement_curve(
                 assembly,
                 states,
@@ -205,7 +202,7 @@ class FindMargins(Command):
                 lambda moved, batch: StabilityOracle(moved, settings).verdicts(batch).stable,
                 draws=self.draws,
                 seed=self.seed,
-                progress=lambda done, total: show(done, total, f"draw {done} of {total}"),
+                progress=progress,
             )
         return curve.shares.T.tolist()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from falsework.cli.exit_code import Exit
-from falsework.cli.planning import lacks_changes, lacks_judge, lacks_reserve
+from falsework.cli.planning import lacks_of
 from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
@@ -47,11 +47,8 @@ def report(answer: MinRobots, reserve: float, output: Output, *, judged: bool) -
         return Exit.INTERRUPTED
     if answer.deadline_passed and not answer.proven:
         output.note("the search ended before a plan or a proof was found; --deadline gives it more time")
-    plan, lacking = answer.plan, ""
-    if plan is not None:
-        lacking = lacks_reserve(plan, reserve) or lacks_changes(plan, asked=plan.claim.reserve > 1)
-        lacking = lacking or lacks_judge(plan, asked=judged)
+    lacking = [] if answer.plan is None else lacks_of(answer.plan, reserve, judged=judged)
     if lacking:
         output.outcome("weaker")
-        output.note(lacking)
+        output.note(lacking[0])
     return Exit.DONE if answer.value is not None and not lacking else Exit.NO

@@ -189,6 +189,16 @@ class Output:
                 task, total=total, completed=done, now=_shown(now, sys.stderr)
             )
 
+    @contextmanager
+    def count(self, title: str, what: str) -> Iterator[Callable[[int, int], None]]:
+        """Show progress as `bar` does, by the number of what is done, such as `state 3 of 9`.
+
+        Yields:
+            Callback `(done, total)`.
+        """
+        with self.bar(title) as show:
+            yield lambda done, total: show(done, total, f"{what} {done} of {total}")
+
     def _log(self, title: str) -> Callable[[int, int, str], None]:
         last = time.monotonic()
 

@@ -133,14 +133,14 @@ class MakePicture(JudgingCommand):
         width = self.width or _VIDEO_WIDTH
         check_film(width, self.step_seconds, self.rate, self.speed)
         subject = self.subject.open()
-        with output.bar("drawing") as show:
+        with output.count("drawing", "picture") as progress:
             drawn = animate(
                 subject,
                 self.out,
                 **{name: getattr(self, name) for name in ("rate", "speed", "verdicts", "criterion", *_VIEW)},
                 seconds=self.step_seconds,
                 width=width,
-                progress=lambda done, total: show(done, total, f"picture {done} of {total}"),
+                progress=progress,
             )
         output.record({"kind": subject.kind, "shows": drawn.shows})
         output.record({"pictures": drawn.pictures, "steps": list(drawn.places)})

@@ -24,9 +24,7 @@ from falsework.cli.hold_options import HoldOptions
 from falsework.cli.planning import (
     RegraspOptions,
     first_steps,
-    lacks_changes,
-    lacks_judge,
-    lacks_reserve,
+    lacks_of,
     load_record,
     need_text,
     policy_guide,
@@ -38,7 +36,7 @@ from falsework.cli.planning import (
     writable,
 )
 from falsework.errors import InputError
-from falsework.utils.quantity import counted
+from falsework.utils.quantity import check_deadline, counted
 
 if TYPE_CHECKING:
     from falsework.cli.output import Output
@@ -145,7 +143,7 @@ class MakePlan(Command):
         from falsework.search.find import find_plans, make_task
         from falsework.search.margins.demands import Demands, MarginOracle
         from falsework.search.maximise import maximise_margin
-        from falsework.search.problem.deadline import Deadline, check_deadline
+        from falsework.search.problem.deadline import Deadline
         from falsework.stability.oracle import StabilityOracle
 
         self._refuse_pairs()
@@ -211,15 +209,10 @@ class MakePlan(Command):
             if result.interrupted:
                 output.note(f"{cut}; {saved}")
             first = planning.plans[0]
-            changes = self.robust or first.claim.reserve > 1
-            lacking = [
-                lacks_reserve(first, stability.reserve),
-                lacks_changes(first, asked=changes),
-                lacks_judge(first, asked=self.judge),
-            ]
-            for lack in filter(None, lacking):
+            lacking = lacks_of(first, stability.reserve, robust=self.robust, judged=self.judge)
+            for lack in lacking:
                 output.note(f"falsework: {lack}")
-            if any(lacking):
+            if lacking:
                 return output.outcome("weaker")
         else:
             failure = explain(assembly, oracle, result)

@@ -155,14 +155,23 @@ def lacks_reserve(plan: Plan, asked: float) -> str:
     return f"no plan was found with the reserve of {asked:g}; this one keeps {kept:g}" if kept < asked else ""
 
 
-def lacks_changes(plan: Plan, *, asked: bool) -> str:
-    """Return the remark on a plan that was not shown to stand under changed settings if that was asked; else empty."""
-    if not asked or plan.replay is None or plan.replay.varied:
-        return ""
-    return (
-        "the plan was not shown to stand under each small change of settings; falsework check --replay names those "
-        "under which it falls"
-    )
+def lacks_of(plan: Plan, reserve: float, *, robust: bool = False, judged: bool) -> list[str]:
+    """Return the remarks on a plan that is weaker than was asked; a reserve asks for changed settings too.
+
+    Args:
+        reserve: that was asked for.
+        robust: whether the plan was to stand under changed settings in any case.
+        judged: whether the judge was to accept it.
+    """
+    found = [lacks_reserve(plan, reserve)]
+    if (robust or plan.claim.reserve > 1) and plan.replay is not None and not plan.replay.varied:
+        found.append(
+            "the plan was not shown to stand under each small change of settings; falsework check --replay names those "
+            "under which it falls"
+        )
+    if judged:
+        found.append(_lacks_judge(plan))
+    return [*filter(None, found)]
 
 
 def judge_text(judgement: Judgement) -> str:
@@ -171,12 +180,12 @@ def judge_text(judgement: Judgement) -> str:
     return f"discrete elements build the plan too{f'; they leave open whether states {some} stand' * bool(some)}"
 
 
-def lacks_judge(plan: Plan, *, asked: bool) -> str:
-    """Return the remark on a plan that the judge does not accept; empty if it does, or was not asked."""
+def _lacks_judge(plan: Plan) -> str:
+    """Return the remark on a plan that the judge does not accept; empty if it does."""
     from falsework.search.plans.plan_report import describe_place
 
     judgement = None if plan.replay is None else plan.replay.judgement
-    if not asked or (judgement is not None and judgement.stands):
+    if judgement is not None and judgement.stands:
         return ""
     if judgement is None or judgement.falls_at is None:
         return (

@@ -216,8 +216,8 @@ class PlanRobots(Command):
             given |= {"configurations": joints, "held": held, "gripped": grips}
         if text := boundless(cell):
             output.say(text)
-        with output.bar("planning motions") as show:
-            given["progress"] = lambda now: show(now.reached, now.steps, f"step {now.reached} of {now.steps}")
+        with output.count("planning motions", "step") as progress:
+            given["progress"] = lambda now: progress(now.reached, now.steps)
             result = plan_robots(assembly, cell, **given)
         found = result.partial if result.value is None else result.value  # a plan without steps is false
         done = self._report(result, found, begun, output)

@@ -92,17 +92,16 @@ class Serve(JudgingCommand):
         if self.policy is not None:
             raise InputError(f"{folder} is a run already; leave --policy out, or name the structure instead")
         if self.structure.given():
-            raise InputError(f"{folder} is a run, which says what its structure is; leave {self._first_given()} out")
+            option = next(iter(self.structure.given()))
+            raise InputError(f"{folder} is a run, which says what its structure is; leave --{option} out")
         check_torch()
-        from falsework.learn.training.checkpoint import load_structure_of, read_run, settings_of
+        from falsework.learn.config.train import TrainSettings, from_dict
+        from falsework.learn.training.checkpoint import load_structure_of, read_run
 
         metadata = read_run(folder)
-        trained = settings_of(metadata)
+        trained = from_dict(TrainSettings, metadata["settings"])
         rules = {"robots": trained.robots, "removable_only_if_clear": trained.removable_only_if_clear}
         return load_structure_of(folder, metadata), folder, rules
-
-    def _first_given(self) -> str:
-        return f"--{next(iter(self.structure.given()))}"
 
 
 def _check(name: str) -> None:

@@ -58,16 +58,13 @@ class CheckStability(Command):
         from falsework.cli.velocity_text import describe, motions_at, part_name
         from falsework.stability import Proof
         from falsework.stability.oracle import StabilityOracle
-        from falsework.stability.settings import StabilitySettings
         from falsework.viewer.proof import BuildProofs
 
         assembly, chosen = self.structure.load_states(self.states, output)
         output.record(settlement_record(assembly))
         states, plan = chosen.states, chosen.plan
-        criterion = self.criterion or ("contact" if plan is None else plan.claim.criterion)
-        settings = StabilitySettings(criterion=criterion, cone=self.cone, solver=self.solver)
-        settings = settings.under_gravity_of(None if plan is None else plan.claim)
-        oracle = StabilityOracle(assembly, settings)
+        oracle = StabilityOracle(assembly, chosen.settings(self.criterion, self.cone, self.solver))
+        criterion = oracle.settings.criterion
         verdicts = oracle.verdicts(states, require_certificate=True)
         both = plan is not None and criterion == plan.claim.criterion == "contact"
         builds = BuildProofs(plan, oracle) if plan is not None and both else None

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.stability.margins.state_margins import triple
+from falsework.stability.stiffness import reach_of
 
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
@@ -60,11 +61,7 @@ def motions(assembly: Assembly, velocity: NDArray[np.float64]) -> list[PartMotio
     Args:
         velocity: linear velocity of the centre of mass and angular velocity of each part, shape (parts, 6).
     """
-    center = assembly.mass.center
-    reach = np.array(
-        [np.linalg.norm(mesh.vertices - center[part], axis=1).max() for part, mesh in enumerate(assembly.meshes)]
-    )
-    shift, turn = velocity[:, :3], velocity[:, 3:] * reach[:, None]
+    shift, turn = velocity[:, :3], velocity[:, 3:] * reach_of(assembly)[:, None]
     speed = np.linalg.norm(shift, axis=1) + np.linalg.norm(turn, axis=1)
     top = float(speed.max(initial=0.0))
     if not top > 0:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD, Mask, States
 from falsework.errors import InputError
+from falsework.search.problem.hashing import chunks
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.cache import unique_rows
 from falsework.utils.tensors import check_torch
@@ -82,8 +83,8 @@ class PolicyGuide:
             raise InputError("a policy guides a search from the target only with the task; give PolicyGuide(task=...)")
         scores = np.full(actions.shape, _FLOOR)
         row, action = np.nonzero(actions)
-        for begin in range(0, len(row), _BATCH):
-            rows, taken = row[begin : begin + _BATCH], action[begin : begin + _BATCH]
+        for piece in chunks(len(row), _BATCH):
+            rows, taken = row[piece], action[piece]
             before = self.task.follow(states[rows], taken, Direction.ASSEMBLY)
             legal = self.task.moves(before, Direction.DISASSEMBLY)
             scores[rows, taken] = self.log_probabilities(before, legal)[np.arange(len(rows)), taken]
@@ -111,7 +112,7 @@ class PolicyGuide:
         targets = targets if self.goal_conditioned else None
         questions = states if targets is None else np.concatenate([states, targets], axis=1)
         first, back = unique_rows(questions)
-        pieces = [first[begin : begin + _BATCH] for begin in range(0, len(first), _BATCH)]
+        pieces = [first[piece] for piece in chunks(len(first), _BATCH)]
         answers = [self._ask(states[rows], None if targets is None else targets[rows]) for rows in pieces]
         logits = np.concatenate(answers) if answers else np.empty((0, 2 * states.shape[1]))
         if not np.isfinite(logits).all():

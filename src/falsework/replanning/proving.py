@@ -16,6 +16,7 @@ from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
 from falsework.search.problem.timed_replayer import DeadlineReplayer, Replayed
+from falsework.stability.contact.history import of_all
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts
 
@@ -87,7 +88,7 @@ class Prover:
         verdicts.verdict[:done], verdicts.proof[:done] = Verdict.STABLE, Proof.HISTORY
         verdicts.residual[:done], verdicts.decided_by[:done] = replayed.residuals, Solver.CPU
         known = None if replayed.stands is None else _summary(replayed)
-        presses = (*replayed.presses, *[()] * (len(states) - done))[1:]
+        presses = of_all(replayed.presses, len(states))[1:]
         return replace(Plan.from_route(route, self.assembly, task, verdicts, claim), presses=presses, replay=known)
 
 

@@ -17,10 +17,9 @@ from falsework.replanning.named_state import StateLike, named_state
 from falsework.search.find import make_task
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import check_identity
-from falsework.search.problem.deadline import check_deadline
 from falsework.search.problem.task import STAGE, Direction, Task
 from falsework.search.task_rules import TaskRules, exit_rules
-from falsework.utils.quantity import check_seed
+from falsework.utils.quantity import check_deadline, check_seed
 
 MOST_PLANS = 1000
 """Alternatives that can be asked for."""

@@ -188,7 +188,7 @@ class ReplanSession:
     def ended(self, result: SearchResult, by: Stage) -> None:
         """Take the end of a search."""
         self.result = result
-        cut = None if self.replayer is None else self.replayer.unfinished
+        cut = None if self.replayer is None else self.replayer.falls.unfinished
         if result.found:
             self.found(list(result.routes), by)
         elif cut is not None and by is Stage.SEARCH and not self.routes:
@@ -221,7 +221,7 @@ class ReplanSession:
         """Prove the plans found and return the result."""
         plans: tuple[Plan, ...]
         self.busy = True
-        fallen = None if self.replayer is None else self.replayer.fallen
+        fallen = None if self.replayer is None else self.replayer.falls.fallen
         if not self.routes and fallen is not None and self.clock.passed:
             # Every state of it is stable, and there was no time for another one; the answer says that its replay fails.
             self.routes = [self._route(fallen)]
@@ -233,7 +233,9 @@ class ReplanSession:
                 try:
                     prover, forces = self.context.prover, self.context.settings.forces
                     for route in chosen.routes:
-                        whole, task = (route, self.task) if self.built is None else self._with_built(route)
+                        whole, task = route, self.task
+                        if self.built is not None:
+                            whole, task = self.built.extended(route), self.built.whole_task(self.task)
                         left = self.clock.left
                         plan = prover.plan(whole, task, self.replayer, built=self._done, forces=forces, seconds=left)
                         plans = (*plans, plan if self.built is None else self.built.with_ways(plan))
@@ -274,10 +276,6 @@ class ReplanSession:
         """Return the route through states in the order of assembly."""
         return Route.from_states(states[::-1].copy())
 
-    def _with_built(self, route: Route) -> tuple[Route, Task]:
-        assert self.built is not None
-        return self.built.extended(route), self.built.whole_task(self.task)
-
     def _choose(self) -> Alternatives:
         """Choose the requested number of the plans found."""
         wanted, routes = self.request.alternatives, self.routes
@@ -296,11 +294,11 @@ class ReplanSession:
             return self._why
         if self.outcome is Outcome.PROVED_IMPOSSIBLE:
             return "every reachable state was examined"
-        if self.replayer is not None and self.replayer.fallen is not None:
+        if self.replayer is not None and self.replayer.falls.fallen is not None:
             return (
                 "no plan was found whose replay in the order of assembly succeeds: in the best of "
                 f"{self._done + self.task.steps} steps the structure collapses after step "
-                f"{self._done + self.replayer.failed_after}"
+                f"{self._done + self.replayer.falls.failed_after}"
             )
         if self.clock.passed:
             return "the deadline passed; more time may find a plan"

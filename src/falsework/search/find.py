@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -172,14 +172,7 @@ def _find(
         if planner.tests.doubted is not None:  # of a search that is resumed
             clock.use_reserve()
     with interrupted_by(clock.check):
-        result = _run(
-            planner,
-            lambda: HoldBound(
-                assembly, task, oracle.settings, Deadline(max(min(settings.bound_after / 2, clock.left), 1e-3))
-            ),
-            progress=_saving(planner, checkpoint, progress),
-            stop=lambda: clock.passed or (stop is not None and stop()),
-        )
+        result = _run(planner, assembly, oracle, clock, _saving(planner, checkpoint, progress), stop)
     if checkpoint is not None:
         if result.interrupted:
             planner.save(checkpoint)
@@ -192,7 +185,7 @@ def _find(
         return Planning(result, (), Alternatives.from_routes([]), fallen, result.interrupted and clock.passed)
     late = result.interrupted and clock.passed
     choice = Deadline(max(clock.left, _CHOICE_SECONDS))
-    chosen = _choose(planner, result, settings, assembly, oracle, lambda: choice.passed)
+    chosen = _choose(planner, result, assembly, oracle, lambda: choice.passed)
     plans = tuple(
         prove_route(
             route, assembly, task, oracle, forces=forces, replay=planner.tests.replays.get(route.states.tobytes())
@@ -273,7 +266,6 @@ def _clearance(assembly: Assembly, moves: int, fixed: Sequence[int], *, turns: b
 def _choose(
     planner: Planner,
     result: SearchResult,
-    settings: PlannerSettings,
     assembly: Assembly,
     oracle: StabilityOracle,
     stop: Stop,
@@ -282,6 +274,7 @@ def _choose(
 
     Other plans than those of the planner are tested first, and replaced where one of their states fails.
     """
+    settings = planner.settings
     if settings.alternatives == 1:
         return Alternatives.from_routes(list(result.routes))
     task = planner.task.postpone(planner.postponed)
@@ -319,24 +312,33 @@ def _weak_states(route: States, planner: Planner, oracle: StabilityOracle, stop:
 
 
 def _run(
-    planner: Planner, bound: Callable[[], HoldBound], progress: Progress | None, stop: Stop | None
+    planner: Planner,
+    assembly: Assembly,
+    oracle: StabilityOracle,
+    clock: Deadline,
+    progress: Progress | None,
+    stop: Stop | None,
 ) -> SearchResult:
     """Run a planner; where it finds nothing for some seconds, first try to refute its number of robots."""
-    task, begun, paused = planner.task, time.process_time(), False
+    task, patience, begun, paused = planner.task, planner.settings.bound_after, time.process_time(), False
+
+    def over() -> bool:
+        return clock.passed or (stop is not None and stop())
 
     def halt() -> bool:
         nonlocal paused
-        if stop is not None and stop():
+        if over():
             return True
         # The bound does not cover props, nor steps of several parts.
         beyond = planner.routes or task.prop_limit or task.together is not None
-        paused = not beyond and time.process_time() - begun > planner.settings.bound_after
+        paused = not beyond and time.process_time() - begun > patience
         return paused
 
     result = planner.run(progress=progress, stop=halt)
     if not (paused and result.interrupted):
         return result
-    test, begun = bound(), time.perf_counter()
+    limit = Deadline(max(min(patience / 2, clock.left), 1e-3))
+    test, begun = HoldBound(assembly, task, oracle.settings, limit), time.perf_counter()
     try:
         barrier = test.barrier(task.robots)
     except DeadlineExceeded:
@@ -345,7 +347,7 @@ def _run(
         return result
     seconds = time.perf_counter() - begun
     if barrier is None:
-        result = planner.run(progress=progress, stop=stop)
+        result = planner.run(progress=progress, stop=over)
     else:
         refuted = Outcome.PROVED_IMPOSSIBLE
         result = replace(result, outcome=refuted, interrupted=False, limit="", notes=(barrier.text,))

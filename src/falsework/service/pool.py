@@ -271,15 +271,13 @@ class Pool:
             worker.ready = True
             self._failures[worker.kind] = 0
             self.policy = message.policy or self.policy
-            if self._started is not None and not self._started.done() and self._complete():
+            complete = self.ready == {"replan": self.settings.workers, "stability": 1}
+            if complete and self._started is not None and not self._started.done():
                 self._started.set_result(None)
         if worker.watchdog is not None:
             worker.watchdog.cancel()
         worker.busy, worker.watchdog = None, None
         self._hand_out(worker.kind)
-
-    def _complete(self) -> bool:
-        return self.ready["replan"] == self.settings.workers and self.ready["stability"] == 1
 
     def _lost(self, worker: _Worker) -> None:
         """Retry the requests of a lost worker once, and replace the worker."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from falsework.errors import InputError
 from falsework.stability.verdict import Criterion
 from falsework.utils.cores import core_count
+from falsework.utils.quantity import check_counts
 
 TOKEN_VARIABLE = "FALSEWORK_TOKEN"
 SHORTEST_TOKEN = 16
@@ -79,9 +80,7 @@ class ServiceSettings:
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
             raise InputError(f"port {self.port} does not exist; give 0 to 65535")
-        for name in ("workers", "batch", "queue", "connections", "body_bytes", "states"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} is {getattr(self, name)}; give at least 1")
+        check_counts(self, "workers", "batch", "queue", "connections", "body_bytes", "states")
         if self.token is None and not is_loopback(self.host):
             raise InputError(
                 f"{self.host} can be reached from other machines; give a token with --token or {TOKEN_VARIABLE}, "

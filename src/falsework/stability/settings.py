@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Literal, get_args
 
-import numpy as np
-
 from falsework.errors import InputError
 from falsework.stability.criterion import Cone, StabilityBounds, StabilityCriterion
 from falsework.stability.verdict import Criterion
+from falsework.utils.quantity import check_positive
 
 SolverName = Literal["auto", "cpu", "gpu", "exact"]
 
@@ -51,10 +50,7 @@ class NumericalSettings:
     """Worker threads on the CPU; all cores by default."""
 
     def __post_init__(self) -> None:
-        for name in ("rho", "first_step", "warm_first_step"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"{name} is {value}; give a positive number")
+        check_positive(self, "rho", "first_step", "warm_first_step")
         if not 0 < self.relaxation < 2:
             raise InputError(f"relaxation is {self.relaxation}; give a number between 0 and 2")
         for name, least in (
@@ -90,10 +86,7 @@ class StabilitySettings(StabilityBounds):
     def __post_init__(self) -> None:
         if self.criterion not in get_args(Criterion):
             raise InputError(f"unknown criterion {self.criterion!r}; choose {' or '.join(get_args(Criterion))}")
-        for name in ("gravity", "tolerance", "force_bound", "stiffness_ratio", "reserve"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"{name} is {value}; give a positive number")
+        check_positive(self, "gravity", "tolerance", "force_bound", "stiffness_ratio", "reserve")
         if not 1 / MOST_GRAVITY <= self.gravity <= MOST_GRAVITY:  # beyond, squares of forces are no numbers any more
             raise InputError(f"gravity is {self.gravity:g} m/s2; give {1 / MOST_GRAVITY:g} to {MOST_GRAVITY:g}")
         if self.reserve < 1:

@@ -42,6 +42,16 @@ def normal_stiffness(assembly: Assembly, gravity: float = 9.81) -> NDArray[np.fl
     return area * (gravity * mass.sum() / (mass / density).sum() / SETTLEMENT)
 
 
+def spring_stiffness(assembly: Assembly, gravity: float, ratio: float) -> NDArray[np.float64]:
+    """Return the stiffness of every contact point along `(n, t1, t2)` in N/m, shape (points, 3).
+
+    Args:
+        ratio: of tangential to normal stiffness.
+    """
+    normal = normal_stiffness(assembly, gravity)
+    return np.stack([normal, ratio * normal, ratio * normal], axis=1)
+
+
 def movement_limit(size: float, compression: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the largest movement of a part of stable states, m, shape (states,).
 

@@ -119,6 +119,31 @@ def is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
+def check_deadline(deadline: float | None) -> None:
+    """Raise unless a deadline in seconds leaves time.
+
+    Raises:
+        InputError: it is zero, less, or no number.
+    """
+    if deadline is not None and not deadline > 0:
+        raise InputError(f"a deadline of {deadline:g} s leaves no time; give more than 0")
+
+
+def check_positive(settings: object, *names: str) -> None:
+    """Raise unless some numbers among settings are finite and above zero."""
+    for name in names:
+        value = getattr(settings, name)
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"{name} is {value}; give a positive number")
+
+
+def check_counts(settings: object, *names: str) -> None:
+    """Raise unless some numbers among settings are at least 1."""
+    for name in names:
+        if getattr(settings, name) < 1:
+            raise InputError(f"{name} is {getattr(settings, name)}; give at least 1")
+
+
 def check_seed(seed: int) -> None:
     """Raise unless a number can be a random seed."""
     if seed < 0:

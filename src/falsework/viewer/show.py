@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import States, check_robots
 from falsework.errors import InputError
-from falsework.search.problem.deadline import check_deadline
 from falsework.stability.margins.nearness import nearness_to_limit
 from falsework.stability.verdict import Criterion
 from falsework.utils.display.notebook import in_notebook
-from falsework.utils.quantity import counted
+from falsework.utils.quantity import check_deadline, counted
 from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.pictures.contact_sheet import (

@@ -12,7 +12,7 @@ import pytest
 
 from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, load_structure, verify_certificates
 from falsework.assembly import library
-from falsework.search.device.oracle import DeviceOracle
+from falsework.search.device.oracle import DeviceOracle, without_fallback
 from falsework.stability import NumericalSettings, Proof
 from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.cpu.solver import CpuSolver
@@ -155,7 +155,7 @@ def test_what_the_gpu_leaves_open_is_settled_on_the_processor(scenes: Any, on_ho
     oracle = DeviceOracle.__new__(DeviceOracle)
     oracle.solver, oracle.fallback = OnTensors(), StabilityOracle(assembly)  # type: ignore[assignment]
     given = torch.from_numpy(states)
-    alone = oracle.without_fallback()(given, given).numpy()
+    alone = without_fallback(oracle)(given, given).numpy()
     expected = StabilityOracle(assembly).verdicts(states, require_certificate=True).verdict
     assert (alone == Verdict.UNDECIDED).any()
     assert not (alone == Verdict.SLIDES).any()

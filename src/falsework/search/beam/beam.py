@@ -85,16 +85,9 @@ class BeamSearch(Search):
         self._hash = StateHash.for_parts(task.part_count)
         self._forbidden: StateIndex | None = None
         self._candidates = 0
-        self._before = SearchCounters()
-        self._undecided = self._sliding = 0
         if not self._dead:
             origin, one = task.origin(settings.direction)[None], np.ones(1, np.int8)
             self.levels.append(Level(origin, np.zeros(1, np.int64), np.full(1, -1, np.int64), np.zeros(1), one))
-
-    @property
-    def asked(self) -> int:
-        """See `Search.asked`."""
-        return self._before.asked + self.judge.asked
 
     @property
     def effort(self) -> float:
@@ -102,15 +95,10 @@ class BeamSearch(Search):
         return self.asked + self._paths.lost
 
     @property
-    def work(self) -> int:
-        """See `Search.work`."""
-        return self._before.work + self.judge.work
-
-    @property
     def counters(self) -> SearchCounters:
         """See `Search.counters`."""
-        now = SearchCounters(0, self._candidates, self.judge.asked, self.judge.rejected, self.judge.work)
-        return self._before + now + SearchCounters(states=sum(len(level.parent) for level in self.levels))
+        judge, states = self.judge, sum(len(level.parent) for level in self.levels)
+        return SearchCounters(states, self._candidates, judge.asked, judge.rejected, judge.work)
 
     def _advance(self) -> bool:
         settings, level = self.settings, self.levels[-1]
@@ -171,10 +159,6 @@ class BeamSearch(Search):
     def go_back(self, state: States) -> None:
         """See `Search.go_back`."""
         self._go_back({state.tobytes()})
-
-    def _open(self) -> tuple[int, int]:
-        judge = self.judge
-        return judge.undecided + self._undecided, judge.sliding + self._sliding
 
     @property
     def found(self) -> bool:
@@ -333,8 +317,8 @@ class BeamSearch(Search):
             "settings": asdict(self.settings),
             "counters": asdict(self.counters) | {"states": 0},
             "seconds": self._seconds,
-            "undecided": self.judge.undecided + self._undecided,
-            "sliding": self.judge.sliding + self._sliding,
+            "undecided": self.judge.undecided,
+            "sliding": self.judge.sliding,
             "whole": self._whole,
             "dead": self._dead,
             "farthest": self._farthest,
@@ -385,9 +369,10 @@ class BeamSearch(Search):
         search.levels[:] = [Level(*column) for column in zip(*columns, strict=True)] if len(sizes) else []
         if search._failures is not None:
             search._failures.known.update(zip(arrays["tried"].tolist(), arrays["failed"].tolist(), strict=True))
-        search._before = SearchCounters(**header["counters"])
-        search._seconds, search._undecided = float(header["seconds"]), int(header["undecided"])
-        search._sliding = int(header["sliding"])
+        judge, counters = search.judge, SearchCounters(**header["counters"])
+        judge.asked, judge.rejected, judge.work = counters.asked, counters.rejected, counters.work
+        judge.undecided, judge.sliding = int(header["undecided"]), int(header["sliding"])
+        search._candidates, search._seconds = counters.candidates, float(header["seconds"])
         search._dead, search._whole = bool(header["dead"]), [bool(flag) for flag in header["whole"]]
         search._deepest, search._rejected = arrays["deepest"], arrays["rejected"]
         search._farthest = int(header["farthest"])

@@ -79,12 +79,6 @@ class DeviceOracle:
             verdict[rest] = put(self.fallback.verdicts(left, near=near).verdict, states.device)
         return verdict
 
-    def without_fallback(self) -> DeviceOracle:
-        """Return the same solver alone: no waiting, and the few undecided states remain undecided."""
-        alone = copy(self)
-        alone.fallback = None
-        return alone
-
 
 def without_fallback(oracle: TensorOracle) -> TensorOracle:
     """Return an oracle for states that may stay undecided, such as those of training rollouts.
@@ -92,7 +86,11 @@ def without_fallback(oracle: TensorOracle) -> TensorOracle:
     On a GPU, marginally stable states stay undecided. They are a few in ten thousand of dome-72, and the exact solver
     needs a sixth of a second for each, while thousands of others wait.
     """
-    return oracle.without_fallback() if isinstance(oracle, DeviceOracle) else oracle
+    if not isinstance(oracle, DeviceOracle):
+        return oracle
+    alone = copy(oracle)
+    alone.fallback = None
+    return alone
 
 
 def tensor_oracle(oracle: StabilityOracle, device: torch.device) -> TensorOracle:

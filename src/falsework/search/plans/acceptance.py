@@ -10,18 +10,13 @@ from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.plan_replay import PlanReplay
-from falsework.stability.contact.history import ReplaySettings
+from falsework.stability.contact.history import ReplaySettings, of_all
 from falsework.stability.contact.varied_replay import DRAWS, FEW_DRAWS, AllVariations, RouteReplay
-from falsework.stability.holds import HoldLoad, Press
+from falsework.stability.holds import HoldLoad
 
 if TYPE_CHECKING:
     from falsework.search.problem.result import Stop
     from falsework.stability.contact.varied_replay import AnyReplayer
-
-
-def _of_all(presses: tuple[tuple[Press, ...], ...], states: States) -> tuple[tuple[Press, ...], ...]:
-    """Return one entry for every state: a replay has none for those that it did not reach."""
-    return (*presses, *((),) * (len(states) - len(presses)))
 
 
 class Acceptance:
@@ -66,7 +61,7 @@ class Acceptance:
         """
         if self._plain is None:
             return found
-        presses, plain, row = _of_all(found.presses, states), self._plain.replayer, None
+        presses, plain, row = of_all(found.presses, len(states)), self._plain.replayer, None
         done = self._plain.begin(states, presses)
         loads = self._loads = self._loads[:done]
         try:
@@ -87,22 +82,6 @@ class Acceptance:
             return replace(found, stands=False, falls_at=row)
         return replace(found, loads=tuple(loads))
 
-    def varied_falls_at(self, states: States, found: PlanReplay) -> int | None:
-        """Return the first state of a route that does not come to rest under some change of settings by itself.
-
-        From then on the replayer tries steps under that change too.
-
-        Args:
-            states: in assembly order, shape (steps + 1, parts).
-            found: its replay with the reserve, which stands.
-
-        Returns:
-            None if all stand; always where the settings are not changed.
-        """
-        if self._variations is None:
-            return None
-        return self._variations.falls_at(states, _of_all(found.presses, states))
-
     def judged(self, states: States, found: PlanReplay, stop: Stop | None = None) -> PlanReplay:
         """Return the replay of a route that stands with how far discrete elements built it, if that is asked for.
 
@@ -113,7 +92,7 @@ class Acceptance:
         """
         if self._judge is None:
             return found
-        presses = _of_all(found.presses, states)
+        presses = of_all(found.presses, len(states))
         return replace(found, judgement=self._judge.judge(states, presses, stop or (lambda: False)))
 
     def falls_at(self, states: States) -> int | None:
@@ -126,11 +105,10 @@ class Acceptance:
             None if all stand, with the reserve of the replayer, under the true friction and under changed settings;
             always without a replayer.
         """
-        return None if self._replayer is None else self.replayed(self._replayer, states)[0].falls_at
+        return None if self._replayer is None else self.replayed(states)[0].falls_at
 
     def replayed(
         self,
-        replayer: AnyReplayer,
         states: States,
         known: PlanReplay | None = None,
         stood: Callable[[PlanReplay], None] = lambda found: None,
@@ -138,7 +116,6 @@ class Acceptance:
         """Replay a route, and again with presses chosen anew under the changes of settings under which it falls.
 
         Args:
-            replayer: of this test.
             states: in assembly order, shape (steps + 1, parts).
             known: its replay, where a search has made it, which then makes the next one, too.
             stood: called with each replay that stands, before settings are changed.
@@ -146,12 +123,15 @@ class Acceptance:
         Returns:
             The last replay, and where the one that is known fell under a change; None if it did not.
         """
+        assert self._replayer is not None
         while True:
-            found = known or PlanReplay.from_replay(replayer.replay(states))
+            found = known or PlanReplay.from_replay(self._replayer.replay(states))
             found = self.tested(states, found) if found.stands else found
             if not found.stands:
                 return found, None
             stood(found)
-            row = self.varied_falls_at(states, found)
+            row = None
+            if self._variations is not None:  # from a fall on, the replayer tries steps under that change too
+                row = self._variations.falls_at(states, of_all(found.presses, len(states)))
             if row is None or known is not None:
                 return found, row

@@ -162,6 +162,8 @@ class Plan(Displayed):
         task: Task,
         verdicts: Verdicts,
         claim: StabilityCriterion = StabilityCriterion(),
+        *,
+        proven: bool = True,
     ) -> Plan:
         """Plan along a route, which is turned into the order of assembly here.
 
@@ -169,20 +171,14 @@ class Plan(Displayed):
             route: states and actions, in the order of disassembly.
             verdicts: of the states of the route in the order of assembly, with forces if the plan is to carry its
                 proofs.
+            proven: whether all of them must be stable.
 
         Raises:
-            PlanError: a state that the verdicts do not call stable.
+            PlanError: a state that the verdicts do not call stable, though it must be.
         """
         bad = np.flatnonzero(~verdicts.stable)
-        if len(bad):
+        if len(bad) and proven:
             raise PlanError(f"state {bad[0]} of the plan is not proven stable; plan again")
-        return cls.from_unproven_route(route, assembly, task, verdicts, claim)
-
-    @classmethod
-    def from_unproven_route(
-        cls, route: Route, assembly: Assembly, task: Task, verdicts: Verdicts, claim: StabilityCriterion
-    ) -> Plan:
-        """Plan as `of`, whatever the verdicts are."""
         exit_paths = _exit_paths(route, task, assembly.props)
         return cls(
             states=route.states[::-1].copy(),

@@ -33,7 +33,6 @@ from falsework.stability.contact.replay import Replayer
 from falsework.stability.cpu.solver import TASK
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
-from falsework.stability.state_arrays import StateArrays
 from falsework.utils.quantity import format_quantity
 
 
@@ -120,7 +119,7 @@ def validate_plan(
         settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds.within(settings.holds))
         report = replace(report, claim=settings.claim)
     broken = broken_rule(plan, assembly, settings)
-    carried = _proofs_under(plan, settings.claim) is not None and comparable(plan.claim, settings.claim)
+    carried = plan.proof_arrays() is not None and comparable(plan.claim, settings.claim)
     misfit = _misfit(plan, assembly, settings.claim) if carried else ""
     count = len(plan.states) if broken is None else broken[0]
     if settings.criterion == "contact":
@@ -139,7 +138,7 @@ def validate_plan(
     return replace(report, seconds=time.perf_counter() - begun)
 
 
-def _blank(plan: Plan, assembly: Assembly, claim: StabilityCriterion, demands: Demands | None = None) -> PlanReport:
+def _blank(plan: Plan, assembly: Assembly, claim: StabilityCriterion, demands: Demands | None) -> PlanReport:
     """Return the report on a plan of which no state is checked yet, with the reason if none needs to be."""
     about, unverified = CheckedPlan.from_plan(plan, assembly), unverified_claims(plan, claim, demands)
     # Where every part is boundary, no other plan exists.
@@ -288,21 +287,15 @@ def _built(plan: Plan, row: int) -> str:
     return f"step {row} ({plan.words(row)})" if row else "the beginning"
 
 
-def _proofs_under(plan: Plan, claim: StabilityCriterion) -> NDArray[np.float64] | StateArrays | None:
-    """Return what a plan carries that can prove its states under a criterion."""
-    return plan.displacement if claim.criterion == "contact" else plan.forces
-
-
 def _misfit(plan: Plan, assembly: Assembly, claim: StabilityCriterion) -> str:
-    """Return why the plan does not carry a certificate for each of its states; empty if it does."""
-    name, proofs, rows = PROOF_NAMES[claim.criterion], _proofs_under(plan, claim), (assembly.part_count, 6)
-    if proofs is None:
-        return f"the plan carries no {name}; check it with the solver, or plan again with proofs"
-    if claim.criterion == "equilibrium":
-        rows = (len(assembly.contacts.points), 3)
-    shape, wanted = tuple(proofs.shape), (len(plan.states), *rows)
-    if claim.criterion == "contact":  # any number of increments
-        wanted = (len(plan.states), *shape[1:2], *rows)
+    """Return why certificates in the plan are none of its states; empty if there is one for each."""
+    proofs = plan.proof_arrays()
+    assert proofs is not None
+    shape, name = tuple(proofs.shape), PROOF_NAMES[claim.criterion]
+    rows: tuple[int, ...] = (len(assembly.contacts.points), 3)
+    if claim.criterion == "contact":
+        rows = (*shape[1:2], assembly.part_count, 6)  # any number of increments
+    wanted = (len(plan.states), *rows)
     return "" if shape == wanted else f"the plan has {name} of shape {shape}; expected {wanted}; plan again"
 
 

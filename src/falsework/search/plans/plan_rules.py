@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import HELD, INSTALLED, REMOVED, States, held_count, undo_actions, undo_mask
+from falsework.assembly.state import HELD, INSTALLED, REMOVED, held_count, undo_actions, undo_mask
 from falsework.errors import AssemblyError
 from falsework.geometry.clearance.locked import LARGEST, PartSet
 from falsework.geometry.paths.waiting import hands_free, has_hands, loose_parts, stages
@@ -20,24 +20,22 @@ from falsework.stability.settings import StabilitySettings
 from falsework.utils.quantity import counted
 
 
-def broken_rule(
-    plan: Plan, assembly: Assembly | None = None, settings: StabilitySettings | None = None
-) -> tuple[int, str] | None:
+def broken_rule(plan: Plan, assembly: Assembly, settings: StabilitySettings) -> tuple[int, str] | None:
     """Return the first state that the rules do not allow, and why; None if all are allowed.
 
     Args:
-        assembly: needed to check that removed parts have a way out; that is left out without it.
-        settings: with it, for the check that groups which robots carry hold together.
+        assembly: the structure, in which parts must have ways out.
+        settings: of what must stand while parts wait half way out, or robots carry groups.
     """
     states, parts, boundary = plan.states, len(plan.boundary), plan.boundary
     held = int(held_count(states[:1], plan.immovable)[0])
     if held > plan.robots:
         return 0, f"{counted(held, 'part')} held at first, with {counted(plan.robots, 'robot')}"
     if plan.allow_regrasp:
-        allowed = RegraspMoves(_task_of(plan)).legal(states[:-1], Direction.ASSEMBLY)
+        moves = RegraspMoves(_task_of(plan))
+        allowed, led_to = moves.legal(states[:-1], Direction.ASSEMBLY), moves.follow(states[:-1], plan.actions)
     else:
-        allowed = undo_mask(states[:-1], boundary, plan.robots)
-    led_to = _follow(plan)
+        allowed, led_to = undo_mask(states[:-1], boundary, plan.robots), undo_actions(states[:-1], plan.actions)
     for step, action in enumerate(plan.actions.tolist()):
         place = f"step {step + 1} ({plan.words(step + 1)})"
         changed = np.flatnonzero(states[step] != states[step + 1])
@@ -55,7 +53,7 @@ def broken_rule(
         wrong = _broken_press(plan, step, [press.part for press in presses]) if presses else ""
         if wrong:
             return step + 1, f"step {step + 1} ({plan.words(step + 1)}) is against the rules: {wrong}"
-    if plan.removable_only_if_clear and assembly is not None:
+    if plan.removable_only_if_clear:
         # The way in is the way out from the state in which the part is there.
         alone = (states[1:] != states[:-1]).sum(axis=1) == 1
         inserts = np.flatnonzero((plan.actions >= parts) & alone)
@@ -67,7 +65,7 @@ def broken_rule(
     return None
 
 
-def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySettings | None, leaving: PartSet) -> str:
+def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySettings, leaving: PartSet) -> str:
     """Return what is wrong with how a step inserts parts that have no straight way, as the end of a sentence."""
     moves = plan.exit_paths[step] if plan.exit_paths else ()
     state = plan.states[step + 1]
@@ -100,13 +98,13 @@ def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySe
     wrong = assembly.part_motions.leaves(moves, state != REMOVED)
     if wrong:
         return f"is against the rules: on its way out, {wrong}"
-    if loose and settings is not None:
+    if loose:
         posed, oracle = PosedStates(assembly), StabilityOracle(assembly, settings)
         for stage, poses in stages(moves, state, leaving, spare, out=True):
             if not posed.stands(oracle, stage, poses):
                 names = ", ".join(plan.part_names[one] for one in sorted(poses) if stage[one]) or "no part"
                 return f"is against the rules: on its way, with {names} half way out, the other parts do not stand"
-    elif moved != list(leaving) and settings is not None:
+    elif moved != list(leaving):
         rest = state.copy()
         rest[moved] = REMOVED
         if not StabilityOracle(assembly, settings).verdicts(rest[None]).stable[0]:
@@ -115,7 +113,7 @@ def _broken_way(plan: Plan, step: int, assembly: Assembly, settings: StabilitySe
     return ""
 
 
-def broken_together(plan: Plan, step: int, assembly: Assembly | None, settings: StabilitySettings | None) -> str:
+def broken_together(plan: Plan, step: int, assembly: Assembly, settings: StabilitySettings) -> str:
     """Return what is wrong with a step that inserts several parts, as the end of a sentence; empty if nothing is.
 
     Args:
@@ -134,8 +132,6 @@ def broken_together(plan: Plan, step: int, assembly: Assembly | None, settings: 
         return "is named after a part that no robot holds"
     if robots > plan.robots:
         return f"is against the rules: it needs {counted(robots, 'robot')}, and the plan has {plan.robots}"
-    if assembly is None:
-        return ""
     together = tuple(sorted(moved))
     straight = assembly.clearance_of_sets.leave_together(together, after[None], apart=held == len(moved))[0]
     if not straight and plan.exit_paths and plan.exit_paths[step]:
@@ -145,20 +141,13 @@ def broken_together(plan: Plan, step: int, assembly: Assembly | None, settings: 
     elif not straight:
         alone = "no straight way past the other parts, or fewer of them have one"
         return f"is against the rules: {', '.join(names)} do not leave together: there is {alone}"
-    if held < len(moved) and settings is not None:
+    if held < len(moved):
         try:
             if not holds_together(assembly, together, moved[0], settings):
                 return f"is against the rules: {', '.join(names[1:])} fall while a robot carries them by {names[0]}"
         except AssemblyError as error:
             return f"is against the rules: {error}"
     return ""
-
-
-def _follow(plan: Plan) -> States:
-    """Return the states that the actions of a plan lead to, each from the state before."""
-    if plan.allow_regrasp:
-        return RegraspMoves(_task_of(plan)).follow(plan.states[:-1], plan.actions)
-    return undo_actions(plan.states[:-1], plan.actions)
 
 
 def _task_of(plan: Plan) -> Task:

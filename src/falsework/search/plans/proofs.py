@@ -18,7 +18,7 @@ from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
 from falsework.stability.certificate import chunks
 from falsework.stability.contact.build_verifier import BuildVerifier
-from falsework.stability.contact.history import Presses
+from falsework.stability.contact.history import Presses, of_all
 from falsework.stability.contact.hold_loads import Loads, larger_loads, loads_in
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.cpu.solver import TASK
@@ -67,7 +67,7 @@ def prove_build(
     claim = replace(claim, holds=claim.holds.resolved(assembly, claim.gravity))
     if known is None or (known.stands and not known.presses):
         known = PlanReplay.from_replay(replayer.replay(states))
-    presses = (*known.presses, *[()] * (len(states) - len(known.presses)))
+    presses = of_all(known.presses, len(states))
     verifier = BuildVerifier(assembly, claim)
     verdicts = Verdicts.all_undecided(len(states), points=replayer.problem.points if forces else None)
     steps, loads = [], []
@@ -82,8 +82,8 @@ def prove_build(
         if verdicts.forces is not None:
             verdicts.forces[row] = proof.forces
             steps.append(certificate)
-    make = Plan.from_route if known.stands else Plan.from_unproven_route
-    plan = replace(make(route, assembly, task, verdicts, claim), replay=replace(known, steps=()), presses=presses[1:])
+    plan = Plan.from_route(route, assembly, task, verdicts, claim, proven=known.stands)
+    plan = replace(plan, replay=replace(known, steps=()), presses=presses[1:])
     if len(loads) == len(states) and known.stands:
         borne = larger_loads(tuple(loads), known.loads or _true_loads(replayer, states, presses, tuple(loads)))
         plan = replace(plan, loads=borne)

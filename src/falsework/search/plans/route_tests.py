@@ -100,7 +100,7 @@ class RouteTests:
                 self.doubted = route
                 self.when_one_stands()
 
-        found, row = self._acceptance.replayed(self.replayer, states, known, stood)
+        found, row = self._acceptance.replayed(states, known, stood)
         if row is not None:
             self.again = barred_state(states, row) if self.changes != before else None
             return False

@@ -9,21 +9,11 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.errors import InputError
 from falsework.utils.interruption import PIECE
+from falsework.utils.quantity import check_deadline
 
 _MOST, _SLICE = 8192, 0.02
 """Batches of verdicts adapt from `PIECE` up to so many, which take about so many seconds. Both change no result."""
-
-
-def check_deadline(deadline: float | None) -> None:
-    """Raise unless a deadline in seconds leaves time.
-
-    Raises:
-        InputError: it is zero, less, or no number.
-    """
-    if deadline is not None and not deadline > 0:
-        raise InputError(f"a deadline of {deadline:g} s leaves no time; give more than 0")
 
 
 class DeadlineExceeded(KeyboardInterrupt):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from falsework.assembly.state import INSTALLED, Mask, States
+from falsework.search.problem.hashing import chunks
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdicts
 
@@ -79,7 +80,7 @@ class Oracle(Criterion, Protocol):
 class CountingOracle:
     """Oracle wrapper that queries in batches of bounded size and counts."""
 
-    def __init__(self, oracle: Oracle, *, batch: int = 1024) -> None:
+    def __init__(self, oracle: Oracle) -> None:
         """Bound the batches, so that an interruption never has to wait for a whole level."""
         self.oracle = oracle
         self.asked = 0
@@ -96,7 +97,7 @@ class CountingOracle:
         decide there is none."""
         self.replayed = False
         """Whether replays decide, so that `Oracle.plausible`, which rejects what falls by a cheap proof, is enough."""
-        self.batch = batch
+        self.batch = 1024
         """States asked for at once at most."""
 
     def stable(self, states: States, parents: States) -> Mask:
@@ -111,8 +112,7 @@ class CountingOracle:
         """
         begun = time.perf_counter()
         stable = np.zeros(len(states), dtype=bool)
-        for begin in range(0, len(states), self.batch):
-            rows = slice(begin, begin + self.batch)
+        for rows in chunks(len(states), self.batch):
             if self.replayed:
                 stable[rows] = self.oracle.plausible(states[rows], parents[rows])
             else:
@@ -134,8 +134,7 @@ class CountingOracle:
 
     def unstable(self, states: States, parents: States) -> bool:
         """Return whether all of some states are proven unstable, however they are reached."""
-        for begin in range(0, len(states), self.batch):
-            rows = slice(begin, begin + self.batch)
+        for rows in chunks(len(states), self.batch):
             found = self.oracle.verdicts(states[rows], near=parents[rows])
             self.asked += len(found)
             if not found.unstable.all():

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from falsework.assembly.model import Assembly
-from falsework.assembly.state import Mask, States, complete_state
+from falsework.assembly.state import Mask, complete_state
 from falsework.errors import AssemblyError, InputError
 from falsework.geometry.clearance.locked import LARGEST, PartSet
+from falsework.geometry.clearance.part_sets import SetClearance
 from falsework.geometry.mesh.edges import components
 from falsework.geometry.mesh.mesh import MassProperties
 from falsework.search.problem.oracle import Oracle
@@ -59,11 +60,12 @@ class InterlockedSets:
 
     def sets(self, movable: Mask) -> tuple[PartSet, ...]:
         """Return the sets of two parts and more, among parts of shape (parts,), that may leave together somewhere."""
-        return self._assembly.clearance_of_sets.sets(movable, self.largest)
+        return self.clearance.sets(movable, self.largest)
 
-    def leave_together(self, parts: PartSet, states: States, *, apart: bool) -> Mask:
-        """Return whether a set leaves together from states; see `SetClearance.leave_together`."""
-        return self._assembly.clearance_of_sets.leave_together(parts, states, apart=apart)
+    @property
+    def clearance(self) -> SetClearance:
+        """Which sets leave together from which states."""
+        return self._assembly.clearance_of_sets
 
     def carriers(self, parts: PartSet, oracle: Oracle) -> tuple[int, ...]:
         """Return the parts by which one robot can carry a set, under the settings of an oracle.
@@ -81,17 +83,9 @@ class InterlockedSets:
             self._carriers[parts, settings] = found
         return self._carriers[parts, settings]
 
-    def can_begin_to_move(self, parts: PartSet, state: States) -> bool:
-        """Return whether all of some parts can begin to move in a state, by shifting and turning."""
-        return self._assembly.clearance_of_sets.can_begin_to_move(parts, state)
-
     def name(self, parts: PartSet) -> str:
         """Return the names of some parts."""
         return " with ".join(self._assembly.names[part] for part in parts)
-
-    def caveat(self, sets: tuple[PartSet, ...]) -> str:
-        """Explain why the absence of a plan would not be proven; empty if it would be."""
-        return self._assembly.clearance_of_sets.caveat(sets)
 
 
 def holds_together(assembly: Assembly, parts: Sequence[int], carrier: int, settings: StabilitySettings) -> bool:

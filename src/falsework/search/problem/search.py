@@ -145,12 +145,8 @@ class Search(ABC):
                     progress(SearchProgress(self.direction, level, self.steps, kept, width, self.asked, seconds))
         except KeyboardInterrupt:
             interrupted = True
-        self._ended()
         self._seconds += time.perf_counter() - begun
         return self.result(interrupted=interrupted)
-
-    def _ended(self) -> None:  # noqa: B027
-        """Do what still belongs to the time of a run: mostly nothing."""
 
     def result(self, *, interrupted: bool = False) -> SearchResult:
         """Return the result so far; `interrupted` if the search was stopped from outside."""

@@ -175,13 +175,14 @@ class StateGraph:
 
     def count_routes(self) -> int:
         """Count the different action sequences from start to target within the graph, exactly."""
-        return int(self.routes_to_target()[self._position(self.task.start)]) if self._has(self.task.start) else 0
+        start = self._position(self.task.start)
+        return int(self.routes_to_target()[start]) if start >= 0 else 0
 
     def routes_to_target(self) -> NDArray[np.object_]:
         """Return the number of action sequences from each state to the target, Python integers, shape (states,)."""
         count = np.zeros(len(self.states), dtype=object)
-        if self._has(self.task.target):
-            count[self._position(self.task.target)] = 1
+        if (last := self._position(self.task.target)) >= 0:
+            count[last] = 1
         for edges in reversed(self.edges_by_level()):
             source, begin = np.unique(self.source[edges], return_index=True)
             if len(source):
@@ -196,11 +197,10 @@ class StateGraph:
 
     def sample_route(self, rng: np.random.Generator) -> Route | None:
         """Return a random path from start to target, each action drawn uniformly from those that can still reach it."""
-        if not self._has(self.task.start) or not self.solvable[self._position(self.task.start)]:
+        row, last = self._position(self.task.start), self._position(self.task.target)
+        if row < 0 or not self.solvable[row]:
             return None
-        useful = self.solvable[self.target]
-        row, rows, actions = self._position(self.task.start), [], []
-        last = self._position(self.task.target)
+        useful, rows, actions = self.solvable[self.target], list[int](), []
         while row != last:
             rows.append(row)
             begin, end = np.searchsorted(self.source, [row, row + 1])
@@ -209,17 +209,15 @@ class StateGraph:
             row = int(self.target[edge])
         return Route(self.states[[*rows, row]], np.array(actions, dtype=np.int64))
 
-    def _has(self, state: States) -> bool:
-        return bool(self.index.find(state[None])[0] >= 0)
-
     def _position(self, state: States) -> int:
+        """Return the number of a state, shape (parts,), or -1."""
         return int(self.index.find(state[None])[0])
 
     def _spread(self, origin: States, near: NDArray[np.int32], far: NDArray[np.int32], *, downwards: bool) -> Mask:
         """Mark the nodes connected to `origin`, level by level, along edges from `near` to `far`."""
         marked = np.zeros(len(self.states), dtype=bool)
-        if self._has(origin):
-            marked[self._position(origin)] = True
+        if (first := self._position(origin)) >= 0:
+            marked[first] = True
         levels = self.edges_by_level()
         for edges in reversed(levels) if downwards else levels:
             marked[far[edges][marked[near[edges]]]] = True

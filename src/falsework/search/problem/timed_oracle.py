@@ -89,7 +89,7 @@ class TimedOracle(Oracle):
 
     def rules_out(self, states: States) -> Mask:
         """Return which states replays have excluded, shape (batch,)."""
-        known = () if self._replayer is None else self._replayer.ruled_out
+        known = () if self._replayer is None else self._replayer.falls.ruled_out
         return np.array([bool(known) and state.tobytes() in known for state in states], dtype=bool)
 
 

@@ -72,13 +72,17 @@ class _Progress:
 
 
 @dataclass(eq=False)
-class _Falls:
+class Falls:
     """What replays that failed, or that the clock cut short, leave for the search."""
 
     unfinished: States | None = None
+    """The last sequence whose replay the clock cut short, in the order of assembly."""
     fallen: States | None = None
+    """Failing sequence that gets farthest."""
     failed_after: int = 0
+    """Number of its steps that come to rest."""
     ruled_out: set[bytes] = field(default_factory=set)
+    """States between the ends at which sequences failed."""
 
 
 class DeadlineReplayer:
@@ -108,27 +112,8 @@ class DeadlineReplayer:
         self._clock = clock
         self._known: dict[tuple[bytes, Presses | None], _Progress] = {}
         self._varied: dict[tuple[StabilitySettings, ReplaySettings], DeadlineReplayer] = {}
-        self._falls = _Falls()
-
-    @property
-    def unfinished(self) -> States | None:
-        """The last sequence whose replay the clock cut short, in the order of assembly."""
-        return self._falls.unfinished
-
-    @property
-    def fallen(self) -> States | None:
-        """Failing sequence that gets farthest."""
-        return self._falls.fallen
-
-    @property
-    def failed_after(self) -> int:
-        """Number of its steps that come to rest."""
-        return self._falls.failed_after
-
-    @property
-    def ruled_out(self) -> set[bytes]:
-        """States between the ends at which sequences failed, also those of replayers under other settings."""
-        return self._falls.ruled_out
+        self.falls = Falls()
+        """Of this one and of replayers under other settings."""
 
     @property
     def assembly(self) -> Assembly:
@@ -172,7 +157,7 @@ class DeadlineReplayer:
         key = settings, replay
         if key not in self._varied:
             varied = DeadlineReplayer(self._replayer.vary(settings, replay), self._clock, self._built)
-            varied._falls = self._falls
+            varied.falls = self.falls
             self._varied[key] = varied
         return self._varied[key]
 
@@ -198,7 +183,7 @@ class DeadlineReplayer:
         sequence = np.asarray(states, dtype=np.uint8)
         if history is None and len(sequence) == 1 and (built := self._replay_built()) is not None:
             if not built.over:
-                self._falls.unfinished = sequence
+                self.falls.unfinished = sequence
                 raise DeadlineExceeded
             result, histories = np.full(1, 0 if built.fell else RESTS), [] if built.fell else [built.history]
             ends = built.moved[-1:], built.part[-1:], built.residual[-1:]
@@ -210,7 +195,7 @@ class DeadlineReplayer:
             presses = (*self._built[1], *presses[1:])
         progress, before = self._continue(sequence, presses), self._before
         if not progress.over:
-            self._falls.unfinished = sequence
+            self.falls.unfinished = sequence
             raise DeadlineExceeded
         result = progress.result[before:].copy()
         if progress.fell:
@@ -330,7 +315,7 @@ class DeadlineReplayer:
 
     def _note(self, states: States, row: int) -> None:
         """Record that a sequence fails in state `row`."""
-        falls = self._falls
+        falls = self.falls
         if falls.fallen is None or row - 1 > falls.failed_after:
             falls.fallen, falls.failed_after = states, max(row - 1, 0)
         inner = barred_row(row, len(states))

@@ -50,7 +50,7 @@ def exit_path(task: Task, state: States, leaving: PartSet) -> ExitPath | None:
     if len(leaving) == 1 or task.together is None:
         return task.clearance.exit_path(state, leaving)
     apart = bool((state[list(leaving)] == HELD).all())
-    if task.together.leave_together(leaving, state[None], apart=apart)[0]:
+    if task.together.clearance.leave_together(leaving, state[None], apart=apart)[0]:
         return ()
     if task.moves_out == 1 or task.clearance.can_leave(state[None])[0, list(leaving)].any():
         return None

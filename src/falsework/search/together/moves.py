@@ -76,14 +76,16 @@ class TaskMoves:
     @property
     def caveat(self) -> str:
         """Why the absence of a plan would not be proven; empty if it would be."""
-        return self.task.caveat or ("" if self._rule is None else self._left_out or self._rule.caveat(self.sets))
+        return self.task.caveat or (
+            "" if self._rule is None else self._left_out or self._rule.clearance.caveat(self.sets)
+        )
 
     def first_motions(self, state: States) -> str:
         """Say which parts, and sets of parts that lock each other, can begin to move in a state, shape (parts,)."""
         assert self._rule is not None
         there = np.flatnonzero((state != REMOVED) & self.removable)
         sets = [(part,) for part in there.tolist()] + [parts for parts in self.sets if np.isin(parts, there).all()]
-        movable = [parts for parts in sets if self._rule.can_begin_to_move(parts, state)]
+        movable = [parts for parts in sets if self._rule.clearance.can_begin_to_move(parts, state)]
         if not movable:
             return f"no part there, and no set of up to {self.largest}, can begin to move, not even by turning"
         names = listed([self._rule.name(parts) for parts in movable])

@@ -24,7 +24,7 @@ from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import StabilityCriterion
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, Press, limits_of
 from falsework.stability.second_order.springs import ROUNDING, into_cone
-from falsework.stability.stiffness import movement_limit, movement_of, normal_stiffness, reach_of, structure_size
+from falsework.stability.stiffness import movement_limit, movement_of, reach_of, spring_stiffness, structure_size
 from falsework.stability.strength import TEARS, Strength, strength_of
 from falsework.utils.quantity import format_quantity
 
@@ -190,10 +190,9 @@ class _Law:
     def __init__(self, assembly: Assembly, claim: StabilityCriterion) -> None:
         self.geometry = geometry_of(assembly.contacts, assembly.mass)
         self.whole = strength_of(assembly, claim.gravity, claim.reserve)
-        stiffness = normal_stiffness(assembly, claim.gravity)
-        self._stiffness = np.column_stack([stiffness, *[claim.stiffness_ratio * stiffness] * 2])
+        self._stiffness = spring_stiffness(assembly, claim.gravity, claim.stiffness_ratio)
         self._cone = claim.cone
-        self.points = len(stiffness)
+        self.points = len(self._stiffness)
 
     def compression(self, springs: Array) -> Array:
         """Return the largest compression of a contact point at spring forces of shape (points, 3), m, shape ()."""

@@ -12,11 +12,17 @@ from falsework.errors import InputError
 from falsework.stability.contact.newton import OPEN, RESTS
 from falsework.stability.holds import Press
 from falsework.stability.settings import NumericalSettings
+from falsework.utils.quantity import check_positive
 
 Array = NDArray[np.float64]
 
 Presses = Sequence[Sequence[Press]]
 """Presses of the steps that lead to each state, one entry a state."""
+
+
+def of_all(presses: Presses, count: int) -> tuple[tuple[Press, ...], ...]:
+    """Return one entry for each of some states: a replay has none for those that it did not reach."""
+    return (*map(tuple, presses), *((),) * (count - len(presses)))
 
 
 @dataclass(frozen=True)
@@ -36,8 +42,7 @@ class ReplaySettings:
     def __post_init__(self) -> None:
         if self.increments < 1:
             raise InputError("a replay needs at least one increment")
-        if not (np.isfinite(self.first_step) and self.first_step > 0):
-            raise InputError(f"first_step is {self.first_step}; give a positive number")
+        check_positive(self, "first_step")
         if not (np.isfinite(self.friction_noise) and self.friction_noise >= 0):
             raise InputError(f"friction_noise is {self.friction_noise}; give a number from 0 up")
 

@@ -36,6 +36,7 @@ from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, P
 from falsework.stability.judges.judgement import Judgement
 from falsework.stability.judges.relaxation import FALLS, OPEN, JudgedHolds, Model, relax
 from falsework.stability.stiffness import TANGENTIAL_RATIO, normal_stiffness
+from falsework.utils.quantity import check_counts, check_positive
 
 Array = NDArray[np.float64]
 
@@ -65,15 +66,10 @@ class DiscreteElementSettings:
     """Largest unbalanced force of a part at rest, in weights of the part; moments are divided by the typical size."""
 
     def __post_init__(self) -> None:
-        for name in ("stiffness", "tangential", "fallen", "rest"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"{name} is {value}; give a positive number")
+        check_positive(self, "stiffness", "tangential", "fallen", "rest")
         if not 0 <= self.damping <= 1:
             raise InputError(f"damping is {self.damping}; give a number from 0 to 1")
-        for name, count in (("ramp", self.ramp), ("slower", self.slower), ("steps", self.steps)):
-            if count < 1:
-                raise InputError(f"{name} is {count}; give at least 1")
+        check_counts(self, "ramp", "slower", "steps")
 
 
 @dataclass(eq=False)

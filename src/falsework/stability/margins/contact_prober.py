@@ -18,7 +18,7 @@ from falsework.stability.contact.solver import ContactSolver
 from falsework.stability.margins.conditions import Answer, Condition, some_idle
 from falsework.stability.margins.prober import Prober
 from falsework.stability.second_order.springs import springs_at, springs_of_displacement
-from falsework.stability.stiffness import normal_stiffness
+from falsework.stability.stiffness import spring_stiffness
 from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts
 
 if TYPE_CHECKING:
@@ -87,10 +87,9 @@ class ContactProber(Prober):
         changed, claim = answer.condition.applied_to(self.assembly), self.settings.claim
         if self._springs is None:
             return springs_of_displacement(changed, state[None], answer.displacement[None], claim).forces[0]
-        normal = normal_stiffness(changed, claim.gravity)
-        both = np.stack([normal, *[claim.stiffness_ratio * normal] * 2], axis=1)
+        stiffness = spring_stiffness(changed, claim.gravity, claim.stiffness_ratio)
         before = self._springs * self.problem.force_scale[:, None]
-        springs = before - both * self.problem.geometry.relative(answer.displacement[None])[0]
+        springs = before - stiffness * self.problem.geometry.relative(answer.displacement[None])[0]
         return springs_at(changed, state[None], springs[None], claim).forces[0]
 
     def certify(self, state: States, answer: Answer, near: Verdicts | None = None) -> Verdicts:

@@ -25,6 +25,7 @@ from falsework.stability.margins.supports import held_loads, settlements
 from falsework.stability.margins.weakest import Near, friction_bracket, weakest_load
 from falsework.stability.strength import SMOOTH, strength_of
 from falsework.stability.verdict import Verdict, Verdicts
+from falsework.utils.quantity import check_deadline
 
 if TYPE_CHECKING:
     from falsework.stability.contact.history import History
@@ -78,8 +79,7 @@ class MarginFinder:
                 raise InputError(f"unknown margin {kind!r}; choose among {', '.join(KINDS)}")
         if "settlement" in kinds and not self.prober.displaced:
             raise InputError("the criterion equilibrium has no displacements; compute settlement under contact")
-        if deadline is not None and not deadline > 0:
-            raise InputError(f"a deadline of {deadline:g} s leaves no time; give more than 0")
+        check_deadline(deadline)
         batch = as_states(states, self._assembly.boundary)
         assert self.pushes is not None  # computed once, before copies and threads share it
         if deadline is not None:

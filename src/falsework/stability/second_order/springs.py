@@ -12,7 +12,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.stability.contact_geometry import geometry_of
 from falsework.stability.criterion import StabilityCriterion
-from falsework.stability.stiffness import MOVEMENT, SETTLEMENT, normal_stiffness, structure_size
+from falsework.stability.stiffness import MOVEMENT, SETTLEMENT, normal_stiffness, spring_stiffness, structure_size
 from falsework.stability.strength import TEARS, Strength, strength_of
 
 Array = NDArray[np.float64]
@@ -65,9 +65,8 @@ def springs_of_displacement(
     Arguments as for `residual_of_displacement`.
     """
     relative = geometry_of(assembly.contacts, assembly.mass).relative(displacement)
-    stiffness = normal_stiffness(assembly, claim.gravity)
-    both = np.stack([stiffness, *[claim.stiffness_ratio * stiffness] * 2], axis=1)
-    return springs_at(assembly, states, -both * relative, claim)
+    stiffness = spring_stiffness(assembly, claim.gravity, claim.stiffness_ratio)
+    return springs_at(assembly, states, -stiffness * relative, claim)
 
 
 def springs_at(
