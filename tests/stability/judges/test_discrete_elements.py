@@ -439,7 +439,7 @@ def test_the_judges_share_nothing_with_the_solvers() -> None:
     """They import what describes structures, holds and stiffness from this package, nothing that decides or proves."""
     folder = Path(falsework.stability.judges.__file__).parent
     criterion = ("falsework.stability.holds", "falsework.stability.stiffness")
-    helpers = ("falsework.utils.lazy", "falsework.utils.models")
+    helpers = ("falsework.utils.lazy", "falsework.utils.models", "falsework.utils.quantity")
     described = ("falsework.assembly.", "falsework.geometry.", "falsework.errors", *criterion, *helpers)
     allowed = (*described, "falsework.stability.judges.")
     for path in folder.glob("*.py"):
