@@ -16,12 +16,13 @@ from falsework import load_structure
 from falsework.cli.main import main
 from falsework.errors import DependencyError, StateError
 from falsework.geometry import TriangleMesh
+from falsework.geometry.arrays import apply
 from falsework.geometry.mesh.collision import inside
 from falsework.robots import CellRobot, Gripper, Placement
 from falsework.robots.grasping.grasp import grasp_fault, grasps
 from falsework.robots.model.builtin_robots import builtin_robot
 from falsework.robots.model.part_shapes import convex_pieces, place_parts
-from falsework.robots.model.shapes import block, move, outer_hull, pose
+from falsework.robots.model.shapes import block, outer_hull, pose
 
 
 def ring(sides: int = 12) -> TriangleMesh:
@@ -114,8 +115,8 @@ def test_parts_are_placed_to_scale() -> None:
     there = place_parts(assembly, Placement(position=(1, 2, 3), yaw=0.5, scale=0.5, density=600.0))
     np.testing.assert_allclose(there.mass, assembly.mass.mass * 0.125 * 600 / assembly.density)
     world = pose((1, 2, 3), 0.5)
-    np.testing.assert_allclose(there.meshes[2].vertices, move(world, 0.5 * assembly.meshes[2].vertices), atol=1e-12)
-    np.testing.assert_allclose(there.center, move(world, 0.5 * assembly.mass.center), atol=1e-12)
+    np.testing.assert_allclose(there.meshes[2].vertices, apply(world, 0.5 * assembly.meshes[2].vertices), atol=1e-12)
+    np.testing.assert_allclose(there.center, apply(world, 0.5 * assembly.mass.center), atol=1e-12)
 
 
 @pytest.fixture(scope="module")

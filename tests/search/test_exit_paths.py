@@ -37,7 +37,8 @@ from falsework.assembly.library.voxels import grow_pieces, surface
 from falsework.assembly.state import INSTALLED
 from falsework.errors import InputError, PlanError, StateError
 from falsework.geometry import TriangleMesh
-from falsework.geometry.clearance.moves import PathMove, apply
+from falsework.geometry.arrays import apply
+from falsework.geometry.clearance.moves import PathMove
 from falsework.interop.instruction_table import instructions_csv
 from falsework.interop.tracks import tracks_of
 from falsework.search.planner import Planner

@@ -52,3 +52,8 @@ def box_around(points: Array) -> Array:
 def box_corners(box: Array) -> Array:
     """Return the corners of a box, whose lowest and highest coordinates have shape (2, 3); shape (8, 3)."""
     return np.array([[box[i, 0], box[j, 1], box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+
+
+def apply(matrix: Array, points: Array) -> Array:
+    """Return points, shape (..., 3), displaced by a matrix of shape (4, 4)."""
+    return points @ matrix[:3, :3].T + matrix[:3, 3]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.draft import Block, Draft
 from falsework.errors import InputError
-from falsework.geometry.clearance.moves import apply
+from falsework.geometry.arrays import apply
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.surface import warn_of, warn_of_curves
 from falsework.interop.compas_shapes import CURVED, inner, shape_mesh

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.draft import Block, Draft
 from falsework.errors import InputError
-from falsework.geometry.clearance.moves import apply
+from falsework.geometry.arrays import apply
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.read import unit_length

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import HELD
-from falsework.geometry.arrays import box_around
-from falsework.geometry.clearance.moves import apply
+from falsework.geometry.arrays import apply, box_around
 from falsework.robots.cells.visuals import VisualShape, arm_frames, link_visuals, shapes_of
 from falsework.robots.plans.timeline import activities_at, waiting_at
 from falsework.search.plans.steps import NO_ROBOT

@@ -10,12 +10,13 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from falsework.errors import InputError
+from falsework.geometry.arrays import apply
 from falsework.robots import CellRobot, Gripper, load_urdf
 from falsework.robots.kernels.kernel_arrays import make_bodies
 from falsework.robots.kinematics.forward import flange_pose, link_poses
 from falsework.robots.kinematics.inverse import inverse, inverse_flange, solver_of
 from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
-from falsework.robots.model.shapes import move, pose
+from falsework.robots.model.shapes import pose
 
 pytestmark = pytest.mark.filterwarnings("ignore::falsework.robots.cells.urdf_review.CellWarning")
 
@@ -88,10 +89,10 @@ def test_no_point_moves_farther_than_the_sweep_says(cup: Gripper) -> None:
         assert tuple(k for k, _ in sources) == kinds
         for body, (link, piece) in enumerate(sources):
             frame = min(link, model.joints)
-            points = move(model.flange, piece) if link > model.joints else piece
+            points = apply(model.flange, piece) if link > model.joints else piece
             bound = np.abs(step) @ bodies.sweep[body]
             for row in range(len(values)):
-                far = np.linalg.norm(move(after[row, frame], points) - move(before[row, frame], points), axis=1).max()
+                far = np.linalg.norm(apply(after[row, frame], points) - apply(before[row, frame], points), axis=1).max()
                 assert far <= bound[row] + 1e-9
 
 

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from falsework.errors import InputError
+from falsework.geometry.arrays import apply
 from falsework.robots import Cell, CellRobot, Gripper, Obstacle
 from falsework.robots.kernels.collision import distance_between
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.builtin_robots import builtin_robot
 from falsework.robots.model.part_shapes import PartShapes
-from falsework.robots.model.shapes import block, hull, move, pose
+from falsework.robots.model.shapes import block, hull, pose
 from falsework.robots.motion.collision_world import LIFT, PUT_DOWN, CollisionQuery, CollisionWorld, Contact, Scene
 
 
@@ -183,4 +184,4 @@ def test_a_part_in_the_gripper_goes_where_the_tool_goes(two_arms: tuple[Collisio
     scene = scene.with_attached(0, 0, tool_pose(robot, start)).with_configuration(0, end)
     moved = next(piece for name, _, piece in world.robot_pieces(0, scene) if name == "part one")
     motion = tool_pose(robot, end) @ np.linalg.inv(tool_pose(robot, start))
-    np.testing.assert_allclose(moved, move(motion, parts.pieces[0][0]), atol=1e-12)
+    np.testing.assert_allclose(moved, apply(motion, parts.pieces[0][0]), atol=1e-12)

@@ -9,10 +9,10 @@ import pytest
 
 from falsework import Assembly
 from falsework.assembly import REMOVED
+from falsework.geometry.arrays import apply
 from falsework.robots import Cell, RobotPlan
 from falsework.robots.checks.clearance import clearances
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.model.shapes import move
 from falsework.robots.motion.collision_world import CollisionWorld, Scene
 from falsework.robots.motion.near_pairs import separation
 
@@ -46,7 +46,7 @@ def test_no_body_is_nearer_than_the_clearance(
             for piece in parts.pieces[part]
         ]
         bases = [entry for k, entry in enumerate(cell.robots) if k != robot]
-        others += [move(entry.base, piece) for entry in bases for piece in entry.model.pieces[0]]
+        others += [apply(entry.base, piece) for entry in bases for piece in entry.model.pieces[0]]
         assert cell.floor is not None
         least = min(float(piece[:, 2].min()) - cell.floor for piece in own)
         least = min(least, *(separation(a, b) for a in own for b in others))

@@ -18,6 +18,7 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 from falsework import Assembly, Direction, plan_robots
 from falsework.assembly import REMOVED, complete_state
 from falsework.errors import PlanError
+from falsework.geometry.arrays import apply
 from falsework.robots import Cell, HybridSettings, KeyframeGraph, Obstacle, RobotPlan, RobotStep, export_plan
 from falsework.robots.checks.check import CheckReport, check_robot_plan
 from falsework.robots.checks.delays import check_delays
@@ -29,7 +30,7 @@ from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.part_shapes import place_parts
-from falsework.robots.model.shapes import block, least_turn, move
+from falsework.robots.model.shapes import block, least_turn
 from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.planning.hybrid_result import HybridResult
 from falsework.robots.plans.loads import Load, load_of, lying_motions
@@ -146,7 +147,7 @@ def test_the_part_is_put_down_and_gripped_in_another_way(plan: RobotPlan, alone:
         None if number in lying else SLAB for number in range(len(step.trajectories))
     ]
     parts = place_parts(alone, one.placement)
-    corners, center = move(pose, parts.meshes[SLAB].vertices), move(pose, parts.center[:1])[0]
+    corners, center = apply(pose, parts.meshes[SLAB].vertices), apply(pose, parts.center[:1])[0]
     assert corners[:, 2].min() == pytest.approx(0.0, abs=1e-9)
     low = corners[corners[:, 2] < 1e-6, :2]
     assert len(low) >= 3
@@ -259,7 +260,7 @@ def test_the_check_sees_a_part_that_would_not_rest(plan: RobotPlan, alone: Assem
 def test_the_check_sees_a_place_that_is_not_free(plan: RobotPlan, alone: Assembly, one: Cell) -> None:
     _, _, pose, _ = detour_of(plan)
     parts = place_parts(alone, one.placement)
-    x, y = move(pose, parts.center[:1])[0][:2]
+    x, y = apply(pose, parts.center[:1])[0][:2]
     stone = Obstacle("stone", (block((x - 0.01, y - 0.01, 0.0), (x + 0.01, y + 0.01, 0.02)),))
     crowded = replace(one, obstacles=(*one.obstacles, stone))
     report = check_robot_plan(replace(plan, cell_identity=cell_identity(crowded)), alone, crowded)
@@ -297,7 +298,7 @@ def test_the_check_sees_a_part_that_is_not_lifted_from_where_it_lies(
     """The slab is put down with one grasp, and the file says that it lies turned by a quarter about the vertical."""
     _, _, pose, _ = detour_of(plan)
     parts = place_parts(alone, one.placement)
-    middle = move(pose, parts.center[:1])[0]
+    middle = apply(pose, parts.center[:1])[0]
     turn = np.eye(4)
     turn[:3, :3] = Rotation.from_euler("z", 90, degrees=True).as_matrix()
     turn[:3, 3] = middle - turn[:3, :3] @ middle
@@ -364,13 +365,13 @@ def test_another_arm_meets_the_part_while_it_lies(timed: RobotPlan, stack: Assem
     load = load_of(timed, index, lying.start + 1)
     bodies = SweptBodies(CollisionWorld(two, parts))
     away = step.trajectories[lying.start + 1].positions[0]
-    probe = still((move(pose, parts.pieces[SLAB][0]),))
+    probe = still((apply(pose, parts.pieces[SLAB][0]),))
     for given, met in ((load, True), (None, False)):
         swept = bodies.resting(step.robot, away, given)
         assert conflicts((swept, swept), (probe, probe), 0.0)[0, 0] == met
     judge, other = PinocchioCollisionChecker(two, parts, 0.001), 1 - step.robot
     tool = np.diag([1.0, -1.0, -1.0, 1.0])
-    tool[:3, 3] = move(pose, parts.center[:1])[0]
+    tool[:3, 3] = apply(pose, parts.center[:1])[0]
     values = inverse(two.robots[other], tool[None])[0]
     assert len(values)
     assert load is not None
@@ -395,7 +396,7 @@ def test_a_part_in_the_way_of_another_arm_is_found_whatever_the_delays(
     carries = [t for entry in timed.steps if entry.robot == other for t in entry.trajectories if t.part is not None]
     middle = carries[-1].sample(np.array([0.6 * carries[-1].seconds]))[0]
     there = pose.copy()
-    there[:3, 3] += judge.flange(other, middle)[:3, 3] - move(pose, parts.center[:1])[0]
+    there[:3, 3] += judge.flange(other, middle)[:3, 3] - apply(pose, parts.center[:1])[0]
     assert not check_delays(timed, judge).problems
     moved = with_step(timed, put_down=there)
     found = check_delays(moved, judge).problems
@@ -445,11 +446,11 @@ def test_a_bag_attaches_the_part_twice(
     assert [len(scene.world.collision_objects) for scene in scenes] == [0, 0, 0, 0 if assembles else 1]
     _, step, pose, lying = detour_of(plan)
     ends = step.trajectories[lying.start].positions[0], step.trajectories[lying.stop].positions[0]
-    there = move(pose, place_parts(alone, one.placement).meshes[SLAB].vertices)
+    there = apply(pose, place_parts(alone, one.placement).meshes[SLAB].vertices)
     entry = one.robots[step.robot]
     for thing, values in zip((attached[0], attached[2]), ends, strict=True):
         flange = flange_pose(entry.model, values, entry.base)
-        np.testing.assert_allclose(move(flange, corners(thing.object)), there, atol=1e-6)
+        np.testing.assert_allclose(apply(flange, corners(thing.object)), there, atol=1e-6)
 
 
 def test_a_chart_shows_the_part_carried_twice(timed: RobotPlan) -> None:

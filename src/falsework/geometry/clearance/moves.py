@@ -9,6 +9,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import apply
+
 MOST_MOVES = 100
 """Moves of a way out at most."""
 
@@ -80,11 +82,6 @@ class PathMove:
         if not self.turns:
             return 1
         return max(1, int(np.ceil(abs(self.angle) * np.sqrt(self._radius(points) / (8.0 * sagitta)))))
-
-
-def apply(matrix: Array, points: Array) -> Array:
-    """Return points, shape (..., 3), displaced by a matrix of shape (4, 4)."""
-    return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 ExitPath = tuple[PathMove, ...]

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.arrays import box_around
-from falsework.geometry.clearance.moves import PathMove, Poses, after, apply
+from falsework.geometry.arrays import apply, box_around
+from falsework.geometry.clearance.moves import PathMove, Poses, after
 from falsework.geometry.clearance.sweep import Sweeper
 from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.clearance.moves import PathMove, Poses, after, apply
+from falsework.geometry.arrays import apply
+from falsework.geometry.clearance.moves import PathMove, Poses, after
 from falsework.geometry.paths.cells import closed_sets
 from falsework.geometry.paths.departure import Departure, Parts
 from falsework.geometry.paths.motions import PartMotions

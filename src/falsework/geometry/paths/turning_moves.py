@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.geometry.arrays import box_corners
-from falsework.geometry.clearance.moves import PathMove, Poses, apply
+from falsework.geometry.arrays import apply, box_corners
+from falsework.geometry.clearance.moves import PathMove, Poses
 from falsework.geometry.mesh.mesh import triangle_normals
 from falsework.geometry.paths.axes import Axis, axes_of
 from falsework.geometry.paths.motions import PartMotions

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from falsework.errors import CellError, DependencyError, InputError
+from falsework.geometry.arrays import apply
 from falsework.robots.cells.cell_model import (
     FORMAT,
     CellFile,
@@ -28,7 +29,7 @@ from falsework.robots.cells.cell_robot import read_robot
 from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.cells.validate import check_cell
 from falsework.robots.model.cell import Cell, Gripper, Obstacle, Placement
-from falsework.robots.model.shapes import Array, block, cylinder, move
+from falsework.robots.model.shapes import Array, block, cylinder
 
 AnyCell = Cell | str | Path
 """Cell as it is, or what `load_cell` takes."""
@@ -225,14 +226,14 @@ def _shapes(entry: ShapeEntry, place: Place) -> list[Array]:
         if not (low < high).all():
             raise place.fail("box.high", f"is {entry.box.high}; every coordinate must be above that of low")
         try:
-            found.append(move(at, block(low, high)))
+            found.append(apply(at, block(low, high)))
         except InputError as error:
             raise place.fail("box:", str(error)) from error
     if entry.cylinder is not None:
         low, high = entry.cylinder.low, entry.cylinder.high
         if not low < high:
             raise place.fail("cylinder.high", f"is {high:g}; it must be above low, {low:g}")
-        found.append(move(at, cylinder(entry.cylinder.radius, low, high)))
+        found.append(apply(at, cylinder(entry.cylinder.radius, low, high)))
     if not found:
         raise place.fail("box", "is missing; give a box or a cylinder")
     return found

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from falsework.errors import CellError
+from falsework.geometry.arrays import apply
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.cells.moveit_files import JointLimits, excluded_pairs, group_states, read_joint_limits, read_srdf
 from falsework.robots.cells.urdf_meshes import collision_shapes
@@ -30,7 +31,7 @@ from falsework.robots.kernels.collision import Rules, check_many, make_query
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain, make_obstacles, self_pairs
 from falsework.robots.model.cell import CellRobot, Gripper
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
-from falsework.robots.model.shapes import Array, move, outer_hull
+from falsework.robots.model.shapes import Array, outer_hull
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.xml_text import read_xml_text
 from falsework.utils.lazy import importing
@@ -128,7 +129,7 @@ def _load(file: Path, base: str | None, tip: str | None, srdf: Path, limits_file
             left_out.append(name)
             continue
         carried[at[0]].append(name)
-        shapes[at[0]] += [replace(shape, vertices=move(at[1], shape.vertices)) for shape in shown]
+        shapes[at[0]] += [replace(shape, vertices=apply(at[1], shape.vertices)) for shape in shown]
         beside |= {joint.name: joint for joint in _above(name, below, frame_of)[0] if joint.type != "fixed"}
     if fault := coupling_fault(robot.joints, chain, beside):
         raise CellError(f"{file}: {fault}")

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from falsework.errors import CellError, InputError
+from falsework.geometry.arrays import apply
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
-from falsework.robots.model.shapes import Array, cylinder, move
+from falsework.robots.model.shapes import Array, cylinder
 
 _MESHES = (".stl", ".obj", ".dae", ".ply", ".off", ".glb", ".gltf")
 """Formats of meshes: archives among those that the library reads unpack to any size."""
@@ -44,7 +45,7 @@ def shape_mesh(file: Path, link: str, entry: Any) -> TriangleMesh:
         made = hull_mesh(_ball(shape.sphere.radius))
     else:
         made = _read_mesh(file, shape.mesh)
-    return replace(made, name=link, vertices=move(pose, made.vertices))
+    return replace(made, name=link, vertices=apply(pose, made.vertices))
 
 
 def _ball(radius: float) -> Array:
@@ -98,9 +99,9 @@ def colored_meshes(file: Path, link: str, entry: Any) -> list[tuple[TriangleMesh
             shape = scene.geometry[name]
             if len(getattr(shape, "faces", ())) == 0:
                 continue
-            points = move(np.asarray(at, float), np.asarray(shape.vertices, float))
+            points = apply(np.asarray(at, float), np.asarray(shape.vertices, float))
             whole = _scaled(found, points, np.asarray(shape.faces), scale)
-            made.append((replace(whole, name=link, vertices=move(pose, whole.vertices)), _own_color(shape.visual)))
+            made.append((replace(whole, name=link, vertices=apply(pose, whole.vertices)), _own_color(shape.visual)))
         if not made:
             raise InputError("it has no triangles")
     except Exception as error:

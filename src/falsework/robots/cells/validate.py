@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.errors import CellError
+from falsework.geometry.arrays import apply
 from falsework.robots.kernels.collision import distance_between
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.model.shapes import Array, Pieces, looking_down, move
+from falsework.robots.model.shapes import Array, Pieces, looking_down
 from falsework.robots.motion.collision_world import CollisionQuery, CollisionWorld, Scene
 from falsework.robots.motion.near_pairs import NearPair, near_pairs, separation
 from falsework.utils.quantity import format_quantity
@@ -172,7 +173,7 @@ def check_bases(cell: Cell, parts: PartShapes | None = None) -> None:
     stands = [(f"obstacle {obstacle.name}", obstacle.pieces) for obstacle in cell.obstacles]
     if parts is not None:
         stands += [(f"part {name}", pieces) for name, pieces in zip(parts.names, parts.pieces, strict=True)]
-    bases = [shrunk(tuple(move(robot.base, p) for p in robot.model.pieces[0])) for robot in cell.robots]
+    bases = [shrunk(tuple(apply(robot.base, p) for p in robot.model.pieces[0])) for robot in cell.robots]
     for index, (robot, base) in enumerate(zip(cell.robots, bases, strict=True)):
         others = [(f"the base of {cell.robots[k].name}", bases[k]) for k in range(index)]
         for name, pieces in (*stands, *others):

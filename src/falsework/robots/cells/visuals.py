@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import CellError
+from falsework.geometry.arrays import apply
 from falsework.geometry.mesh.mesh import TriangleMesh, joined_faces
 from falsework.robots.cells.urdf import carrier_of, parse_urdf
 from falsework.robots.cells.urdf_meshes import colored_meshes, hull_mesh
@@ -19,7 +20,7 @@ from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.kinematics.forward import link_poses
 from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.model.shapes import Array, Pieces, move
+from falsework.robots.model.shapes import Array, Pieces
 
 Color = tuple[float, float, float]
 
@@ -135,7 +136,7 @@ def _of_file(model: RobotModel) -> tuple[tuple[VisualShape, ...], ...]:
             for mesh, own in shapes:
                 vertices, faces = thinned(mesh.vertices, mesh.faces.astype(np.int64))
                 faces = seen_from_both_sides(faces)
-                moved = TriangleMesh.from_arrays(mesh.name, move(at[1], vertices), faces)
+                moved = TriangleMesh.from_arrays(mesh.name, apply(at[1], vertices), faces)
                 found[at[0]].setdefault(stated or own or PLAIN, []).append(moved)
     return tuple(
         tuple(_joined(meshes, color) for color, meshes in shapes.items()) or shapes_of(pieces)

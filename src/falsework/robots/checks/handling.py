@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import MultiPoint, Point, Polygon
 
+from falsework.geometry.arrays import apply
 from falsework.robots.checks.grips import GripChecker
 from falsework.robots.model.cell import LONGEST_APPROACH, LONGEST_WITHDRAWAL, Cell
 from falsework.robots.model.part_shapes import placed_move
-from falsework.robots.model.shapes import Array, inverse_pose, move
+from falsework.robots.model.shapes import Array, inverse_pose
 from falsework.robots.plans.loads import Load, load_of, loads_at, lying_motions, moved_aside
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.trajectory import line_fault, move_fault
@@ -94,7 +95,7 @@ class HandlingChecker:
         plan = self.plan
         flanges = [self.grips.judge.flange(robot, plan.keyframes[k].configurations[robot]) for k in (index, index + 1)]
         corners = self.grips.judge.parts.meshes[part].vertices
-        moved = move(flanges[1] @ inverse_pose(flanges[0]), corners)
+        moved = apply(flanges[1] @ inverse_pose(flanges[0]), corners)
         return float(np.linalg.norm(moved - corners, axis=1).max()) <= _AWAY
 
     def _no_place(self, robot: int, configuration: Array) -> str:
@@ -197,7 +198,7 @@ def hand_faults(plan: RobotPlan, index: int, grips: GripChecker) -> Iterator[str
 def _displaced(grips: GripChecker, part: int, there: Array, pose: Array, does: str) -> Iterator[str]:
     """Yield that a part is not where its robot has it, if it is not."""
     corners, name = grips.judge.parts.meshes[part].vertices, grips.judge.parts.names[part]
-    far = float(np.linalg.norm(move(there, corners) - move(pose, corners), axis=1).max())
+    far = float(np.linalg.norm(apply(there, corners) - apply(pose, corners), axis=1).max())
     if far > _NEAR:
         yield f"{name} {does} {1000 * far:.1f} mm away from where its robot has it"
 
@@ -226,7 +227,7 @@ def put_down_faults(
     other = judge.obstructs(Load(part, None, pose), present)
     if other is not None:
         yield f"{name} is put down in {other}", (f"part {name}", other)
-    why = unrest(move(pose, corners), move(pose, judge.parts.center[part : part + 1])[0], grips.cell.floor)
+    why = unrest(apply(pose, corners), apply(pose, judge.parts.center[part : part + 1])[0], grips.cell.floor)
     if why:
         yield f"{name} does not rest where it is put down: {why}", None
 

@@ -22,12 +22,13 @@ from typing import Any
 import numpy as np
 
 from falsework.assembly.state import REMOVED
+from falsework.geometry.arrays import apply
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.exports.bag_view import IDENTITY, WORLD, PlacedParts, write_view
 from falsework.robots.exports.controller import program_names
 from falsework.robots.exports.ros2 import NANO, all_joint_names, duration, joint_trajectory
 from falsework.robots.kinematics.forward import flange_pose
-from falsework.robots.model.shapes import inverse_pose, move
+from falsework.robots.model.shapes import inverse_pose
 from falsework.robots.plans.loads import Load, load_of, loads_at, moved_aside
 from falsework.robots.plans.robot_forces import TimedPress, flange_of
 from falsework.robots.plans.robot_plan import RobotPlan, RobotStep
@@ -185,7 +186,7 @@ def _attached(
         assert load.grip is not None
         entry, shape = placed.cell.robots[robot], placed.shapes.meshes[part]
         there = inverse_pose(flange_pose(entry.model, load.grip, entry.base)) @ load.pose
-        mesh = TriangleMesh(shape.name, move(there, shape.vertices), shape.faces)
+        mesh = TriangleMesh(shape.name, apply(there, shape.vertices), shape.faces)
     thing = _part(plan, part, _REMOVE if load is None else _ADD, flange, now, mesh)
     posture = {"header": _header(flange, now)}
     return [{"link_name": flange, "object": thing, "touch_links": [flange], "detach_posture": posture}]

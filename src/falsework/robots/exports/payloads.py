@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from falsework.assembly.model import Assembly
+from falsework.geometry.arrays import apply
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.cell import Cell, Gripper
 from falsework.robots.model.part_shapes import placed_mass
-from falsework.robots.model.shapes import Array, Pieces, inverse_pose, move, principal_axes, wxyz_of
+from falsework.robots.model.shapes import Array, Pieces, inverse_pose, principal_axes, wxyz_of
 from falsework.robots.plans.loads import load_of
 from falsework.robots.plans.robot_plan import RobotPlan
 
@@ -70,7 +71,7 @@ def part_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> PartLoads:
     placement, own = cell.placement, assembly.mass
     mass = placed_mass(assembly, placement)
     inertia = own.inertia * (mass / own.mass * placement.scale**2)[:, None, None]
-    center = move(placement.pose, placement.scale * own.center)
+    center = apply(placement.pose, placement.scale * own.center)
     found: PartLoads = {}
     for step, entry in enumerate(plan.steps):
         for number, motion in itertools.product(entry.robots, range(len(entry.trajectories))):
@@ -80,7 +81,7 @@ def part_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> PartLoads:
             robot, part = cell.robots[number], load.part
             to_flange = inverse_pose(flange_pose(robot.model, load.grip, robot.base)) @ load.pose
             turn = to_flange[:3, :3] @ placement.pose[:3, :3]
-            place = move(to_flange, center[part][None])[0]
+            place = apply(to_flange, center[part][None])[0]
             found[step, number, motion] = ToolLoad(float(mass[part]), place, turn @ inertia[part] @ turn.T)
     return found
 
@@ -89,7 +90,7 @@ def in_tool(load: ToolLoad, tool: Array) -> ToolLoad:
     """Return a load in the frame of a tool, which is given in the frame of the flange, shape (4, 4)."""
     back = inverse_pose(tool)
     turn = back[:3, :3]
-    return ToolLoad(load.mass, move(back, load.center[None])[0], turn @ load.inertia @ turn.T)
+    return ToolLoad(load.mass, apply(back, load.center[None])[0], turn @ load.inertia @ turn.T)
 
 
 def together(first: ToolLoad, second: ToolLoad) -> ToolLoad:

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD, REMOVED, States
+from falsework.geometry.arrays import apply
 from falsework.geometry.clearance.locked import PartSet
-from falsework.geometry.clearance.moves import ExitPath, PathMove, after, apply
+from falsework.geometry.clearance.moves import ExitPath, PathMove, after
 from falsework.geometry.clearance.protocol import Clearance
 from falsework.geometry.clearance.sweep import Sweeper, includes_one
 from falsework.geometry.clearance.table import ClearanceTable

@@ -14,12 +14,13 @@ from scipy.spatial import ConvexHull
 
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
+from falsework.geometry.arrays import apply
 from falsework.robots.cells.validate import overlap, shrunk
 from falsework.robots.grasping.grasp import grasps
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
-from falsework.robots.model.shapes import Array, move, pose
+from falsework.robots.model.shapes import Array, pose
 from falsework.robots.motion.collision_world import CollisionWorld, Scene, grasp_contact
 from falsework.utils.display.fonts import fitting_fonts
 from falsework.utils.lazy import importing
@@ -195,7 +196,7 @@ def _stands_free(cell: Cell, robot: int, base: Array, others: list[Array], stand
     apart = BASE_SPACING * cell.robots[robot].model.reach
     if any(np.linalg.norm(other[:2, 3] - base[:2, 3]) < apart for other in others):
         return False
-    own = shrunk(tuple(move(base, piece) for piece in cell.robots[robot].model.pieces[0]))
+    own = shrunk(tuple(apply(base, piece) for piece in cell.robots[robot].model.pieces[0]))
     return not any(overlap(a, b) for a in own for b in stands)
 
 
@@ -233,7 +234,7 @@ def draw_reach(cell: Cell, parts: PartShapes, table: ReachTable, path: Path) -> 
             axes.fill(*piece[ConvexHull(piece[:, :2]).vertices, :2].T, facecolor="none", edgecolor="0.3", hatch="///")
     for robot in cell.robots:
         for piece in robot.model.pieces[0]:
-            flat = move(robot.base, piece)[:, :2]
+            flat = apply(robot.base, piece)[:, :2]
             axes.fill(*flat[ConvexHull(flat).vertices].T, facecolor=(0.25, 0.27, 0.32), zorder=3)
         x, y = robot.base[:2, 3]
         turn = np.linspace(0, 2 * np.pi, 120)

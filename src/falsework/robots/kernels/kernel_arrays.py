@@ -8,10 +8,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import apply
 from falsework.robots.kernels.collision import Bodies, Chain, Obstacles
 from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.model.shapes import Array, Pieces, move, square_to
+from falsework.robots.model.shapes import Array, Pieces, square_to
 
 GROUP = 6
 """Obstacles per bounding box in the broad phase."""
@@ -72,7 +73,7 @@ def _arm_bodies(robot: CellRobot) -> tuple[Bodies, tuple[str, ...], tuple[int, .
     model, gripper = robot.model, robot.gripper.pieces
     joints, turn, named = model.joints, turns(model), (*model.link_names, "gripper")
     links = [(link, piece) for link, pieces in enumerate(model.pieces) for piece in pieces]
-    shapes = [move(np.swapaxes(turn[link - 1], 0, 1), piece) if link else np.array(piece) for link, piece in links]
+    shapes = [apply(np.swapaxes(turn[link - 1], 0, 1), piece) if link else np.array(piece) for link, piece in links]
     kinds = (*(link for link, _ in links), *[joints + 1] * len(gripper))
     bodies = _packed(model, [min(kind, joints) for kind in kinds], shapes + _mounted(model, gripper))
     return bodies, tuple(named[kind] for kind in kinds), kinds
@@ -81,7 +82,7 @@ def _arm_bodies(robot: CellRobot) -> tuple[Bodies, tuple[str, ...], tuple[int, .
 def _mounted(model: RobotModel, pieces: Pieces) -> list[Array]:
     """Return pieces given in the frame of the flange in the last rotated frame."""
     last = np.swapaxes(turns(model)[-1], 0, 1)  # a rotation: its inverse
-    return [move(last @ model.flange, piece) for piece in pieces]
+    return [apply(last @ model.flange, piece) for piece in pieces]
 
 
 def _packed(model: RobotModel, frames: Sequence[int], shapes: Sequence[Array]) -> Bodies:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from shapely import MultiPoint, Point, Polygon
 
+from falsework.geometry.arrays import apply
 from falsework.robots.grasping.grasp import Grasp
 from falsework.robots.kernels.collision import distance_between
 from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
@@ -18,7 +19,7 @@ from falsework.robots.keyframes.reaching import Reaching
 from falsework.robots.keyframes.withdrawal import lifted
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
-from falsework.robots.model.shapes import Array, inverse_pose, least_turn, move, move_pieces
+from falsework.robots.model.shapes import Array, inverse_pose, least_turn, move_pieces
 from falsework.robots.motion.collision_world import PUT_DOWN, Scene, grasp_contact
 
 _MOST_FACES = 6
@@ -225,7 +226,7 @@ class PuttingDown:
     def _fixed(self, scene: Scene, robot: int) -> list[Array]:
         """Return the pieces of all that stays where it is while a robot moves, with the base of that robot."""
         entry = self.cell.robots[robot]
-        return self.cache.view(scene, robot).obstacles + [move(entry.base, p) for p in entry.model.pieces[0]]
+        return self.cache.view(scene, robot).obstacles + [apply(entry.base, p) for p in entry.model.pieces[0]]
 
     def _is_free(self, part: int, pose: Array, fixed: Sequence[Array]) -> bool:
         """Return whether a part at a pose keeps the margin of free motions from fixed pieces."""

@@ -15,11 +15,12 @@ from scipy.spatial import ConvexHull
 
 from falsework.assembly.groups import groups_of
 from falsework.assembly.model import Assembly
-from falsework.geometry.clearance.moves import PathMove, apply
+from falsework.geometry.arrays import apply
+from falsework.geometry.clearance.moves import PathMove
 from falsework.geometry.mesh.bodies import merge_equal
 from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
 from falsework.robots.model.cell import Placement
-from falsework.robots.model.shapes import Array, Pieces, hull, move, move_pieces
+from falsework.robots.model.shapes import Array, Pieces, hull, move_pieces
 from falsework.utils.lazy import importing
 
 MAX_PIECES = 32
@@ -160,14 +161,14 @@ def place_parts(assembly: Assembly, placement: Placement = Placement(), *, toler
     """Place the parts of a structure in a cell; convex pieces may exceed them by a share, as of `convex_pieces`."""
     scale, world = placement.scale, placement.pose
     meshes = tuple(
-        TriangleMesh(mesh.name, np.ascontiguousarray(move(world, scale * mesh.vertices)), mesh.faces)
+        TriangleMesh(mesh.name, np.ascontiguousarray(apply(world, scale * mesh.vertices)), mesh.faces)
         for mesh in assembly.meshes
     )
     pieces = tuple(
         move_pieces(world, tuple(scale * piece for piece in convex_pieces(mesh, tolerance))) for mesh in assembly.meshes
     )
     mass = placed_mass(assembly, placement)
-    center = move(world, scale * assembly.mass.center)
+    center = apply(world, scale * assembly.mass.center)
     for array in (mass, center):
         array.setflags(write=False)
     groups = groups_of(assembly)

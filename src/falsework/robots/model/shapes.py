@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from falsework.errors import InputError
+from falsework.geometry.arrays import apply
 
 Array = NDArray[np.float64]
 Pieces = tuple[Array, ...]
@@ -78,14 +79,9 @@ def hull(points: ArrayLike) -> Array:
         ) from None
 
 
-def move(pose: Array, vertices: Array) -> Array:
-    """Return vertices transformed by a pose, shapes (4, 4) and (vertices, 3)."""
-    return vertices @ pose[:3, :3].T + pose[:3, 3]
-
-
 def move_pieces(pose: Array, pieces: Pieces) -> Pieces:
     """Return pieces transformed by a pose, shape (4, 4)."""
-    return tuple(_frozen(move(pose, piece)) for piece in pieces)
+    return tuple(_frozen(apply(pose, piece)) for piece in pieces)
 
 
 def pose(position: ArrayLike = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from falsework.errors import InputError
+from falsework.geometry.arrays import apply
 from falsework.robots.kernels.collision import CLEAR, Bodies, Query, Rules, check_many, distance_between, make_query
 from falsework.robots.kernels.kernel_arrays import make_bodies, make_chain, make_obstacles, self_pairs
 from falsework.robots.kernels.rrt_connect import edges_free
@@ -18,7 +19,7 @@ from falsework.robots.kinematics.forward import flange_pose, placed_bodies
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
 from falsework.robots.model.robot_model import RobotModel
-from falsework.robots.model.shapes import Array, Pieces, inverse_pose, move
+from falsework.robots.model.shapes import Array, Pieces, inverse_pose
 
 NO_FLOOR = -1e9
 """Height of the floor of a cell without one, metres: below everything."""
@@ -227,7 +228,7 @@ class CollisionWorld:
     def _static(self) -> tuple[tuple[str, Pieces], ...]:
         """Bases of robots and obstacles, in the world frame."""
         found = [
-            (f"{robot.name} {robot.model.link_names[0]}", tuple(move(robot.base, p) for p in robot.model.pieces[0]))
+            (f"{robot.name} {robot.model.link_names[0]}", tuple(apply(robot.base, p) for p in robot.model.pieces[0]))
             for robot in self.cell.robots
         ]
         return (*found, *((obstacle.name, obstacle.pieces) for obstacle in self.cell.obstacles))
@@ -247,7 +248,7 @@ class CollisionWorld:
     def carried(self, robot: int, held: Attached) -> Pieces:
         """Return the pieces of a load of a robot, in the frame of the flange."""
         pose = self.cell.robots[robot].gripper.tool @ held.tool_from_part
-        return tuple(move(pose, piece) for piece in self.parts.pieces[held.part])
+        return tuple(apply(pose, piece) for piece in self.parts.pieces[held.part])
 
     def robot_pieces(self, robot: int, scene: Scene) -> list[tuple[str, int, Array]]:
         """Return all moving pieces of a robot in the world: name, link (gripper joints + 1, part + 2), vertices."""
@@ -276,7 +277,7 @@ class CollisionWorld:
         """Return the distance between a gripper and a part in place, metres; 0 where they touch."""
         entry = self.cell.robots[robot]
         flange = flange_pose(entry.model, configuration, entry.base)
-        placed = [move(flange, piece) for piece in entry.gripper.pieces]
+        placed = [apply(flange, piece) for piece in entry.gripper.pieces]
         return min((float(distance_between(a, b)) for a in placed for b in self.parts.pieces[part]), default=np.inf)
 
     def view(
@@ -310,7 +311,7 @@ class CollisionWorld:
         for part in np.flatnonzero(scene.present).tolist():
             stands.append((f"part {self.parts.names[part]}", part, self.parts.pieces[part]))
         for part, pose in scene.elsewhere:
-            pieces = tuple(move(pose, piece) for piece in self.parts.pieces[part])
+            pieces = tuple(apply(pose, piece) for piece in self.parts.pieces[part])
             stands.append((f"part {self.parts.names[part]}", part, pieces))
         obstacles, owner = make_obstacles([pieces for _, _, pieces in stands])
         links, owners = np.array(kinds), np.array([part for _, part, _ in stands], np.int64)[owner]

@@ -12,10 +12,11 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import HELD
 from falsework.errors import PlanError
+from falsework.geometry.arrays import apply
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.cell_holds import CellScale
-from falsework.robots.model.shapes import Array, inverse_pose, move
+from falsework.robots.model.shapes import Array, inverse_pose
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_plan import RobotPlan, acts
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
@@ -115,7 +116,7 @@ def timed_presses(plan: RobotPlan, assembly: Assembly, cell: Cell, graph: Tempor
         return ()
     plan.check_identity(assembly, cell)
     scale, placement, holds = CellScale.from_cell(assembly, cell), cell.placement, plan.plan.claim.holds
-    turn, centers = placement.pose[:3, :3], move(placement.pose, placement.scale * assembly.mass.center)
+    turn, centers = placement.pose[:3, :3], apply(placement.pose, placement.scale * assembly.mass.center)
     stiffness = scale.stiffness * min(holds.stiffness, PRESS_STIFFNESS)
     starts, released = graph.starts(), event_times(plan, graph)
     found = []
@@ -201,7 +202,7 @@ def grip_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[GripLoad
     """
     plan.check_identity(assembly, cell)
     placement, scale = cell.placement, CellScale.from_cell(assembly, cell)
-    turn, center = placement.pose[:3, :3], move(placement.pose, placement.scale * assembly.mass.center)
+    turn, center = placement.pose[:3, :3], apply(placement.pose, placement.scale * assembly.mass.center)
 
     def load(keyframe: int, robot: int, part: int, *wrenches: Array, **more: bool) -> GripLoad:
         tool = tool_pose(cell.robots[robot], plan.keyframes[keyframe].configurations[robot])[:3, 3]

@@ -7,7 +7,8 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import REMOVED, Mask, States
 from falsework.errors import AssemblyError, InputError
-from falsework.geometry.clearance.moves import Poses, apply
+from falsework.geometry.arrays import apply
+from falsework.geometry.clearance.moves import Poses
 from falsework.geometry.contact.interfaces import find_contacts
 from falsework.geometry.mesh.mesh import TriangleMesh, mass_properties
 from falsework.search.problem.oracle import Oracle

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
-from falsework.geometry.arrays import box_around
-from falsework.geometry.clearance.moves import apply
+from falsework.geometry.arrays import apply, box_around
 from falsework.robots.cells.cell_file import builtin_cells, load_faulty_cell
 from falsework.robots.cells.urdf_meshes import hull_mesh
 from falsework.robots.cells.validate import check_cell, no_parts

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.state import REMOVED, States
 from falsework.errors import InputError
-from falsework.geometry.arrays import box_around
-from falsework.geometry.clearance.moves import apply
+from falsework.geometry.arrays import apply, box_around
 from falsework.search.plans.steps import NO_ROBOT, no_such_step
 from falsework.search.problem.task import Direction
 from falsework.utils.display.fonts import font_file
