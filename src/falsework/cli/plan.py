@@ -204,8 +204,9 @@ class MakePlan(Command):
             stronger = self.maximise_margin is not None and planning.found
             saved = f"{'a stronger plan may exist; ' * stronger}the same command begins anew"
         if planning.found:
-            spent = result.seconds, result.counters.asked
-            self._report(self._save(planning.plans), planning.alternatives, *spent, output)
+            seconds, asked = result.seconds, result.counters.asked
+            output.record({"verdicts": asked, "seconds": seconds})
+            self._report(self._save(planning.plans), planning.alternatives, seconds, asked, output)
             if result.interrupted:
                 output.note(f"{cut}; {saved}")
             first = planning.plans[0]
@@ -258,10 +259,11 @@ class MakePlan(Command):
         assembly = self.task.with_places(self.structure.load())
         output.record(settlement_record(assembly))
         stability = self.holds.settings(self.criterion, self.cone, self.solver)
-        demanding = MarginOracle(assembly, stability, demands) if demands else None
-        task = make_task(assembly, max(assembly.part_count, 1), **self.task.rules(assembly))
-        if demanding is not None and refuse_weak_end(demanding, task, output):
-            return Exit.NO
+        demanding, rules = MarginOracle(assembly, stability, demands) if demands else None, self.task.rules(assembly)
+        if demanding is not None:
+            task = make_task(assembly, max(assembly.part_count, 1), **rules)
+            if refuse_weak_end(demanding, task, output):
+                return Exit.NO
         with output.search_progress() as show:
             answer = min_robots(
                 assembly,
@@ -271,7 +273,7 @@ class MakePlan(Command):
                 deadline=self.deadline,
                 progress=show,
                 forces=self.proofs,
-                **self.task.rules(assembly),
+                **rules,
             )
         code = report(answer, stability.reserve, output, judged=self.judge)
         if answer.plan is not None:
@@ -352,7 +354,6 @@ class MakePlan(Command):
             if alternatives is not None and self.alternatives > 1:
                 record["distances"] = [round(float(distance), 4) for distance in alternatives.distance[number]]
             output.row("plans", record)
-        output.record({"verdicts": asked, "seconds": seconds})
         path, first = plans[0]
         output.say(
             f"{path}: {counted(len(first), 'step')} with {counted(first.robots, 'robot')}, every state proven "
