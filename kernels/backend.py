@@ -5,7 +5,6 @@ An editable installation builds nothing: `make kernels` makes the archive there,
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import tomllib
@@ -25,6 +24,9 @@ __all__ = [
 ]
 
 ROOT = Path(__file__).resolve().parents[1]
+RUN = "import runpy, sys; sys.path.insert(0, sys.argv.pop(1)); runpy.run_path(sys.argv.pop(1), run_name='__main__')"
+"""Program that runs a script with a folder to import from. `PYTHONPATH` does not do: where that folder is installed as
+editable, pip takes it out of the paths of the interpreter."""
 
 
 def get_requires_for_build_wheel(config_settings: dict[str, Any] | None = None) -> list[str]:
@@ -35,6 +37,5 @@ def get_requires_for_build_wheel(config_settings: dict[str, Any] | None = None) 
 
 def build_wheel(folder: str, config_settings: dict[str, Any] | None = None, metadata: str | None = None) -> str:
     """Build a wheel with an archive that fits its sources; return its name."""
-    source = os.pathsep.join([str(ROOT / "src"), *filter(None, [os.environ.get("PYTHONPATH")])])
-    subprocess.run([sys.executable, ROOT / "kernels/archive.py"], check=True, env={**os.environ, "PYTHONPATH": source})
+    subprocess.run([sys.executable, "-c", RUN, ROOT / "src", ROOT / "kernels/archive.py"], check=True)
     return hatchling.build.build_wheel(folder, config_settings, metadata)

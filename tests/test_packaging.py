@@ -50,15 +50,21 @@ def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def wheel(sdist: Path, tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
-    """The wheel that a build frontend builds from the sdist, with the archive of kernels that is made already."""
+    """The wheel that a build frontend builds from the sdist, with the archive of kernels that is made already.
+
+    As pip does where the package is installed as editable, its folder is taken out of `sys.path`.
+    """
     if not ARCHIVE.path.is_file():
         pytest.skip("no archive of kernels here: make kernels")
     source = shutil.copytree(sdist, tmp_path_factory.mktemp("source") / sdist.name)
     shutil.copy(ARCHIVE.path, source / "src/falsework")
-    folder = tmp_path_factory.mktemp("wheel")
+    folder, site = tmp_path_factory.mktemp("wheel"), tmp_path_factory.mktemp("site")
+    editable = "import os, sys\nsys.path = [path for path in sys.path if not os.path.isdir(f'{path}/falsework')]\n"
+    (site / "sitecustomize.py").write_text(editable)
     options = ["--no-build-isolation", "--no-deps", "--no-index", "--wheel-dir", str(folder)]
     command = [sys.executable, "-m", "pip", "wheel", *options, str(source)]
-    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    environment = os.environ | {"PYTHONPATH": str(site)}
+    subprocess.run(command, check=True, capture_output=True, timeout=120, env=environment)
     return zipfile.ZipFile(next(folder.iterdir()))
 
 
