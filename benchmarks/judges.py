@@ -45,7 +45,7 @@ from states import REAL, find
 from falsework import Assembly, Plan, PlannerSettings, StabilityOracle, find_plans, load_structure, make_task
 from falsework.assembly import HELD, complete_state
 from falsework.search.find import PLANS
-from falsework.stability.contact.varied_replay import DRAWS, replay_varied
+from falsework.stability.contact.varied_replay import MANY, replay_varied
 from falsework.stability.judges.discrete_elements import DiscreteElementSettings
 from falsework.stability.stiffness import normal_stiffness
 
@@ -80,8 +80,8 @@ class Options:
     """Of builds: steps after which discrete elements leave a state undecided."""
     robust: bool = False
     """Search for plans whose replay succeeds under varied settings too."""
-    draws: int = DRAWS
-    """Random states of friction at the start of a replay."""
+    changes: int = MANY
+    """Changes of settings under which a plan is replayed."""
     lmgc90: int = 0
     """Largest number of states of a plan for LMGC90; each takes a second to a minute."""
     scenes: int = 1000
@@ -114,7 +114,7 @@ def plans(options: Options) -> Iterator[dict[str, Any]]:
             continue
         states, presses, replayer = found[0].states, found[0].presses_before, oracle.replayer
         assert replayer is not None
-        varied = replay_varied(replayer, states, presses, draws=options.draws)
+        varied = replay_varied(replayer, states, presses, count=options.changes)
         row |= {
             "states": len(states),
             "replay": _count(replayer.replay(states, presses=presses).stands),

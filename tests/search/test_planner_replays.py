@@ -18,11 +18,10 @@ from falsework.errors import InputError
 from falsework.search import BeamSearch, BeamSettings
 from falsework.search.planner import Planner
 from falsework.search.problem.deadline import Deadline
-from falsework.search.problem.result import Stop
+from falsework.search.problem.result import SearchProgress, Stop
 from falsework.search.problem.timed_replayer import DeadlineReplayer
-from falsework.search.strategies import Repair
 from falsework.stability.contact.history import Change, History, Replay, ReplaySettings
-from falsework.stability.contact.varied_replay import MORE_RESERVE, AllVariations, changed, variations
+from falsework.stability.contact.varied_replay import FEW, MANY, AllVariations, variations
 from falsework.stability.judges import discrete_elements
 from falsework.stability.judges.judgement import Judgement
 from falsework.stability.verdict import Verdict, Verdicts
@@ -329,15 +328,16 @@ def test_a_robust_route_avoids_what_falls_under_a_variation(rules: Any, directio
         assert (falls is None) == robust
 
 
-def test_a_change_under_which_a_route_falls_is_tried_at_every_step_from_then_on(rules: Any) -> None:
-    """With the others of its kind; another test of plans begins without them."""
+@pytest.mark.parametrize("count", [FEW, MANY])
+def test_where_a_route_falls_every_step_is_tried_under_changes_from_then_on(rules: Any, count: int) -> None:
+    """Under all four that have every extreme together; another test of plans begins without them."""
     task, oracle = tower(rules, set())
     states = Planner(task, oracle).run().routes[0].states[::-1]
     replayer: Any = RuleReplayer(set(), {tuple(states[3].tolist())})
-    every, presses = AllVariations(replayer), [()] * len(states)
+    every, presses = AllVariations(replayer, count), [()] * len(states)
     assert every.falls_at(states, presses) == 3
-    assert [change.name for change in replayer.changes] == ["thicker medium", "thinner medium"]
-    AllVariations(replayer)
+    assert list(replayer.changes) == variations(4)
+    AllVariations(replayer, count)
     assert replayer.changes == ()
 
 
@@ -354,7 +354,7 @@ def test_a_search_goes_on_under_the_change_that_it_learned(rules: Any, direction
     assert result.found
     assert middle not in set(map(tuple, result.routes[0].states.tolist()))
     assert planner.tests.replays[result.routes[0].states.tobytes()].varied
-    assert oracle.replayer.changes[0].name == "thicker medium"
+    assert list(oracle.replayer.changes) == variations(FEW)
 
 
 def test_a_route_is_replayed_under_changes_from_where_it_differs_from_the_last(
@@ -375,7 +375,7 @@ def test_a_route_is_replayed_under_changes_from_where_it_differs_from_the_last(
     late, last = tuple(states[-2].tolist()), states.copy()
     last[-2] = last[-1]
     replayer: Any = RuleReplayer(set(), {late})
-    every = AllVariations(replayer)
+    every = AllVariations(replayer, MANY)
     assert every.falls_at(states, presses) == len(states) - 2
     assert sum(begun) > 1
     begun.clear()
@@ -393,7 +393,7 @@ def test_a_search_goes_back_to_where_its_plan_fell_under_a_change(rules: Any) ->
     oracle.replayer = RuleReplayer(set(), {tuple(states[late].tolist())})
     oracle.replayer.settings = StabilitySettings(reserve=1.1)
     found = Planner(task, oracle, settings).run().routes[0].states[::-1]
-    assert oracle.replayer.changes[0].name == "thicker medium"
+    assert list(oracle.replayer.changes) == variations(FEW)
     np.testing.assert_array_equal(found[: late - 1], states[: late - 1])
 
 
@@ -402,7 +402,7 @@ def test_a_search_goes_back_to_where_its_plan_fell_under_a_change(rules: Any) ->
 def test_resuming_forgets_nothing_that_a_search_has_learned(
     rules: Any, tmp_path: Path, directions: tuple[Direction, ...], varied: bool
 ) -> None:
-    """Neither the states that replays exclude, nor changes of settings, nor how long the way back may take."""
+    """Neither the states that replays exclude, nor changes of settings."""
     settings, path = PlannerSettings(directions=directions), tmp_path / "planner.npz"
     task, oracle = tower(rules, set())
     seen: set[tuple[int, ...]] = set()
@@ -441,42 +441,28 @@ def halting(levels: int) -> Stop:
     return lambda: next(calls, None) is None
 
 
-def test_a_search_begins_anew_where_it_finds_no_way_on_in_time(rules: Any) -> None:
-    """It may take as long as what leads to the fall took."""
-    search: Any = SimpleNamespace(effort=80.0, level=30, steps=40, back=[])
-    search.go_back = search.back.append
-    repair = Repair()
-    assert not repair.is_over(search)
-    state = np.ones(3, np.uint8)
-    repair.begin(search, state)
-    assert search.back == [state]
-    search.effort = 140.0
-    assert not repair.is_over(search)
-    search.effort = 141.0
-    assert repair.is_over(search)
-    search.level = 10
-    repair.begin(search, state)  # the first plan took 80
-    search.effort = 161.0
-    assert not repair.is_over(search)
-    search.effort = 162.0
-    assert repair.is_over(search)
-
-
-def test_a_search_that_begins_anew_tries_more_reserve_too(rules: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Once, and beside the change that it learned; a plan need not stand under it."""
-    task, oracle = tower(rules, set())
+def test_what_is_built_is_tested_before_the_plan_is_complete(rules: Any) -> None:
+    """A fall near the beginning costs nothing that comes after it."""
     settings = PlannerSettings(directions=(Direction.ASSEMBLY,))
-    oracle.replayer = RuleReplayer(set(), {middle_state(task, oracle, settings)})
+    oracle, _ = rules.random(3, 40)
+    oracle.supports = [[frozenset()] for _ in range(40)]
+    task = Task.from_rules(rules.ground(40), 2)
+    oracle.replayer = RuleReplayer(set())
+    states = Planner(task, oracle, settings).run().routes[0].states[::-1]
+    built = (states == 1).sum(axis=1)
+    early = next(row for row in range(5, len(states)) if built[row] > built[row - 1])
+    oracle.replayer = RuleReplayer(set(), {tuple(states[early].tolist())})
     oracle.replayer.settings = StabilitySettings(reserve=1.1)
-    monkeypatch.setattr(Repair, "is_over", lambda self, search: self.due is not None)  # as soon as it goes back
+    learned: list[int] = []
     planner = Planner(task, oracle, settings)
-    assert planner.run().found
-    learned = [change.name for change in oracle.replayer.changes]
-    assert learned == ["thicker medium", "thinner medium", MORE_RESERVE.name]
-    planner.tests.strengthen()
-    assert len(oracle.replayer.changes) == 3
-    assert MORE_RESERVE not in variations(oracle.replayer.settings, 20)
-    assert changed(MORE_RESERVE, oracle.replayer.settings)[0].reserve == pytest.approx(1.155)
+
+    def progress(event: SearchProgress) -> None:
+        if oracle.replayer.changes:
+            learned.append(event.level)
+
+    assert planner.run(progress=progress).found
+    assert learned[0] <= early
+    assert len(learned) >= len(states) - early
 
 
 def test_a_route_that_stands_is_announced_once(rules: Any) -> None:

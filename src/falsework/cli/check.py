@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from falsework.stability.contact.history import Replay
     from falsework.stability.settings import StabilitySettings
 
-_DRAWS = 4
-"""Random initial friction states under which a plan is replayed."""
 _NAMED = 4
 """Boundary parts that are named; the rest is counted."""
 
@@ -225,7 +223,7 @@ class CheckPlan(JudgingCommand):
         """Replay under the settings, then under varied ones; return whether the plan succeeds."""
         from falsework.search.plans.plan_report import describe_place
         from falsework.stability.contact.replay import Replayer
-        from falsework.stability.contact.varied_replay import replay_varied
+        from falsework.stability.contact.varied_replay import FEW, replay_varied
 
         settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds.within(settings.holds))
         replayer = Replayer(assembly, settings)
@@ -241,7 +239,7 @@ class CheckPlan(JudgingCommand):
         if denied:
             output.note(f"falsework: {self.plan}: the plan says of its replay {denied}, which is not so; plan again")
             return False
-        varied = replay_varied(replayer, plan.states, plan.presses_before, draws=_DRAWS)
+        varied = replay_varied(replayer, plan.states, plan.presses_before, count=FEW)
         failed = [case for case in varied if not case.good]
         output.record(
             {

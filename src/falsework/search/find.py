@@ -86,10 +86,10 @@ def find_plans(
         robots: parts that can be held at a time; 2 where no task says it.
         oracle: decides stability; pass an existing one to reuse its cache.
         stability: criterion, reserve and robots, where no oracle is given. Where no plan keeps the reserve, half of the
-            deadline is left to search for one that comes to rest under the true friction; `Plan.claim` has its reserve.
-            So too where the judge of `settings` accepts none; if that finds none either, the first plan is returned.
-            Where none stands under every change of settings by the deadline, one that stands without is returned; see
-            `PlanReplay.varied`.
+            deadline is left to search for a weaker one: first one with the reserve that falls under changed settings,
+            if that is what others do (`PlanReplay.varied`), then one that comes to rest under the true friction
+            (`Plan.claim` has its reserve). So too where the judge of `settings` accepts none; if no search after it
+            finds one that it accepts, the first plan is returned.
         settings: effort of the search, and number of plans.
         guide: scores actions; by default parts with much support are inserted first, and in shells the free edges,
             where `SupportGuide.edges_first` has them of use.
@@ -126,13 +126,25 @@ def find_plans(
     if oracle is not None:
         return _find(assembly, task, oracle, clock, checkpoint, *more)
     first = StabilityOracle(assembly, stability)
-    again = stability.reserve > 1.0 and first.replayer is not None
-    if again and clock.limited:
-        clock.reserve = FIRST_SHARE * clock.left
-    found = _find(assembly, task, first, clock, checkpoint, *more)
-    clock.use_reserve()
-    good = found.accepted or (found.found and not settings.judge)
-    if good or not again or clock.passed or (found.result.interrupted and not found.deadline_passed):
+    if first.replayer is None or stability.reserve <= 1.0:
+        return _find(assembly, task, first, clock, checkpoint, *more)
+
+    def over(found: Planning) -> bool:
+        good = found.accepted or (found.found and not settings.judge)
+        return good or clock.passed or (found.result.interrupted and not found.deadline_passed)
+
+    def ahead(found: Planning | None) -> Planning:
+        if clock.limited:
+            clock.reserve = FIRST_SHARE * clock.left
+        other = _find(assembly, task, first, clock, None if found else checkpoint, *more)
+        clock.use_reserve()
+        return found if found and found.found and not other.accepted else other
+
+    found = ahead(None)
+    if first.replayer.changes and not over(found):
+        first.replay_alone()
+        found = ahead(found)
+    if over(found):
         return found
     weaker = StabilityOracle(assembly, replace(stability, reserve=1.0))
     other = _find(assembly, task, weaker, clock, None, *more)

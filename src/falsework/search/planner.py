@@ -29,11 +29,12 @@ from falsework.search.problem.result import (
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
-from falsework.search.strategies import EDGES, TOGETHER, Pace, Portfolio, Repair, Turn, regrasps, start
+from falsework.search.strategies import EDGES, TOGETHER, Pace, Portfolio, Turn, regrasps, start
+from falsework.stability.contact.varied_replay import part_length
 from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
-FORMAT = "falsework.planner/14"
+FORMAT = "falsework.planner/15"
 
 MOST_FALLS = 64
 """Routes of one search, or plans with motions, whose replay may fail before it is given up."""
@@ -69,7 +70,7 @@ class Planner:
         """
         self.regrasps, self.together = regrasps(task, settings), task.together is not None
         """Whether plans may hold parts again, and whether steps may move several parts."""
-        self._pace, self._repair = Pace(lambda: len(self._left) > 1), Repair()
+        self._pace = Pace(lambda: len(self._left) > 1)
         self.task = task.judged_by(oracle)
         self.settings = settings
         self.routes: list[Route] = []
@@ -192,7 +193,6 @@ class Planner:
             "numbers": [getattr(self, name) for name in _NUMBERS],
             "counters": vars(self._counters),
             "seconds": self._seconds,
-            "repair": vars(self._repair),
             "tests": tests,
             "beams": beams,
         }
@@ -230,7 +230,7 @@ class Planner:
         for name, number in zip(_NUMBERS, header["numbers"], strict=True):
             setattr(self, name, int(number))
         self._turns = {name: Turn(**turn) for name, turn in header["turns"].items()}
-        self._counters, self._repair = SearchCounters(**header["counters"]), Repair(**header["repair"])
+        self._counters = SearchCounters(**header["counters"])
         self.tests.restore(header["tests"], arrays)
         self._seconds, self.states = float(header["seconds"]), arrays["states"]
         rows = arrays["routes"].reshape(-1, self.task.steps + 1, self.task.part_count)
@@ -247,23 +247,24 @@ class Planner:
         if name not in self._beams:
             rules = self.task.postpone(self._trial), self._oracle, portfolio, self.settings.seed
             self._beams[name] = start(name, *rules, self.beam_guide)
-        beam, turn, paused, late = self._beams[name], self._turns.setdefault(name, Turn()), False, False
+        beam, turn, paused, due = self._beams[name], self._turns.setdefault(name, Turn()), False, False
         others = [self._beams[other].work for other in self._left if other in self._beams and other != name]
         least = min(filter(None, others), default=np.inf)
 
         def halt() -> bool:
-            nonlocal paused, late
+            nonlocal paused, due
             turn.note(beam, portfolio.narrowest)
-            late, paused = self._repair.is_over(beam), portfolio.is_over(self._round, turn, beam.work, least)
-            return late or paused or (stop is not None and stop())
+            paused = portfolio.is_over(self._round, turn, beam.work, least)
+            due = self.tests.slow and beam.level >= turn.tested + part_length(beam.steps)
+            return due or paused or (stop is not None and stop())
 
         with self._pace.turn(self._round):
             result = self._last[name] = beam.run(portfolio.widest, progress=report, stop=halt)
         if result.found and not result.interrupted:
             self._test(beam, result, stop)
-        elif late:
-            self._drop_beams()
-            self.tests.strengthen()
+        elif due:
+            self.tests.test_so_far(beam)
+            turn.tested = beam.level
         elif paused or self._pace.over:
             self._turn, turn.owed = self._turn + 1, 0.0
         elif result.interrupted:
@@ -278,7 +279,6 @@ class Planner:
         """Forget the beams of a search that is over, but not the work that they did."""
         self._counters = self.counters
         self._beams, self._turns, self._last = {}, {}, {}
-        self._repair = Repair()
         self._left, self._round, self._turn, self._falls = list(self._portfolio.names), 0, 0, 0
 
     def _give_up(self) -> bool:
@@ -296,7 +296,7 @@ class Planner:
         falls = self._falls + 1
         if not self.tests.passes(route, beam.replay_summary(), stop):
             if self.tests.again is not None:
-                self._repair.begin(beam, self.tests.again)
+                beam.go_back(self.tests.again)
             elif falls < MOST_FALLS:
                 beam.forbid(self.tests.forbidden)
             else:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from falsework.assembly.state import States, held_count
+from falsework.assembly.state import held_count
 from falsework.errors import InputError
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import WIDENING, BeamSettings
@@ -51,32 +51,14 @@ class Turn:
     """Farthest level."""
     owed: float = 0.0
     """Verdicts of this turn that new levels do not make up for."""
+    tested: int = 0
+    """Level up to which what it has built was tested."""
 
     def note(self, search: Search, width: int) -> None:
         """Note how far the search of the strategy is now, whose beams began with some width."""
         worth = _LEVEL_WORTH * width * max(search.level - self.level, 0)
         self.owed = max(self.owed + search.effort - self.asked - worth, 0.0)
         self.asked, self.level = search.effort, max(search.level, self.level)
-
-
-@dataclass
-class Repair:
-    """Effort within which a search that goes back to where its plan fell must find another, or begin anew."""
-
-    whole: float = 0.0
-    """Of the first plan."""
-    due: float | None = None
-    """Effort of the search from which on it takes too long; None before a plan fell."""
-
-    def begin(self, search: Search, state: States) -> None:
-        """Have a search go back to where its plan fell; it may take as long as what leads there would take anew."""
-        search.go_back(state)
-        self.whole = self.whole or search.effort
-        self.due = search.effort + self.whole * search.level / search.steps
-
-    def is_over(self, search: Search) -> bool:
-        """Return whether the search takes too long."""
-        return self.due is not None and search.effort > self.due
 
 
 class Pace:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from falsework.stability import HoldSettings
 from falsework.stability.contact.history import Change, Presses
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.varied_replay import (
+    MANY,
     EnsembleReplayer,
     changed,
     inexact,
@@ -30,7 +32,7 @@ def planned(assembly: Assembly, seed: int, reserve: float) -> Plan:
 
 def members(replayer: Replayer, plan: Plan) -> list[tuple[Change, Replayer, Presses]]:
     """Return a replayer for each change, and the presses that err as it says."""
-    changes = variations(replayer.settings, 2, plan.presses_before)
+    changes = variations(5)
     return [
         (change, replayer.vary(*changed(change, replayer.settings)), inexact(change, plan.presses_before))
         for change in changes
@@ -90,8 +92,9 @@ def test_a_first_state_that_falls_under_a_change_ends_the_replay() -> None:
     states = np.array([[1, 1, 2, 0, 2, 1, 1, 2, 2], [1, 1, 2, 2, 2, 1, 1, 2, 2]], dtype=np.uint8)
     ensemble = EnsembleReplayer(assembly, settings)
     assert ensemble.replay(states).good
-    softer = Change("softer", hold_factor=1 / 3)
-    ensemble.also_under([softer, *variations(settings, 1)])
+    softer, stiffer = variations(2)
+    assert (softer.hold_factor, stiffer.hold_factor) == (1 / 3, 3.0)
+    ensemble.also_under([softer, stiffer])
     found = ensemble.replay(states)
     assert (found.falls_at, found.histories, found.presses) == (0, (), ())
 
@@ -100,7 +103,7 @@ def test_a_history_of_one_setting_goes_on_under_it_alone() -> None:
     assembly = load_structure("arch:blocks=7")
     plan = planned(assembly, 0, 1.1)
     plain, ensemble = Replayer(assembly, CONTACT), EnsembleReplayer(assembly, CONTACT)
-    ensemble.also_under(variations(CONTACT, 0))
+    ensemble.also_under(variations(1))
     history = plain.replay(plan.states[:5]).histories[-1]
     found = ensemble.replay(plan.states[4:], history)
     assert found.good
@@ -113,7 +116,7 @@ def test_a_path_goes_on_under_a_change_that_is_learned_on_the_way() -> None:
     plan = planned(assembly, 0, 1.1)
     ensemble, whole = (EnsembleReplayer(assembly, CONTACT) for _ in range(2))
     paths = PathHistories(ensemble, lambda row: row - 1 if row else None, lambda row: plan.states[row])
-    learned = variations(CONTACT, 1)[::3]
+    learned = variations(4)
     history = None
     for row in range(1, len(plan.states)):
         history = paths.step(row - 1, plan.states[row])
@@ -140,4 +143,22 @@ def test_a_plan_with_a_reserve_stands_under_every_change() -> None:
         assert plan.replay.varied == (reserve > 1.0)
         if reserve > 1.0:
             replayer = Replayer(assembly, replace(CONTACT, holds=plan.claim.holds))
-            assert all(case.good for case in replay_varied(replayer, plan.states, plan.presses_before, draws=2))
+            assert all(case.good for case in replay_varied(replayer, plan.states, plan.presses_before, count=8))
+
+
+def test_changes_have_every_pair_of_extremes() -> None:
+    """All four of each pair of settings in the first eight, of all but one pair in four; sixteen have them all."""
+    changes = variations(MANY)
+    assert len(set(changes)) == len({change.name for change in changes}) == MANY
+
+    def extremes(change: Change) -> tuple[float, ...]:
+        return change.ratio, change.replay.increments, change.replay.first_step, change.hold_factor
+
+    assert len({extremes(change) for change in changes[:16]}) == 16
+    for first in range(0, 16, 4):
+        four = changes[first : first + 4]
+        assert {change.press for change in four} == set(range(4))
+        pairs = [{(extremes(change)[a], extremes(change)[b]) for change in four} for a, b in combinations(range(4), 2)]
+        assert [len(pair) for pair in pairs] == [4, 4, 4, 4, 4, 2]
+    assert len({extremes(change)[2:] for change in changes[:8]}) == 4
+    assert len({change.replay.seed for change in changes}) == MANY

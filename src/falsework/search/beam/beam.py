@@ -27,6 +27,7 @@ from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import REPORTED_STATES, Outcome, Route, SearchCounters, beam_failure
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
+from falsework.stability.contact.history import Presses
 
 _ONCE = "each part was held once; parts that are let go of and held again may lead on"
 """Caveat where the task allows that: levels are steps done, which a repeated hold takes back."""
@@ -143,6 +144,10 @@ class BeamSearch(Search):
     def replay_summary(self) -> PlanReplay | None:
         """See `Search.replay_summary`."""
         return self._paths.summary() if self.found else None
+
+    def built(self) -> tuple[States, Presses] | None:
+        """See `Search.built`."""
+        return self._paths.built()
 
     def forbid(self, states: States) -> None:
         """See `Search.forbid`."""

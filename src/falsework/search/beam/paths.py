@@ -18,7 +18,7 @@ from falsework.stability.contact.build_verifier import StepCertificate
 from falsework.stability.contact.varied_replay import changed, in_pieces, inexact
 
 if TYPE_CHECKING:
-    from falsework.stability.contact.history import History
+    from falsework.stability.contact.history import History, Presses
     from falsework.stability.contact.varied_replay import AnyReplayer
 
 Array = NDArray[np.float64]
@@ -97,6 +97,13 @@ class PathHistories(Generic[K]):
         for known in (self._known, self._steps):
             for name in [name for name in known if gone(name)]:
                 del known[name]
+
+    def built(self, last: K) -> tuple[States, Presses] | None:
+        """Return the states on the path to a state, and their presses; None where it does not come to rest."""
+        if self._of(last) is None:
+            return None
+        path = self._path(last)
+        return np.array([self._state(at) for at in path]), [self._steps[at][2].presses for at in path]
 
     def summary(self, last: K) -> PlanReplay | None:
         """Return the replay of the path to a state; None where it does not come to rest."""
@@ -282,6 +289,10 @@ class BeamPaths:
         self._next = {}
         if self._histories is not None:
             self._histories.forget(lambda at: at[0] > level)
+
+    def built(self) -> tuple[States, Presses] | None:
+        """Return the path to the first state of the last level, see `PathHistories.built`."""
+        return None if self._histories is None else self._histories.built((len(self._levels) - 1, 0))
 
     def summary(self) -> PlanReplay | None:
         """Return the replay of the path to the first state of the last level; None where it does not come to rest."""

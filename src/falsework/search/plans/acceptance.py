@@ -11,7 +11,7 @@ from falsework.errors import InputError
 from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.contact.history import ReplaySettings, of_all
-from falsework.stability.contact.varied_replay import DRAWS, FEW_DRAWS, AllVariations, RouteReplay
+from falsework.stability.contact.varied_replay import FEW, MANY, AllVariations, RouteReplay
 from falsework.stability.holds import HoldLoad
 
 if TYPE_CHECKING:
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class Acceptance:
     """Last tests of a route: it comes to rest under the true friction too, and no state of it tips.
 
-    With a reserve it also comes to rest under every change of settings by itself. Where it is asked for, that includes
-    many draws of initial friction, and discrete elements build it as well.
+    With a reserve it also comes to rest under each of a few changes of all settings. Where it is asked for, these are
+    many, and discrete elements build it as well.
     """
 
     def __init__(self, replayer: AnyReplayer | None, *, robust: bool = False, judge: bool = False) -> None:
@@ -39,18 +39,20 @@ class Acceptance:
             from falsework.stability.judges.discrete_elements import BuildJudge
 
             self._judge = BuildJudge(replayer.assembly, replayer.settings.holds, replayer.settings.gravity)
-        self._replayer, self._plain, self._variations = replayer, None, None
+        self._replayer, self._plain = replayer, None
+        self.variations: AllVariations | None = None
+        """Test under changed settings."""
         self._loads: list[tuple[HoldLoad, ...]] = []
         """What robots bear in the states of the last route, as far as it was tested."""
         if replayer is not None and replayer.varies and (robust or replayer.settings.reserve > 1.0):
-            self._variations = AllVariations(replayer, DRAWS if robust else FEW_DRAWS)
+            self.variations = AllVariations(replayer, MANY if robust else FEW)
         if replayer is not None:
             self._plain = RouteReplay(replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings()))
 
     @property
     def varies(self) -> bool:
         """Whether settings are changed."""
-        return self._variations is not None
+        return self.variations is not None
 
     def tested(self, states: States, found: PlanReplay) -> PlanReplay:
         """Return the replay of a route with what robots bear; the one that fails if a state slides or tips.
@@ -131,7 +133,7 @@ class Acceptance:
                 return found, None
             stood(found)
             row = None
-            if self._variations is not None:  # from a fall on, the replayer tries steps under that change too
-                row = self._variations.falls_at(states, of_all(found.presses, len(states)))
+            if self.variations is not None:  # from a fall on, the replayer tries steps under changes too
+                row = self.variations.falls_at(states, of_all(found.presses, len(states)))
             if row is None or known is not None:
                 return found, row

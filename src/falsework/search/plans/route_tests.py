@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,10 @@ from falsework.search.plans.acceptance import Acceptance
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route, Stop, barred_row
+from falsework.search.problem.search import Search
 from falsework.search.settings import PlannerSettings
 from falsework.stability.contact.history import Change
-from falsework.stability.contact.varied_replay import MORE_RESERVE, AnyReplayer
+from falsework.stability.contact.varied_replay import AnyReplayer
 
 
 def barred_state(states: States, row: int) -> States:
@@ -66,17 +67,19 @@ class RouteTests:
         """Changes of settings under which replays are tried so far."""
         return () if self.replayer is None else self.replayer.changes
 
-    def strengthen(self) -> None:
-        """Have steps tried with more of a reserve from now on, since those that keep it stand under most changes."""
-        if self.replayer is not None and MORE_RESERVE not in self.changes:
-            self.replayer.also_under((*self.changes, MORE_RESERVE))
+    def test_so_far(self, search: Search) -> None:
+        """Test what a search has built under changed settings; where that falls, have it go back, and learn them."""
+        variations, built = self._acceptance.variations, search.built()
+        row = None if variations is None or built is None else variations.falls_at(*built)
+        if built is not None and row is not None:
+            search.go_back(barred_state(built[0], row))
 
     def passes(self, route: Route, known: PlanReplay | None = None, stop: Stop | None = None) -> bool:
         """Return whether a route passes all tests; exclude the first state that fails.
 
         An oracle that requires margins first checks every state in full. The slow tests come last: changed settings,
-        and the judge. A change under which the route falls is one of `AnyReplayer.changes` from then on. No state is
-        excluded if the search has replayed the steps itself, since it can do so under that change.
+        and the judge. Where the route falls under changes, these are among `AnyReplayer.changes` from then on. No state
+        is excluded if the search has replayed the steps itself, since it can do so under them.
 
         Args:
             known: its replay, where the search has made it along the way.
@@ -123,7 +126,7 @@ class RouteTests:
         arrays = {"tests_forbidden": self.forbidden}
         for name, route in (("fallen", fallen), ("doubted", self.doubted)):
             arrays[f"tests_{name}"] = none if route is None else route.states
-        return {"changes": [asdict(change) for change in self.changes], "fallen_at": row}, arrays
+        return {"changes": [change.name for change in self.changes], "fallen_at": row}, arrays
 
     def restore(self, header: Mapping[str, Any], arrays: Mapping[str, States]) -> None:
         """Go on with what `pack` returned.
@@ -135,9 +138,8 @@ class RouteTests:
         fallen, doubted = (arrays[f"tests_{name}"] for name in ("fallen", "doubted"))
         self.fallen = (Route.from_states(fallen), int(header["fallen_at"])) if len(fallen) else None
         self.doubted = Route.from_states(doubted) if len(doubted) else None
-        changes = [Change(**entry | {"replay": tuple(map(tuple, entry["replay"]))}) for entry in header["changes"]]
-        if self.replayer is not None and changes:
-            self.replayer.also_under(changes)
+        if self._acceptance.variations is not None:
+            self._acceptance.variations.learn(header["changes"])
 
     def _exclude(self, states: States) -> None:
         self.forbidden = np.concatenate([self.forbidden, np.atleast_2d(states)])

@@ -21,6 +21,7 @@ from falsework.search.problem.task import Direction, Task
 if TYPE_CHECKING:
     from falsework.search.problem.oracle import CountingOracle
     from falsework.search.problem.plan_replay import PlanReplay
+    from falsework.stability.contact.history import Presses
 
 
 class Search(ABC):
@@ -118,6 +119,14 @@ class Search(ABC):
 
     def replay_summary(self) -> PlanReplay | None:
         """Return the replay of the route found; None where it is not known."""
+        return None
+
+    def built(self) -> tuple[States, Presses] | None:
+        """Return the states on the way to the best state so far, in assembly order, and the presses of these steps.
+
+        Returns:
+            Shape (steps + 1, parts), and one entry a state; None where the search does not replay what it builds.
+        """
         return None
 
     def run(self, widest: int = 0, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:

@@ -52,16 +52,14 @@ class Change:
     """Change of the settings of a replay, to which the result for a plan must be insensitive."""
 
     name: str
-    ratio: float | None = None
-    """Ratio of tangential to normal stiffness; that of the settings if not given."""
-    hold_factor: float = 1.0
+    ratio: float
+    """Ratio of tangential to normal stiffness."""
+    hold_factor: float
     """Factor of the stiffness of holds, where they are not locked."""
-    replay: tuple[tuple[str, float], ...] = ()
-    """Fields of `ReplaySettings` with other values."""
-    press: int | None = None
+    press: int
     """Error of all presses, an index of `inexact_presses`."""
-    reserve: float = 1.0
-    """Factor of the reserve."""
+    replay: ReplaySettings
+    """Release, damping and friction in new contacts."""
 
 
 @dataclass(frozen=True, eq=False)

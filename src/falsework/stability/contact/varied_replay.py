@@ -1,14 +1,14 @@
 """Replays under changed settings, to which the result for a plan must be insensitive.
 
-Stiffness, damping, release, the friction in new contacts and the forces of robots are never known exactly. A search
-plans under the settings proper, and tries the plan that it finds under each change by itself. A change under which it
-falls is a counterexample: the search goes back to where it falls, and from then on tries every step under that change
-too, when it takes it. So it learns the few changes that matter to a structure; most plans stand under all without.
+Stiffness, damping, release, the friction in new contacts and the forces of robots are never known exactly, and on site
+all of them are off at once. So each change is one of all of them, and four changes have every extreme of each. A search
+plans under the settings proper, and tries what it has built under these changes. Where that falls, steps are tried
+under all of them from then on, when they are taken; most plans stand without.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,7 +16,6 @@ from operator import itemgetter
 from threading import Event
 from typing import Protocol
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.model import Assembly
@@ -30,11 +29,18 @@ from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.cores import core_count
 from falsework.utils.interruption import PIECE
+from falsework.utils.quantity import counted
 
-DRAWS, FEW_DRAWS = 20, 2
-"""Number of variations with random initial friction, in a thorough test and for every plan with a reserve."""
+MANY, FEW = 20, 4
+"""Numbers of changes: for a thorough test, and for every plan with a reserve."""
 PARTS = 16
 """Parts of a long plan, each of which is replayed under all changes before the next."""
+_RATIOS = 0.4, 1.0
+_INCREMENTS = 1, 16
+_FIRST_STEPS = ReplaySettings.first_step / 30, ReplaySettings.first_step * 30
+_HOLD_FACTORS = 1 / 3, 3.0
+_GROUP = 4
+"""Changes that are learned together: they have both extremes of every setting."""
 
 
 class AnyReplayer(Protocol):
@@ -95,40 +101,14 @@ class Variation:
     falls_at: int | None
 
 
-def _draw(number: int) -> Change:
-    noise = (("friction_noise", 1.0), ("seed", number - 1))
-    return Change(f"friction at the start, draw {number}", replay=noise)
-
-
-_RATIOS = Change("stiffness ratio 0.4", ratio=0.4), Change("stiffness ratio 1", ratio=1.0)
-_RELEASES = (
-    Change("release in 1 increment", replay=(("increments", 1),)),
-    Change("release in 16 increments", replay=(("increments", 16),)),
-)
-_MEDIA = (
-    Change("thicker medium", replay=(("first_step", ReplaySettings.first_step / 30),)),
-    Change("thinner medium", replay=(("first_step", ReplaySettings.first_step * 30),)),
-)
-_HOLDS = Change("holds 3 times softer", hold_factor=1 / 3), Change("holds 3 times stiffer", hold_factor=3.0)
-_PRESSES = tuple(Change(f"presses 10% and 5 degrees off, {k + 1} of 4", press=k) for k in range(4))
-_KINDS = _RATIOS, _RELEASES, _MEDIA, _HOLDS, _PRESSES
-MORE_RESERVE = Change("a larger reserve", reserve=1.05)
-"""None of the variations: a search that begins anew tries steps under it too, since what keeps more of a reserve stands
-under most of them."""
-
-
 def changed(change: Change, settings: StabilitySettings) -> tuple[StabilitySettings, ReplaySettings]:
     """Return settings with a change."""
     holds = replace(settings.holds, stiffness=change.hold_factor * settings.holds.stiffness)
-    ratio, reserve = change.ratio or settings.stiffness_ratio, settings.reserve * change.reserve
-    settings = replace(settings, holds=holds, stiffness_ratio=ratio, reserve=reserve)
-    return settings, ReplaySettings(**dict(change.replay))  # type: ignore[arg-type]
+    return replace(settings, holds=holds, stiffness_ratio=change.ratio), change.replay
 
 
 def inexact(change: Change, presses: Presses) -> Presses:
     """Return presses with the error of a change."""
-    if change.press is None:
-        return presses
     return [inexact_presses(some)[change.press] if some else () for some in presses]
 
 
@@ -178,7 +158,7 @@ class RouteReplay:
         it at most."""
 
     def begin(self, states: States, presses: Presses) -> int:
-        """Go on with a route, of the same length as the last; return from which state on it is replayed.
+        """Go on with a route, or more of it; return from which state on it is replayed.
 
         Args:
             states: in assembly order, shape (states, parts).
@@ -199,7 +179,7 @@ class RouteReplay:
         known = self._known[-1] if self._known else None
         if known is not None and known[0] >= len(states) - 1:
             return
-        length = _part_length(len(self._route))
+        length = part_length(len(self._route))
         for first, histories in in_pieces(self.replayer, states, self._presses[: len(states)], known):
             yield first, histories
             last = first + len(histories) - 1
@@ -222,7 +202,7 @@ class RouteReplay:
         return None if last >= len(states) - 1 else last + 1
 
 
-def _part_length(count: int) -> int:
+def part_length(count: int) -> int:
     """Return the states in each of `PARTS` parts of a route of some states."""
     return max(-(-count // PARTS), 2 * PIECE)  # a round of replays has a cost of its own
 
@@ -242,16 +222,26 @@ def _falls(replays: Sequence[RouteReplay], states: States) -> list[int | None]:
             over.set()
 
 
-def variations(settings: StabilitySettings, draws: int, presses: Presses = ()) -> list[Change]:
-    """Return changes to which the result of a replay must be insensitive.
+def variations(count: int) -> list[Change]:
+    """Return changes of all settings at once, to extremes, each with another draw of the friction in new contacts.
 
-    Args:
-        settings: settings of the verdicts.
-        draws: number of random initial friction states.
-        presses: of the plan; without any, none of them errs.
+    Any four from a multiple of four on are a fractional factorial design (Box, Hunter and Hunter 2005): every pair of
+    extremes of stiffness ratio and release, and of either of them with the medium and the holds, occurs once, and every
+    error of presses. Sixteen are the full design.
     """
-    found = [*_RATIOS, *_RELEASES, *_MEDIA, *(_HOLDS if np.isfinite(settings.holds.stiffness) else ())]
-    return [*found, *map(_draw, range(1, draws + 1)), *(_PRESSES if any(presses) else ())]
+    changes = []
+    for k in range(count):
+        first, second = k & 1, k >> 1 & 1
+        third, fourth = first ^ second ^ (k >> 2 & 1), first ^ second ^ (k >> 3 & 1)
+        increments, press = _INCREMENTS[second], k % 4
+        name = (
+            f"stiffness ratio {_RATIOS[first]:g}, release in {counted(increments, 'increment')}, "
+            f"{('thicker', 'thinner')[third]} medium, holds 3 times {('softer', 'stiffer')[fourth]}, "
+            f"presses off by 10% and 5 degrees ({press + 1} of 4), friction draw {k + 1}"
+        )
+        replay = ReplaySettings(increments, _FIRST_STEPS[third], friction_noise=1.0, seed=k)
+        changes.append(Change(name, _RATIOS[first], _HOLD_FACTORS[fourth], press, replay))
+    return changes
 
 
 class EnsembleReplayer(Replayer):
@@ -308,7 +298,7 @@ def _cut(found: Replay, other: Replay, row: int) -> Replay:
 
 
 def replay_varied(
-    replayer: AnyReplayer, states: States, presses: Presses | None = None, *, draws: int = DRAWS
+    replayer: AnyReplayer, states: States, presses: Presses | None = None, *, count: int = MANY
 ) -> list[Variation]:
     """Replay a plan under other settings: a plan that collapses under one of them is marginal.
 
@@ -316,10 +306,10 @@ def replay_varied(
         replayer: replayer with the settings of the plan.
         states: in assembly order, shape (states, parts).
         presses: of the steps that lead to each state; none if not given.
-        draws: number of random initial friction states.
+        count: number of changes, see `variations`.
     """
     given: Presses = [()] * len(states) if presses is None else presses
-    changes = variations(replayer.settings, draws, given)
+    changes = variations(count)
     replays = [RouteReplay(replayer.vary(*changed(change, replayer.settings)), change) for change in changes]
     for one in replays:
         one.begin(states, given)
@@ -328,43 +318,48 @@ def replay_varied(
 
 
 class AllVariations:
-    """Test of plans under every change of settings by itself; what it learns stays with the replayer."""
+    """Test of plans under changed settings; what it learns stays with the replayer."""
 
-    def __init__(self, replayer: AnyReplayer, draws: int = FEW_DRAWS) -> None:
+    def __init__(self, replayer: AnyReplayer, count: int = FEW) -> None:
         """Prepare the test of plans with the settings of a replayer, which tries steps under these alone at first.
 
         Args:
             replayer: of the structure.
-            draws: number of random initial friction states.
+            count: number of changes, see `variations`.
         """
-        self._replayer, self._draws = replayer, draws
+        self._replayer, self._changes = replayer, variations(count)
         self._replays: dict[Change, RouteReplay] = {}
         replayer.also_under(())
 
     def falls_at(self, states: States, presses: Presses) -> int | None:
         """Return the first state in which a plan does not come to rest under some change; None if there is none.
 
-        The change under which it falls first is among those under which the replayer tries steps from now on, with all
-        of its kind: where steps keep one of them alone, plans often fall under the next. All changes are tried on one
-        part of the plan before the next, so little of what comes after a fall is replayed.
+        The changes of the group with the one under which it falls first are those under which the replayer tries steps
+        from now on. All changes are tried on one part of the plan before the next, so little of what comes after a fall
+        is replayed.
 
         Args:
-            states: in assembly order, shape (steps + 1, parts); they come to rest in the replay of the replayer.
+            states: in assembly order, of the first steps or of all, shape (steps + 1, parts); they come to rest in the
+                replay of the replayer.
             presses: of the steps that lead to each state, one entry a state.
         """
         known, settings = self._replayer.changes, self._replayer.settings
-        changes = [change for change in variations(settings, self._draws, presses) if change not in known]
+        changes = [change for change in self._changes if change not in known]
         for change in changes:
             if change not in self._replays:
                 self._replays[change] = RouteReplay(self._replayer.vary(*changed(change, settings)), change)
             self._replays[change].begin(states, presses)
-        replays, length = [self._replays[change] for change in changes], _part_length(len(states))
+        replays, length = [self._replays[change] for change in changes], part_length(len(states))
         for end in range(length, len(states) + length, length):
             rows = zip(_falls(replays, states[:end]), changes, strict=True)
             fallen = [(row, change) for row, change in rows if row is not None]
             if fallen:
                 row, change = min(fallen, key=itemgetter(0))
-                kind = next((some for some in _KINDS if change in some), (change,))
-                self._replayer.also_under((*known, *kind))
+                first = self._changes.index(change) // _GROUP * _GROUP
+                self._replayer.also_under((*known, *self._changes[first : first + _GROUP]))
                 return row
         return None
+
+    def learn(self, names: Collection[str]) -> None:
+        """Have steps tried under the changes of some names."""
+        self._replayer.also_under([change for change in self._changes if change.name in names])
