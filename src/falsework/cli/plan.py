@@ -122,8 +122,8 @@ class MakePlan(Command):
     maximise_margin: Annotated[Literal["friction", "tilt", "push"] | None, arg(help_behavior_hint=UNSET)] = None
     """Search for the plan whose weakest step has the largest margin of this kind, and report an upper bound."""
     robust: bool = False
-    """Accept only a plan whose replay also succeeds from 20 random initial friction states, and without a reserve too
-    with other stiffness ratios, release increments and damping, as plans with a reserve do anyway."""
+    """Accept only a plan whose replay also succeeds under 20 changes of settings (stiffness ratio, damping, release,
+    stiffness of holds, initial friction, errors of presses), in place of the four of plans with a reserve."""
     judge: bool = False
     """Accept only a plan that an independent method builds too, with its presses, under the true friction: discrete
     elements on springs as stiff as the contacts of the criterion. It takes seconds to minutes for each plan that the

@@ -25,8 +25,8 @@ class PlannerSettings:
     seed: int = 0
     """Same seed, same machine, same result."""
     robust: bool = False
-    """Try plans under many random initial friction states too, and those without a reserve under other stiffness
-    ratios, release increments and damping, as plans with a reserve are anyway (`PlanReplay.varied`)."""
+    """Try plans under twenty changes of settings in place of four, and those without a reserve too
+    (`PlanReplay.varied`)."""
     judge: bool = False
     """Deliver a plan that discrete elements build too, with its presses, under the true friction; where none is found,
     the one that they build farthest (`PlanReplay.judgement`)."""

@@ -11,7 +11,8 @@ import pytest
 from falsework import Assembly, Plan, PlannerSettings, StabilitySettings, find_plans, load_structure
 from falsework.search.beam.paths import PathHistories
 from falsework.stability import HoldSettings
-from falsework.stability.contact.history import Change, Presses
+from falsework.stability.contact import varied_replay
+from falsework.stability.contact.history import Change, Presses, ReplaySettings
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.varied_replay import (
     MANY,
@@ -162,3 +163,20 @@ def test_changes_have_every_pair_of_extremes() -> None:
         assert [len(pair) for pair in pairs] == [4, 4, 4, 4, 4, 2]
     assert len({extremes(change)[2:] for change in changes[:8]}) == 4
     assert len({change.replay.seed for change in changes}) == MANY
+
+
+@pytest.mark.parametrize("deadline", [None, 60.0])
+def test_without_a_plan_that_stands_under_changes_one_with_the_reserve_comes_before_one_without(
+    monkeypatch: pytest.MonkeyPatch, deadline: float | None
+) -> None:
+    """On contacts as slippery as ice none stands; the plan that is delivered says what it keeps."""
+    ice = Change("ice", ratio=1e-9, hold_factor=1.0, press=0, replay=ReplaySettings())
+    monkeypatch.setattr(varied_replay, "variations", lambda count: [ice])
+    arch = load_structure("arch:blocks=5")
+    planning = find_plans(arch, stability=CONTACT, deadline=deadline)
+    assert planning.found
+    assert not planning.accepted
+    plan = planning.plans[0]
+    assert plan.claim.reserve == 1.1
+    assert plan.replay is not None
+    assert not plan.replay.varied

@@ -260,8 +260,8 @@ class ReplayEntry(FileModel, frozen=True):
     falls_at: Count | None
     """First state that does not come to rest, from 0; null if all do."""
     varied: bool = False
-    """Whether it also comes to rest under each of some changes of settings: stiffness ratio, damping, release, initial
-    friction, and presses that err."""
+    """Whether it also comes to rest under each of some changes of all settings: stiffness ratio, damping, release,
+    stiffness of holds, initial friction, and presses that err."""
     judgement: Judgement | None = None
 
 
