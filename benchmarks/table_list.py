@@ -232,7 +232,7 @@ TABLES = {
             ("discrete elements, step by step", "{built.stands}"),
             ("each state from no stress", "{settled.stands}"),
             ("from the proven forces", "{proven.stands}"),
-            ("replays under changed settings", "{varied_stands} of {varied}"),
+            ("replays under settings changed one at a time", "{varied_stands} of {varied}"),
         ),
         benchmark="judges plans",
         where=lambda record: (

@@ -122,7 +122,7 @@ class MakePlan(Command):
     maximise_margin: Annotated[Literal["friction", "tilt", "push"] | None, arg(help_behavior_hint=UNSET)] = None
     """Search for the plan whose weakest step has the largest margin of this kind, and report an upper bound."""
     robust: bool = False
-    """Accept only a plan whose replay also succeeds under 20 changes of settings (stiffness ratio, damping, release,
+    """Accept only a plan whose replay also succeeds under 16 changes of settings (stiffness ratio, damping, release,
     stiffness of holds, initial friction, errors of presses), in place of the four of plans with a reserve."""
     judge: bool = False
     """Accept only a plan that an independent method builds too, with its presses, under the true friction: discrete

@@ -142,7 +142,7 @@ def find_plans(
 
     found = ahead(None)
     if first.replayer.changes and not over(found):
-        first.replay_alone()
+        first.replayer = first.replayer.vary()  # under the settings proper alone
         found = ahead(found)
     if over(found):
         return found

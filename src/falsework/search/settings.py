@@ -25,7 +25,7 @@ class PlannerSettings:
     seed: int = 0
     """Same seed, same machine, same result."""
     robust: bool = False
-    """Try plans under twenty changes of settings in place of four, and those without a reserve too
+    """Try plans under sixteen changes of settings in place of four, and those without a reserve too
     (`PlanReplay.varied`)."""
     judge: bool = False
     """Deliver a plan that discrete elements build too, with its presses, under the true friction; where none is found,

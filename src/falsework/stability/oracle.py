@@ -111,11 +111,6 @@ class StabilityOracle:
         """Replayer of state sequences of the structure; None under `equilibrium`, which has no history."""
         return self._criterion.replayer()
 
-    def replay_alone(self) -> None:
-        """Have sequences replayed under the settings proper alone from now on."""
-        if self.replayer is not None:
-            self.replayer = self.replayer.vary()
-
     def verdicts(
         self, states: ArrayLike, *, near: ArrayLike | None = None, require_certificate: bool = False
     ) -> Verdicts:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pytest
@@ -155,14 +156,15 @@ def test_changes_have_every_pair_of_extremes() -> None:
     def extremes(change: Change) -> tuple[float, ...]:
         return change.ratio, change.replay.increments, change.replay.first_step, change.hold_factor
 
-    assert len({extremes(change) for change in changes[:16]}) == 16
+    assert len({extremes(change) for change in changes}) == 16
     for first in range(0, 16, 4):
         four = changes[first : first + 4]
         assert {change.press for change in four} == set(range(4))
         pairs = [{(extremes(change)[a], extremes(change)[b]) for change in four} for a, b in combinations(range(4), 2)]
         assert [len(pair) for pair in pairs] == [4, 4, 4, 4, 4, 2]
     assert len({extremes(change)[2:] for change in changes[:8]}) == 4
-    assert len({change.replay.seed for change in changes}) == MANY
+    draws = [change.replay.seed for change in changes if change.replay.friction_noise]
+    assert len(set(draws)) == len(draws) == 8
 
 
 @pytest.mark.parametrize("deadline", [None, 60.0])
@@ -180,3 +182,12 @@ def test_without_a_plan_that_stands_under_changes_one_with_the_reserve_comes_bef
     assert plan.claim.reserve == 1.1
     assert plan.replay is not None
     assert not plan.replay.varied
+
+
+def test_blocks_that_stand_alone_stand_under_every_change(scenes: Any) -> None:
+    """A change that throws single blocks off would be one of the method, not of the site."""
+    blocks = [scenes.box([2 * k, 0, 0], [2 * k + 1, 1, 1], f"block-{k}") for k in range(12)]
+    row = scenes.make([*blocks, scenes.box([0, 0, -1], [24, 1, 0], "ground")], [12])
+    plan = planned(row, 0, 1.1)
+    cases = replay_varied(Replayer(row, CONTACT), plan.states, plan.presses_before)
+    assert [case.name for case in cases if not case.good] == []

@@ -155,9 +155,9 @@ def test_history_fells_a_plan_whose_states_all_stand() -> None:
 
 
 def test_the_answer_does_not_hang_on_the_numbers_of_the_method(dome: Assembly, dome_states: NDArray) -> None:
-    """Stiffness of contacts and holds, speed of letting go, viscosity, and twenty random states of friction."""
-    cases = replay_varied(Replayer(dome), dome_states, count=20)
-    assert len(cases) == 20
+    """Stiffness of contacts and holds, speed of letting go, viscosity, and friction at the start."""
+    cases = replay_varied(Replayer(dome), dome_states)
+    assert len(cases) == 16
     assert [case.name for case in cases if not case.good] == []
 
 
