@@ -133,22 +133,20 @@ def find_plans(
         good = found.accepted or (found.found and not settings.judge)
         return good or clock.passed or (found.result.interrupted and not found.deadline_passed)
 
-    def ahead(found: Planning | None) -> Planning:
+    def attempt(oracle: StabilityOracle, kept: float, found: Planning | None = None) -> Planning:
         if clock.limited:
-            clock.reserve = FIRST_SHARE * clock.left
-        other = _find(assembly, task, first, clock, None if found else checkpoint, *more)
+            clock.reserve = kept * clock.left
+        other = _find(assembly, task, oracle, clock, checkpoint if found is None else None, *more)
         clock.use_reserve()
-        return found if found and found.found and not other.accepted else other
+        return found if found is not None and found.found and not other.accepted else other
 
-    found = ahead(None)
-    if first.replayer.changes and not over(found):
+    found = attempt(first, FIRST_SHARE)
+    if first.replayer.changes and not (found.found or over(found)):
         first.replayer = first.replayer.vary()  # under the settings proper alone
-        found = ahead(found)
-    if over(found):
-        return found
-    weaker = StabilityOracle(assembly, replace(stability, reserve=1.0))
-    other = _find(assembly, task, weaker, clock, None, *more)
-    return found if found.found and not other.accepted else other
+        found = attempt(first, FIRST_SHARE, found)
+    if not over(found):
+        found = attempt(StabilityOracle(assembly, replace(stability, reserve=1.0)), 0.0, found)
+    return found
 
 
 def _find(

@@ -69,10 +69,13 @@ class RouteTests:
 
     def test_so_far(self, search: Search) -> None:
         """Test what a search has built under changed settings; where that falls, have it go back, and learn them."""
-        variations, built = self._acceptance.variations, search.built()
-        row = None if variations is None or built is None else variations.falls_at(*built)
-        if built is not None and row is not None:
-            search.go_back(barred_state(built[0], row))
+        variations = self._acceptance.variations
+        if variations is None or (built := search.built()) is None:
+            return
+        states, presses = built
+        row = variations.falls_at(states, presses)
+        if row is not None:
+            search.go_back(barred_state(states, row))
 
     def passes(self, route: Route, known: PlanReplay | None = None, stop: Stop | None = None) -> bool:
         """Return whether a route passes all tests; exclude the first state that fails.

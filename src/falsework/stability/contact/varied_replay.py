@@ -32,15 +32,14 @@ from falsework.utils.interruption import PIECE
 from falsework.utils.quantity import counted
 
 MANY, FEW = 16, 4
-"""Numbers of changes: for a thorough test, and for every plan with a reserve."""
+"""Numbers of changes: for a thorough test, and for every plan with a reserve. The few have both extremes of every
+setting, and so have as many of the others, which are learned together."""
 PARTS = 16
 """Parts of a long plan, each of which is replayed under all changes before the next."""
 _RATIOS = 0.4, 1.0
 _INCREMENTS = 1, 16
 _FIRST_STEPS = ReplaySettings.first_step / 30, ReplaySettings.first_step * 30
 _HOLD_FACTORS = 1 / 3, 3.0
-_GROUP = 4
-"""Changes that are learned together: they have both extremes of every setting."""
 
 
 class AnyReplayer(Protocol):
@@ -358,8 +357,8 @@ class AllVariations:
             fallen = [(row, change) for row, change in rows if row is not None]
             if fallen:
                 row, change = min(fallen, key=itemgetter(0))
-                first = self._changes.index(change) // _GROUP * _GROUP
-                self._replayer.also_under((*known, *self._changes[first : first + _GROUP]))
+                first = self._changes.index(change) // FEW * FEW
+                self._replayer.also_under((*known, *self._changes[first : first + FEW]))
                 return row
         return None
 
