@@ -438,7 +438,7 @@ def test_bars_of_the_chart_are_clicked_and_arms_hidden(
     assert "arm 0" in (now.tab.locator("svg.falsework-gantt").text_content() or "")
     middle = bars.nth(4)
     goal = float(re.findall(r"seconds=([\d.]+)", middle.get_attribute("href") or "")[0])
-    middle.click(force=True)
+    middle.click()
     now.until(lambda: abs(now.model.seconds - goal) < 0.01, "the second of the bar")
     with_arms = now.picture()
     now.tab.get_by_role("checkbox", name="Arms").uncheck()
@@ -459,7 +459,7 @@ def test_joints_and_clearance_are_plotted(opened: Callable[..., Open], scheduled
     now.until(lambda: plots.count() == 5, "the clearance of the arms")
     link = now.tab.get_by_text("least:").first.locator("a")
     goal = float(re.findall(r"seconds=([\d.]+)", link.get_attribute("href") or "")[0])
-    link.click(force=True)
+    link.click()
     now.until(lambda: abs(now.model.seconds - goal) < 0.01, "the second of the least clearance")
     assert complaints_of(now) == []
 
