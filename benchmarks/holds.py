@@ -26,7 +26,7 @@ from falsework import Assembly, PlannerSettings, find_plans, load_structure
 from falsework.search.find import PLANS
 from falsework.stability import HoldSettings
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.contact.varied_replay import MANY, replay_varied
+from falsework.stability.contact.varied_replay import replay_varied
 from falsework.stability.holds import HoldMode
 from falsework.stability.judges.discrete_elements import BuildJudge
 
@@ -104,7 +104,7 @@ def settings(options: Options) -> Iterator[dict[str, Any]]:
             begun = time.process_time()
             replayer.replay(states, presses=presses)
             begun = timed("replay", begun)
-            replay_varied(replayer, states, presses, count=MANY)
+            replay_varied(replayer, states, presses)
             timed("one_by_one", begun)
         measured = {f"{what}_seconds": spread(values) for what, values in seconds.items()}
         yield {"structure": name, "parts": assembly.part_count, "seeds": list(range(options.seeds)), **measured}

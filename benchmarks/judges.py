@@ -45,7 +45,7 @@ from states import REAL, find
 from falsework import Assembly, Plan, PlannerSettings, StabilityOracle, find_plans, load_structure, make_task
 from falsework.assembly import HELD, complete_state
 from falsework.search.find import PLANS
-from falsework.stability.contact.varied_replay import MANY, replay_varied
+from falsework.stability.contact.varied_replay import MANY, replay_varied, variations
 from falsework.stability.judges.discrete_elements import DiscreteElementSettings
 from falsework.stability.stiffness import normal_stiffness
 
@@ -114,7 +114,7 @@ def plans(options: Options) -> Iterator[dict[str, Any]]:
             continue
         states, presses, replayer = found[0].states, found[0].presses_before, oracle.replayer
         assert replayer is not None
-        varied = replay_varied(replayer, states, presses, count=options.changes)
+        varied = replay_varied(replayer, states, presses, changes=variations(options.changes))
         row |= {
             "states": len(states),
             "replay": _count(replayer.replay(states, presses=presses).stands),

@@ -34,6 +34,7 @@ SMOKE = {
     "stability": ["--structures", "arch:blocks=5", "--states", "8"],
     "verdicts": ["--structures", "arch:blocks=5", "--states", "8", "--rounds", "1"],
     "contact": ["all", "--structures", "arch:blocks=5", "--seeds", "1", "--repeat", "1"],
+    "changes": ["--structures", "arch:blocks=5", "--draws", "2"],
     "judges": ["plans", "--structures", "stack:blocks=2", "--changes", "1"],
     "margins": ["truth", "--cases", "1"],
     "bricks": ["--heights", "1", "--repeats", "1"],

@@ -223,7 +223,7 @@ class CheckPlan(JudgingCommand):
         """Replay under the settings, then under varied ones; return whether the plan succeeds."""
         from falsework.search.plans.plan_report import describe_place
         from falsework.stability.contact.replay import Replayer
-        from falsework.stability.contact.varied_replay import FEW, replay_varied
+        from falsework.stability.contact.varied_replay import FEW, replay_varied, variations
 
         settings = replace(settings, reserve=plan.claim.reserve, holds=plan.claim.holds.within(settings.holds))
         replayer = Replayer(assembly, settings)
@@ -239,7 +239,7 @@ class CheckPlan(JudgingCommand):
         if denied:
             output.note(f"falsework: {self.plan}: the plan says of its replay {denied}, which is not so; plan again")
             return False
-        varied = replay_varied(replayer, plan.states, plan.presses_before, count=FEW)
+        varied = replay_varied(replayer, plan.states, plan.presses_before, changes=variations(FEW))
         failed = [case for case in varied if not case.good]
         output.record(
             {

@@ -145,7 +145,8 @@ def test_a_plan_with_a_reserve_stands_under_every_change() -> None:
         assert plan.replay.varied == (reserve > 1.0)
         if reserve > 1.0:
             replayer = Replayer(assembly, replace(CONTACT, holds=plan.claim.holds))
-            assert all(case.good for case in replay_varied(replayer, plan.states, plan.presses_before, count=8))
+            cases = replay_varied(replayer, plan.states, plan.presses_before, changes=variations(8))
+            assert all(case.good for case in cases)
 
 
 def test_changes_have_every_pair_of_extremes() -> None:

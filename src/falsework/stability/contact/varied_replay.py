@@ -300,7 +300,7 @@ def _cut(found: Replay, other: Replay, row: int) -> Replay:
 
 
 def replay_varied(
-    replayer: AnyReplayer, states: States, presses: Presses | None = None, *, count: int = MANY
+    replayer: AnyReplayer, states: States, presses: Presses | None = None, *, changes: Sequence[Change] | None = None
 ) -> list[Variation]:
     """Replay a plan under other settings: a plan that collapses under one of them is marginal.
 
@@ -308,10 +308,10 @@ def replay_varied(
         replayer: replayer with the settings of the plan.
         states: in assembly order, shape (states, parts).
         presses: of the steps that lead to each state; none if not given.
-        count: number of changes, see `variations`.
+        changes: the settings; `MANY` extremes, see `variations`, if not given.
     """
     given: Presses = [()] * len(states) if presses is None else presses
-    changes = variations(count)
+    changes = variations(MANY) if changes is None else changes
     replays = [RouteReplay(replayer.vary(*changed(change, replayer.settings)), change) for change in changes]
     for one in replays:
         one.begin(states, given)
