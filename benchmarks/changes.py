@@ -59,7 +59,7 @@ def random_changes(count: int, rng: np.random.Generator) -> list[Change]:
         increments = round(_between(rng, [change.replay.increments for change in extremes]))
         first_step = _between(rng, [change.replay.first_step for change in extremes])
         noise = float(first_step < ReplaySettings.first_step)
-        replay = ReplaySettings(increments, first_step, friction_noise=noise, seed=1000 + number)
+        replay = ReplaySettings(increments, first_step, friction_noise=noise, seed=1000 + number, keeps_track=False)
         found.append(Change(f"draw {number}", ratio, factor, int(rng.integers(4)), replay))
     return found
 

@@ -155,8 +155,7 @@ class PathHistories(Generic[K]):
             for first, found in in_pieces(own, np.array(states), inexact(change, presses)):
                 for history in found[end - first :]:
                     if (known := histories[end]) is not None:
-                        more = replace(history, track=None)
-                        histories[end] = replace(known, changed=(*known.changed, more))
+                        histories[end] = replace(known, changed=(*known.changed, history))
                     end += 1
         self._changes = replayer.changes
         known = zip(path[:end], histories, strict=False)

@@ -47,7 +47,9 @@ class Acceptance:
         if replayer is not None and replayer.varies and (robust or replayer.settings.reserve > 1.0):
             self.variations = AllVariations(replayer, MANY if robust else FEW)
         if replayer is not None:
-            self._plain = RouteReplay(replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings()))
+            self._plain = RouteReplay(
+                replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings(keeps_track=False))
+            )
 
     @property
     def varies(self) -> bool:

@@ -38,6 +38,8 @@ class ReplaySettings:
     typical point under its share of a part's weight."""
     seed: int = 0
     """Seed of the noise."""
+    keeps_track: bool = True
+    """Whether histories have the displacement in each increment, of which certificates are made."""
 
     def __post_init__(self) -> None:
         if self.increments < 1:
@@ -81,7 +83,8 @@ class History:
     presses: tuple[Press, ...] = ()
     """Presses of the step that led here."""
     track: Array | None = None
-    """Displacement of each part in each increment of that step, m and rad, shape (increments, parts, 6)."""
+    """Displacement of each part in each increment of that step, m and rad, shape (increments, parts, 6); None where it
+    is not kept."""
     changed: tuple[History, ...] = ()
     """The same under the changed settings of an `EnsembleReplayer`; empty where one setting alone is replayed."""
 

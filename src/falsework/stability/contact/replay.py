@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from itertools import islice
+from itertools import islice, repeat
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -237,7 +237,8 @@ class Replayer:
     def _replay(self, batch: States, history: History | None, presses: Presses) -> Replay:
         """Replay checked states with given presses."""
         count, problem = len(batch), self.problem
-        track = np.zeros((count, self.replay_settings.increments, problem.parts, 6))
+        increments, keeps_track = self.replay_settings.increments, self.replay_settings.keeps_track
+        track = np.zeros((count, increments if keeps_track else 0, problem.parts, 6))
         displacement, springs = np.zeros((count, problem.parts, 6)), np.zeros((count, problem.points, 3))
         torn = np.zeros((count, problem.points), bool)
         age = self._ages(batch, None if history is None else history.age)
@@ -246,14 +247,15 @@ class Replayer:
         if history is not None:
             displacement[0], springs[0], torn[0] = history.displacement, history.springs, history.torn
             moved[0], part[0] = history.moved, history.part
-            track[0] = 0.0 if history.track is None else history.track
+            if keeps_track and history.track is not None:
+                track[0] = history.track
         start, pressed, wrench = pack_presses(presses)
         reached = replay_range(
             self.law,
             batch,
             history is None,
             *(start, pressed, (problem.whitening[pressed] @ wrench[:, :, None])[:, :, 0]),
-            *(self.options, self.replay_settings.increments, self._noise),
+            *(self.options, increments, self._noise),
             *(displacement, springs, torn, self._set_shares(age)),
             *(track, result, residual, part, moved, iterations),
         )
@@ -261,7 +263,8 @@ class Replayer:
         given = [tuple(some) for some in presses]
         if history is not None:
             given[0] = history.presses
-        rows = zip(displacement, springs, torn, age, moved.tolist(), part.tolist(), given, track, strict=False)
+        tracks = track if keeps_track else repeat(None)
+        rows = zip(displacement, springs, torn, age, moved.tolist(), part.tolist(), given, tracks, strict=False)
         histories = tuple(History(*row) for row in islice(rows, reached))
         done = tuple(history.presses for history in histories)
         return Replay(result, moved, part, residual, self._size, histories, done)

@@ -84,18 +84,16 @@ def load_history(law, state, contact, history, missing, share):
 
 
 @njit(cache=True)
-def _keep_history(law, contact, pairs, history, track):
+def _keep_history(law, contact, pairs, history, moved):
     """Add the increment to the displacement, and store the spring forces with friction limited by the law.
 
-    `track`, of shape (parts, 6), is the displacement of the increment alone.
+    `moved`, of shape (parts, 6), is the displacement of the increment alone: written for the parts that can move.
     """
     structure, work, displacement, springs = law.structure, contact.work, history.displacement, history.springs
-    moved = np.zeros(displacement.shape)
     write_motion(structure, work, contact.displacement, law.scale, moved)
     for part in range(len(moved)):
         for r in range(6):
             displacement[part, r] += moved[part, r]
-            track[part, r] = moved[part, r]
     for p in range(pairs):
         shift = structure.pair_start[work.pair[p]] - work.start[p]
         for j in range(work.start[p], work.start[p + 1]):
@@ -186,7 +184,8 @@ def settle_step(law, before, state, press_part, press_wrench, lost, options, inc
         lost: whitened wrenches by which contacts carry held parts less, see `lose_carriers`.
         increments: in how many the missing wrenches are transferred; all of gravity where the history is empty.
         history: `HistoryArrays`.
-        track: out: displacement in each increment, m and rad, shape (increments, parts, 6); zero before.
+        track: out: displacement in each increment, m and rad, shape (increments, parts, 6), zero before; nothing is
+            written where it has no increments.
 
     Returns:
         `RESTS`, `MOVES_AWAY` or `OPEN`; residual; iterations; the part that moved most, and its movement in m.
@@ -215,6 +214,7 @@ def settle_step(law, before, state, press_part, press_wrench, lost, options, inc
         result, count = MOVES_AWAY, 0
     mends = work.start[pairs] < 0  # not a literal, for which numba would recompile the search
     kept, free = freeze_outside_ball(structure, moving, origin, REACH, near)
+    moved = np.zeros((len(state), 6))
     ahead = np.zeros((len(work.free), 6))  # parts move, and contacts slide, in each increment much as in the last
     for k in range(1, count + 1):
         share = 1.0 - k / count
@@ -253,7 +253,8 @@ def settle_step(law, before, state, press_part, press_wrench, lost, options, inc
                 missing[j, r] += contact.grip[j] * ahead[j, r]  # zero but for held parts
             if 0.0 < contact.across[j] < np.inf:
                 add_across(contact, j, ahead, 1.0, missing)
-        _keep_history(law, contact, pairs, history, track[k - 1])
+        step = track[k - 1] if len(track) else moved
+        _keep_history(law, contact, pairs, history, step)
         if result != RESTS:
             break
     part, movement = -1, 0.0

@@ -184,7 +184,7 @@ class RouteReplay:
             last = first + len(histories) - 1
             if self._known and self._known[-1][0] // length == last // length:
                 self._known.pop()
-            self._known.append((last, replace(histories[-1], track=None)))
+            self._known.append((last, histories[-1]))
 
     def falls_at(self, states: States, over: Event) -> int | None:
         """Return the first state of the route up to some state that does not come to rest; None if all do.
@@ -241,7 +241,8 @@ def variations(count: int) -> list[Change]:
             f"{(f'thicker medium with initial friction (draw {k + 1})', 'thinner medium')[third]}, "
             f"holds 3 times {('softer', 'stiffer')[fourth]}, presses off by 10% and 5 degrees ({press + 1} of 4)"
         )
-        replay = ReplaySettings(increments, _FIRST_STEPS[third], friction_noise=1.0 - third, seed=k)
+        noise = 1.0 - third
+        replay = ReplaySettings(increments, _FIRST_STEPS[third], friction_noise=noise, seed=k, keeps_track=False)
         changes.append(Change(name, _RATIOS[first], _HOLD_FACTORS[fourth], press, replay))
     return changes
 
@@ -280,7 +281,7 @@ class EnsembleReplayer(Replayer):
                 self._members[change] = self.vary(*changed(change, self.settings))
             past = None if history is None else history.changed[number]
             other = self._members[change]._replay(batch[:reached], past, inexact(change, presses[:reached]))
-            others.append([replace(history, track=None) for history in other.histories])
+            others.append(other.histories)
             if len(other.histories) < reached:
                 reached = len(other.histories)
                 found = _cut(found, other, reached)
