@@ -40,6 +40,7 @@ from falsework.search.problem.result import SearchResult
 from falsework.stability import Proof
 from falsework.stability.contact.history import History, Replay
 from falsework.stability.contact.replay import Replayer
+from falsework.utils.interruption import check_interruption
 
 ARCH = load_structure("arch:blocks=5")
 COMPLETE = complete_state(ARCH.boundary)
@@ -103,7 +104,9 @@ class Falling:
         return getattr(self.inner, name)
 
     def replay(self, states: States, history: History | None = None, presses: Any = None) -> Replay:
-        time.sleep(self.seconds * (len(states) - 1))
+        check_interruption()
+        if len(states) > 2:  # a step of a search takes no time
+            time.sleep(self.seconds * (len(states) - 1))
         rows = [row for row, state in enumerate(states) if self.falls(state)]
         found = self.inner.replay(states, history, presses)
         if not rows:
@@ -111,10 +114,6 @@ class Falling:
         stands = found.stands.copy()
         stands[rows[0] :] = 0
         return dataclasses.replace(found, stands=stands)
-
-    def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        stands, history = self.inner.step(history, before, after)
-        return stands and not self.falls(after), history
 
 
 def falling(falls: Callable[[States], bool], seconds: float = 0.0) -> StabilityOracle:

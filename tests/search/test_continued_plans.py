@@ -27,11 +27,11 @@ from falsework.errors import InputError, StateError
 from falsework.replanning import SiteSteps
 from falsework.replanning.named_state import named_state
 from falsework.replanning.request import Request
+from falsework.replanning.request_replayer import RequestReplayer
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import save_plan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import Route
-from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.verdict import Proof
 
@@ -54,7 +54,7 @@ def test_a_replay_that_goes_on_is_that_of_the_whole(plan: Plan, reserve: float) 
     whole = Replayer(ARCH, settings).replay(plan.states, presses=plan.presses_before)
     for step in (0, 1, 5, len(plan) - 1):
         built = plan.states[: step + 1], plan.presses_before[: step + 1]
-        goes_on = DeadlineReplayer(Replayer(ARCH, settings), Deadline(None), built=built)
+        goes_on = RequestReplayer(Replayer(ARCH, settings), Deadline(None), built=built)
         rest = goes_on.replay(plan.states[step:])
         np.testing.assert_allclose(rest.moved, whole.moved[step:], rtol=1e-9, atol=1e-15)
         assert rest.stands.tolist() == whole.stands[step:].tolist()
@@ -68,8 +68,8 @@ def test_history_counts(plan: Plan) -> None:
     """From rest the same steps move parts by other amounts, so that it matters where a replay begins."""
     step = len(plan) // 2
     built = plan.states[: step + 1], plan.presses_before[: step + 1]
-    goes_on = DeadlineReplayer(Replayer(ARCH), Deadline(None), built=built).replay(plan.states[step:])
-    from_rest = DeadlineReplayer(Replayer(ARCH), Deadline(None)).replay(plan.states[step:])
+    goes_on = RequestReplayer(Replayer(ARCH), Deadline(None), built=built).replay(plan.states[step:])
+    from_rest = RequestReplayer(Replayer(ARCH), Deadline(None)).replay(plan.states[step:])
     assert np.abs(goes_on.moved[1:] - from_rest.moved[1:]).max() > 1e-3 * goes_on.moved.max()
 
 
@@ -78,7 +78,7 @@ def test_a_search_begins_with_the_history_of_what_is_built(plan: Plan) -> None:
     step = len(plan) // 2
     built = plan.states[: step + 1], plan.presses_before[: step + 1]
     (begun,) = (
-        DeadlineReplayer(Replayer(ARCH), Deadline(None), built=built).replay(plan.states[step : step + 1]).histories
+        RequestReplayer(Replayer(ARCH), Deadline(None), built=built).replay(plan.states[step : step + 1]).histories
     )
     whole = Replayer(ARCH).replay(*built[:1], presses=built[1]).histories[-1]
     np.testing.assert_array_equal(begun.springs, whole.springs)
@@ -159,7 +159,7 @@ def test_repeated_holds_go_on() -> None:
 
 
 def test_steps_that_do_not_come_to_rest_are_named(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(DeadlineReplayer, "executed_fails_at", lambda _: 3)
+    monkeypatch.setattr(RequestReplayer, "executed_fails_at", lambda _: 3)
     answer = replan(plan, step=5)
     assert not answer.found
     assert answer.reason == "the steps that are done do not come to rest in a replay, after step 3"

@@ -19,12 +19,12 @@ from falsework.search import BeamSearch, BeamSettings
 from falsework.search.planner import Planner
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import SearchProgress, Stop
-from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.contact.history import Change, History, Replay, ReplaySettings
 from falsework.stability.contact.varied_replay import FEW, MANY, AllVariations, variations
 from falsework.stability.judges import discrete_elements
 from falsework.stability.judges.judgement import Judgement
 from falsework.stability.verdict import Verdict, Verdicts
+from falsework.utils.interruption import check_interruption
 
 
 class RuleReplayer:
@@ -78,6 +78,7 @@ class RuleReplayer:
         return ()
 
     def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
+        check_interruption()
         if self.slow:
             time.sleep(self.slow.pop())
         here = tuple(after.tolist())
@@ -214,10 +215,11 @@ def test_what_a_replay_raises_reaches_the_search(rules: Any) -> None:
 
 def test_a_deadline_is_kept_between_replays(rules: Any) -> None:
     task, oracle = tower(rules, set())
-    clock = Deadline(1e-6)
-    oracle.replayer = DeadlineReplayer(RuleReplayer(set()), clock)  # type: ignore[arg-type]
+    oracle.replayer = RuleReplayer(set())
     search = BeamSearch(task, oracle, BeamSettings(width=4, direction=Direction.ASSEMBLY, lookahead=8))
-    assert search.run().interrupted
+    with Deadline(1e-6).interrupts():
+        assert search.run().interrupted
+    assert search.run().found
 
 
 def test_without_a_replayer_nothing_is_replayed(rules: Any) -> None:

@@ -12,11 +12,11 @@ from falsework.assembly.state import Mask, States
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.result import Stage
 from falsework.replanning.session import ReplanContext, ReplanSession
-from falsework.search.problem.deadline import pieces
 from falsework.search.problem.result import Route
 from falsework.search.problem.rollout import Rollout, follow_scores
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.verdict import Verdict
+from falsework.utils.interruption import pieces
 
 _SHARE = 0.6
 """Share of the time before a deadline that rollouts may take."""
@@ -183,8 +183,8 @@ def _judge(owners: Sequence[ReplanSession], states: States, parents: States) -> 
     """Return verdicts for several sessions in one batch; 0 for those whose clock has run out."""
     verdict = np.zeros(len(states), dtype=np.int8)
     oracle = owners[0].context.prover.oracle
-    for rows in pieces(len(states), limited=any(session.clock.limited for session in owners)):
-        owners[0].clock.between()
+    limited = any(session.clock.limited for session in owners)
+    for rows in pieces(len(states), owners[0].clock.between if limited else None):
         rows = np.array([row for row in rows.tolist() if not owners[row].clock.passed], dtype=np.int64)
         if len(rows) == 0:
             continue

@@ -10,12 +10,12 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.assembly.props import whole_state
 from falsework.assembly.state import HELD
+from falsework.replanning.request_replayer import Replayed, RequestReplayer
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.proofs import prove_route
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
-from falsework.search.problem.timed_replayer import DeadlineReplayer, Replayed
 from falsework.stability.contact.history import of_all
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.verdict import Proof, Solver, Verdict, Verdicts
@@ -50,7 +50,7 @@ class Prover:
         self,
         route: Route,
         task: Task,
-        replayer: DeadlineReplayer | None = None,
+        replayer: RequestReplayer | None = None,
         *,
         built: int = 0,
         forces: bool = False,

@@ -140,7 +140,6 @@ class _Round:
         self._answers: dict[int, ReplanResult] = {}
         for session in sessions:
             session.clock.between = self._answer_overdue  # others need not wait beyond their deadlines
-            session.oracle.limited = any(other.clock.limited for other in sessions)
 
     def run(self) -> list[ReplanResult]:
         """Follow the policy for all in lock-step, then let searches take turns."""

@@ -11,10 +11,10 @@ import numpy as np
 from msgspec import to_builtins
 from numpy.typing import NDArray
 
+from falsework.replanning.request_replayer import Replayed
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.result import Outcome, Result, SearchResult
 from falsework.search.problem.task import Direction
-from falsework.search.problem.timed_replayer import Replayed
 from falsework.stability.verdict import Criterion
 from falsework.utils.display.notebook import Displayed
 

@@ -14,14 +14,14 @@ from falsework.errors import InputError, PlanError
 from falsework.replanning.policy_guide import PolicyGuide
 from falsework.replanning.proving import Prover
 from falsework.replanning.request import Request
+from falsework.replanning.request_replayer import RequestReplayer
 from falsework.replanning.result import ReplanResult, Stage
+from falsework.replanning.session_oracle import SessionOracle
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import Outcome, Route, SearchResult, insertion_steps
 from falsework.search.problem.task import Direction, Task
-from falsework.search.problem.timed_oracle import TimedOracle
-from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.search.together.moves import graph_with_sets
 from falsework.stability.verdict import Verdicts
 
@@ -94,8 +94,8 @@ class ReplanSession:
         self.replayer = None  # under the settings alone: changed ones would take as long again
         if replayer is not None:
             own = replayer.vary() if replayer.varies else replayer
-            self.replayer = DeadlineReplayer(own, self.clock, history)
-        self.oracle = TimedOracle(context.prover.oracle, self.clock, self.replayer)
+            self.replayer = RequestReplayer(own, self.clock, history)
+        self.oracle = SessionOracle(context.prover.oracle, self.clock, self.replayer)
         needed = _SAFETY * context.prover.seconds_for(self.task.steps + 1)
         self.clock.reserve = min(needed, _PROVING * request.deadline) if request.deadline is not None else 0.0
         self.routes: list[Route] = []

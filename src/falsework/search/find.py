@@ -37,7 +37,6 @@ from falsework.search.problem.result import (
     Stop,
 )
 from falsework.search.problem.task import Task
-from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
 from falsework.search.task_rules import TaskRules
 from falsework.search.together.moves import graph_with_sets
@@ -45,7 +44,6 @@ from falsework.search.together.posed_states import PosedStates
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import or_notebook
-from falsework.utils.interruption import interrupted_by
 
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
@@ -172,16 +170,16 @@ def _find(
             return found
     guide = guide or SupportGuide(assembly)
     how: dict[str, Any] = {"guide": guide, "wide": backend == "cuda"}
-    planner = Planner(task, timed(oracle, clock), settings, **how)
+    planner = Planner(task, oracle, settings, **how)
     if checkpoint is not None:
         planner.check_saved()
         if Path(checkpoint).exists():
-            planner = Planner.load(checkpoint, task, timed(oracle, clock), settings, **how)
+            planner = Planner.load(checkpoint, task, oracle, settings, **how)
     if not settings.judge:
         planner.tests.when_one_stands = clock.use_reserve
         if planner.tests.doubted is not None:  # of a search that is resumed
             clock.use_reserve()
-    with interrupted_by(clock.check):
+    with clock.interrupts():
         result = _run(planner, assembly, oracle, clock, _saving(planner, checkpoint, progress), stop)
     if checkpoint is not None:
         if result.interrupted:

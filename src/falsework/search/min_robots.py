@@ -20,13 +20,11 @@ from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.hold_bound import Barrier, HoldBound
 from falsework.search.problem.result import Outcome, Progress, Result, SearchResult, progress_text, unstable_end
 from falsework.search.problem.task import Direction, Task
-from falsework.search.problem.timed_oracle import timed
 from falsework.search.settings import PlannerSettings
 from falsework.search.task_rules import TaskRules
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import or_notebook
-from falsework.utils.interruption import interrupted_by
 from falsework.utils.quantity import listed
 
 EFFORT = 60.0
@@ -173,7 +171,6 @@ class _Query:
         self._least = max(1, int(held_count(ends, task.boundary).max()))
         # With a robot for every part that may be held, one more changes nothing.
         self._most = max(int((~task.boundary).sum()), self._least)
-        self._timed = timed(oracle, clock)
         self._bound = HoldBound(assembly, task, oracle.settings, clock)
         self._planners: dict[int, Planner] = {}
         self._reasons = dict.fromkeys(range(1, self._least), "the start or the target has more parts held")
@@ -184,7 +181,7 @@ class _Query:
     def answer(self) -> MinRobots:
         impossible, interrupted, late = "", False, False
         try:
-            with interrupted_by(self._clock.check):
+            with self._clock.interrupts():
                 impossible = self._no_number()
                 if not impossible:
                     self._search()
@@ -292,7 +289,7 @@ class _Query:
         if robots not in self._planners:
             task = replace(self._task, robots=robots)
             guide = SupportGuide(self._assembly)
-            self._planners[robots] = Planner(task, self._timed, self._settings, guide=guide)
+            self._planners[robots] = Planner(task, self._oracle, self._settings, guide=guide)
         planner, end, told = self._planners[robots], self._spent + seconds, False
 
         def stop() -> bool:

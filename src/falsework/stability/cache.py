@@ -92,3 +92,10 @@ def unique_rows(states: States) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     _, first, back = np.unique(keys, return_index=True, return_inverse=True)
     order = np.argsort(first)
     return first[order], np.argsort(order)[back]
+
+
+def root_rows(states: States, near: States, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the rows whose near state is none of the others; all if there are none."""
+    asked = {states[row].tobytes(): row for row in rows}
+    first = [row for row in rows if asked.get(near[row].tobytes(), row) == row]
+    return np.array(first, dtype=np.intp) if first else rows

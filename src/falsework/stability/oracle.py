@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from falsework.assembly.load import AnyStructure, as_assembly
 from falsework.assembly.state import States, as_states
 from falsework.errors import StateError
-from falsework.stability.cache import VerdictCache, unique_rows
+from falsework.stability.cache import VerdictCache, root_rows, unique_rows
 from falsework.stability.certificate import chunks, verify_certificates
 from falsework.stability.cpu.solver import TASK, CpuSolver
 from falsework.stability.criteria import CRITERIA
@@ -24,6 +24,7 @@ from falsework.stability.problem import build_problem
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.state_memory import Guesses
 from falsework.stability.verdict import Solver, Verdict, Verdicts, proof_of
+from falsework.utils.interruption import check_interruption, pieces
 
 if TYPE_CHECKING:
     from falsework.stability.contact.history import History
@@ -138,11 +139,15 @@ class StabilityOracle:
         self.counters.asked += len(batch)
         # Kernels take idle points to bear pressure, so that only certificates count.
         answer = self._certify if require_certificate or self.problem.strength.idle.any() else self._recall
-        verdicts = answer(batch, origins)
-        verdicts.on_tolerance[:] = self._claim.on_tolerance(verdicts)
         if require_certificate:
-            return replace(verdicts, assembly=self.assembly, states=batch)
-        return verdicts if verdicts.forces is None else verdicts.without_certificates()
+            check_interruption()
+            verdicts = replace(answer(batch, origins), assembly=self.assembly, states=batch)
+        else:
+            verdicts = Verdicts.all_undecided(len(batch))
+            for rows in pieces(len(batch)):
+                verdicts.put(rows, answer(batch[rows], None if origins is None else origins[rows]))
+        verdicts.on_tolerance[:] = self._claim.on_tolerance(verdicts)
+        return verdicts
 
     def margins(
         self,
@@ -184,6 +189,7 @@ class StabilityOracle:
             states: shape (batch, parts).
             parents: states at rest one move away, shape (batch, parts).
         """
+        check_interruption()
         self.counters.asked += len(states)
         verdict, residual, _ = self._cache.look_up(states)
         rest = np.flatnonzero(verdict == 0)
@@ -216,7 +222,7 @@ class StabilityOracle:
                 begun = self._certify_from_memory(unique, origins, left, verdicts)
                 rest = begun[~verdicts.stable[begun]]
                 if not len(begun):
-                    begun = rest = _roots(unique, origins, left)
+                    begun = rest = root_rows(unique, origins, left)
             if len(rest):
                 verdicts.put(rest, self._certify_from_rest(unique[rest]))
                 self._remember(unique[rest], verdicts[rest])
@@ -389,10 +395,3 @@ class StabilityOracle:
         self.counters.gpu += int((verdicts.decided_by == Solver.GPU).sum())
         self.counters.exact += int((verdicts.decided_by == Solver.EXACT).sum())
         self.counters.undecided += int(verdicts.undecided.sum())
-
-
-def _roots(states: States, near: States, rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the rows whose near state is none of the others; all if there are none."""
-    asked = {states[row].tobytes(): row for row in rows}
-    first = [row for row in rows if asked.get(near[row].tobytes(), row) == row]
-    return np.array(first, dtype=np.intp) if first else rows

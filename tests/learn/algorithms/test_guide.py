@@ -13,9 +13,9 @@ from falsework.assembly.state import action_mask
 from falsework.errors import InputError
 from falsework.learn import PolicySettings, make_policy
 from falsework.replanning.policy_guide import PolicyGuide
+from falsework.replanning.session_oracle import SessionOracle
 from falsework.search import BeamSearch, BeamSettings
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
-from falsework.search.problem.timed_oracle import TimedOracle
 
 ARCH = load_structure("arch:blocks=5")
 TASK = make_task(ARCH)
@@ -91,22 +91,23 @@ def test_clock_stops_a_search(oracle: StabilityOracle) -> None:
     """When the time is up in the middle of a level, the search stands where it was before the level."""
     vault = load_structure("vault")
     clock = Deadline(0.15)
-    timed = TimedOracle(StabilityOracle(vault), clock)
-    beam = BeamSearch(make_task(vault), timed, BeamSettings(256, Direction.ASSEMBLY))
+    timed = SessionOracle(StabilityOracle(vault), clock)
+    task = make_task(vault)
+    beam = BeamSearch(task, timed, BeamSettings(256, Direction.ASSEMBLY))
     result = beam.run()
     assert result.interrupted
     assert clock.passed
     levels = len(beam.levels)
     assert levels > 0
     with pytest.raises(DeadlineExceeded):
-        timed.verdicts(TASK.start[None])
+        timed.verdicts(task.start[None])
     assert len(beam.levels) == levels
     assert clock.spent["verdicts"] > 0
 
 
 def test_clock_without_a_deadline(oracle: StabilityOracle) -> None:
     clock = Deadline()
-    timed = TimedOracle(oracle, clock)
+    timed = SessionOracle(oracle, clock)
     plan = find_plans(ARCH, forces=False).plans[0]
     verdicts: Any = timed.verdicts(plan.states)
     assert verdicts.stable.all()

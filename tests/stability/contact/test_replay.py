@@ -16,13 +16,13 @@ from falsework.assembly import INSTALLED, complete_state, library
 from falsework.errors import InputError
 from falsework.search import BeamSearch, BeamSettings
 from falsework.search.plans.acceptance import Acceptance
-from falsework.search.problem.deadline import PIECE
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.certificate import residual_of_forces
 from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.contact.history import ReplaySettings
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.varied_replay import replay_varied
+from falsework.utils.interruption import PIECE
 
 
 def plan_states(assembly: Assembly, robots: int = 2) -> NDArray[np.uint8]:

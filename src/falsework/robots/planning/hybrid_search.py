@@ -36,7 +36,6 @@ from falsework.search.problem.guide import Guide, MemoizedGuide
 from falsework.search.problem.result import Outcome, SearchResult
 from falsework.search.problem.task import Direction, Task
 from falsework.stability.oracle import StabilityOracle
-from falsework.utils.interruption import interrupted_by
 
 _EDGES_PER_ACTION = 3
 """Motions per action that are tried at a keyframe."""
@@ -95,7 +94,7 @@ class HybridSearch:
     def run(self, root: Node) -> HybridResult:
         """Find an abstract plan, then motions for it or for a similar one; end at the deadline."""
         try:
-            with interrupted_by(self.clock.check):
+            with self.clock.interrupts():
                 return self._search(root)
         except DeadlineExceeded:  # in a search for a way out
             return self.failed(root, "interrupted", _LATE)

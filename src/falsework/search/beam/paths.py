@@ -19,7 +19,7 @@ from falsework.stability.contact.varied_replay import changed, in_pieces, inexac
 
 if TYPE_CHECKING:
     from falsework.stability.contact.history import History, Presses
-    from falsework.stability.contact.varied_replay import AnyReplayer
+    from falsework.stability.contact.replay import Replayer
 
 Array = NDArray[np.float64]
 K = TypeVar("K")
@@ -32,7 +32,7 @@ class PathHistories(Generic[K]):
 
     def __init__(
         self,
-        replayer: AnyReplayer,
+        replayer: Replayer,
         before: Callable[[K], K | None],
         state: Callable[[K], States],
         room: int = MEMORY,
@@ -180,7 +180,7 @@ class BeamPaths:
         self,
         levels: list[Level | PackedLevel],
         judge: CountingOracle,
-        replayer: AnyReplayer | None,
+        replayer: Replayer | None,
         history_bytes: int,
     ) -> None:
         """Begin with nothing.

@@ -16,7 +16,7 @@ from falsework.stability.holds import HoldLoad
 
 if TYPE_CHECKING:
     from falsework.search.problem.result import Stop
-    from falsework.stability.contact.varied_replay import AnyReplayer
+    from falsework.stability.contact.replay import Replayer
 
 
 class Acceptance:
@@ -26,7 +26,7 @@ class Acceptance:
     many, and discrete elements build it as well.
     """
 
-    def __init__(self, replayer: AnyReplayer | None, *, robust: bool = False, judge: bool = False) -> None:
+    def __init__(self, replayer: Replayer | None, *, robust: bool = False, judge: bool = False) -> None:
         """Prepare the test; without a replayer there is none.
 
         Raises:

@@ -16,7 +16,7 @@ from falsework.search.problem.result import Route, Stop, barred_row
 from falsework.search.problem.search import Search
 from falsework.search.settings import PlannerSettings
 from falsework.stability.contact.history import Change
-from falsework.stability.contact.varied_replay import AnyReplayer
+from falsework.stability.contact.replay import Replayer
 
 
 def barred_state(states: States, row: int) -> States:
@@ -51,7 +51,7 @@ class RouteTests:
         """Excluded states, shape (count, parts)."""
         self.again: States | None = None
         """State in which the last route fell under changed settings, if the search can build that far anew."""
-        self.replayer: AnyReplayer | None = oracle.replayer
+        self.replayer: Replayer | None = oracle.replayer
         """Replayer of complete routes; None where there is no history to take into account."""
         self._settings = settings
         self._acceptance = Acceptance(self.replayer, robust=settings.robust, judge=settings.judge)
@@ -81,7 +81,7 @@ class RouteTests:
         """Return whether a route passes all tests; exclude the first state that fails.
 
         An oracle that requires margins first checks every state in full. The slow tests come last: changed settings,
-        and the judge. Where the route falls under changes, these are among `AnyReplayer.changes` from then on. No state
+        and the judge. Where the route falls under changes, these are among `Replayer.changes` from then on. No state
         is excluded if the search has replayed the steps itself, since it can do so under them.
 
         Args:

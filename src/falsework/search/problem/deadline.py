@@ -7,13 +7,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from numpy.typing import NDArray
 
-from falsework.utils.interruption import PIECE
+from falsework.utils.interruption import interrupted_by
 from falsework.utils.quantity import check_deadline
-
-_MOST, _SLICE = 8192, 0.02
-"""Batches of verdicts adapt from `PIECE` up to so many, which take about so many seconds. Both change no result."""
 
 
 class DeadlineExceeded(KeyboardInterrupt):
@@ -82,14 +78,12 @@ class Deadline:
             raise DeadlineExceeded
 
     @contextmanager
-    def piece(self, what: str) -> Iterator[None]:
-        """Do a piece of work, and add its seconds to the account `what`.
-
-        Raises:
-            DeadlineExceeded: it is time to stop.
-        """
-        self.check()
-        with self.timed(what):
+    def interrupts(self) -> Iterator[None]:
+        """End computations within when it is time to stop, if there is a deadline; they raise `DeadlineExceeded`."""
+        if not self.limited:
+            yield
+            return
+        with interrupted_by(self.check):
             yield
 
     @contextmanager
@@ -104,18 +98,3 @@ class Deadline:
     def add(self, what: str, seconds: float) -> None:
         """Add seconds to the account `what`."""
         self.spent[what] = self.spent.get(what, 0.0) + seconds
-
-
-def pieces(count: int, *, limited: bool) -> Iterator[NDArray[np.int64]]:
-    """Yield the numbers of some states in pieces, between which to check a deadline: all at once if there is none.
-
-    Pieces adapt to the time that one takes until the next is asked for.
-    """
-    begin, size = 0, PIECE if limited else _MOST
-    while begin < count:
-        since = time.perf_counter()
-        yield np.arange(begin, min(begin + size, count))
-        begin += size
-        if limited:
-            taken = max(time.perf_counter() - since, 1e-6)
-            size = int(min(max(size * min(_SLICE / taken, 2.0), 1), _MOST))

@@ -13,7 +13,7 @@ from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Solver, Verdicts
 
 if TYPE_CHECKING:
-    from falsework.stability.contact.varied_replay import AnyReplayer
+    from falsework.stability.contact.replay import Replayer
 
 
 _QUERY = 150_000
@@ -44,7 +44,7 @@ class Oracle(Criterion, Protocol):
         return False
 
     @property
-    def replayer(self) -> AnyReplayer | None:
+    def replayer(self) -> Replayer | None:
         """Replayer of sequences of states; None where there is no history to take into account."""
         return None
 

@@ -37,6 +37,7 @@ from falsework.stability.second_order.growing_motion import SecondOrder
 from falsework.stability.second_order.springs import springs_at
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.stiffness import movement_of, structure_size
+from falsework.utils.interruption import check_interruption, pieces
 
 Array = NDArray[np.float64]
 
@@ -72,7 +73,8 @@ class Replayer:
             )
             solver = ContactSolver(assembly, problem, settings)
         self.problem = solver.problem
-        self._solver = solver
+        self.solver = solver
+        """Solver whose layout of the structure it has."""
         self.law = solver.contact_structure
         first, numerics = replay.first_step, settings.numerics
         later = first / numerics.first_step * numerics.warm_first_step
@@ -92,7 +94,7 @@ class Replayer:
     def vary(self, settings: StabilitySettings | None = None, replay: ReplaySettings | None = None) -> Replayer:
         """Return a replayer of the same structure under other settings."""
         settings = settings or self.settings
-        solver = self._solver if settings == self.settings else None
+        solver = self.solver if settings == self.settings else None
         return Replayer(self.assembly, settings, replay or self.replay_settings, solver)
 
     def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
@@ -170,6 +172,7 @@ class Replayer:
         for row, (state, history) in enumerate(zip(states, histories, strict=True)):
             if row < known or (row and not ((state != states[row - 1]) & (state != HELD)).any()):
                 continue  # a part that is held or placed changes no force, and only hinders others
+            check_interruption()
             changed = state != states[row - 1] if row else np.ones(len(state), dtype=bool)
             near = np.asarray(changed, dtype=np.float64)
             for _ in range(REACH):
@@ -210,7 +213,7 @@ class Replayer:
 
     @cached_property
     def _presses(self) -> PressPlanner:
-        return PressPlanner(self._solver)
+        return PressPlanner(self.solver)
 
     def _press(self, before: States, after: States, history: History) -> History | None:
         """Return the history of a step in which robots press before a part is released; None if none is found."""
@@ -250,24 +253,23 @@ class Replayer:
             if keeps_track and history.track is not None:
                 track[0] = history.track
         start, pressed, wrench = pack_presses(presses)
-        reached = replay_range(
-            self.law,
-            batch,
-            history is None,
-            *(start, pressed, (problem.whitening[pressed] @ wrench[:, :, None])[:, :, 0]),
-            *(self.options, increments, self._noise),
-            *(displacement, springs, torn, self._set_shares(age)),
-            *(track, result, residual, part, moved, iterations),
-        )
+        given = (start, pressed, (problem.whitening[pressed] @ wrench[:, :, None])[:, :, 0])
+        arrays = displacement, springs, torn, self._set_shares(age), track, result, residual, part, moved, iterations
+        reached = 0
+        for rows in pieces(count):
+            first, last = int(rows[0]), int(rows[-1]) + 1
+            options = self.options, increments, self._noise
+            reached = replay_range(self.law, batch, first, last, history is None, *given, *options, *arrays)
+            if reached < last:
+                break
         self._iterations += int(iterations.sum())
-        given = [tuple(some) for some in presses]
+        done = [tuple(some) for some in presses]
         if history is not None:
-            given[0] = history.presses
+            done[0] = history.presses
         tracks = track if keeps_track else repeat(None)
-        rows = zip(displacement, springs, torn, age, moved.tolist(), part.tolist(), given, tracks, strict=False)
+        rows = zip(displacement, springs, torn, age, moved.tolist(), part.tolist(), done, tracks, strict=False)
         histories = tuple(History(*row) for row in islice(rows, reached))
-        done = tuple(history.presses for history in histories)
-        return Replay(result, moved, part, residual, self._size, histories, done)
+        return Replay(result, moved, part, residual, self._size, histories, tuple(one.presses for one in histories))
 
     def _ages(self, states: States, age: NDArray[np.int32] | None) -> NDArray[np.int32]:
         """Return for how many steps both parts of each contact point have been present, shape (states, points).

@@ -270,15 +270,16 @@ def settle_step(law, before, state, press_part, press_wrench, lost, options, inc
 
 @njit(nogil=True, cache=True)
 def replay_range(
-    law, states, fresh, press_start, press_part, press_wrench, options, increments, noise, displacement, springs, torn,
-    set_share, track, result, residual, part, movement, iterations,
+    law, states, first, last, fresh, press_start, press_part, press_wrench, options, increments, noise, displacement,
+    springs, torn, set_share, track, result, residual, part, movement, iterations,
 ):  # fmt: skip
-    """Replay consecutive states until one does not come to rest; return how many did.
+    """Replay consecutive states until one does not come to rest; return how many did, those before included.
 
     Args:
         law, options, increments: as in `settle_step`.
         states: shape (steps + 1, parts); the history belongs to the first, unless `fresh`.
-        fresh: whether the first state has no history.
+        first, last: the states to replay, up to `last`; those before have been.
+        fresh: whether the first of all states has no history.
         press_start, press_part, press_wrench: the robots that press in the step to state `i` are the entries
             `press_start[i]:press_start[i + 1]`; see `settle_step`.
         noise: as in `place_new`.
@@ -288,7 +289,7 @@ def replay_range(
         result, residual, part, movement, iterations: out, one entry per state; iterations zero before.
     """
     contact, lost = make_contact_scratch(law), np.zeros((states.shape[1], 6))
-    for i in range(len(states)):
+    for i in range(first, last):
         history = HistoryArrays(displacement[i], springs[i], torn[i], set_share[i])
         settles = fresh
         if i > 0:
@@ -309,9 +310,9 @@ def replay_range(
                 settles = settles or (states[i, p] != states[i - 1, p] and states[i, p] != 2)
         result[i], residual[i] = RESTS, 0.0
         if settles:
-            first, last = press_start[i], press_start[i + 1]
+            begin, end = press_start[i], press_start[i + 1]
             result[i], residual[i], iterations[i], part[i], movement[i] = settle_step(
-                law, states[max(i - 1, 0)], states[i], press_part[first:last], press_wrench[first:last], lost, options,
+                law, states[max(i - 1, 0)], states[i], press_part[begin:end], press_wrench[begin:end], lost, options,
                 increments, contact, history, track[i],
             )  # fmt: skip
         elif i > 0:
@@ -321,4 +322,4 @@ def replay_range(
             result[i], part[i] = OVERLOADS, strained
         if result[i] != RESTS:
             return i
-    return len(states)
+    return last

@@ -10,22 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import itemgetter
 from threading import Event
-from typing import Protocol
 
-from numpy.typing import ArrayLike
-
-from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.stability.contact.history import Change, History, Presses, Replay, ReplaySettings
-from falsework.stability.contact.hold_loads import Loads
 from falsework.stability.contact.newton import OPEN
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.holds import Press, inexact_presses
-from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.cores import core_count
 from falsework.utils.interruption import PIECE
@@ -40,55 +35,6 @@ _RATIOS = 0.4, 1.0
 _INCREMENTS = 1, 16
 _FIRST_STEPS = ReplaySettings.first_step / 30, ReplaySettings.first_step * 30
 _HOLD_FACTORS = 1 / 3, 3.0
-
-
-class AnyReplayer(Protocol):
-    """Interface of a `Replayer`, or of one that checks a deadline between steps."""
-
-    @property
-    def problem(self) -> Problem:
-        """Contact problem of the structure."""
-
-    @property
-    def settings(self) -> StabilitySettings:
-        """Settings of the verdicts."""
-
-    @property
-    def varies(self) -> bool:
-        """Whether it takes changes of settings."""
-
-    @property
-    def changes(self) -> tuple[Change, ...]:
-        """Changes under which every step must come to rest too."""
-
-    def also_under(self, changes: Sequence[Change]) -> None:
-        """Have every step come to rest under these changes too; histories from before do not hold any more."""
-
-    @property
-    def iterations(self) -> int:
-        """Newton iterations so far."""
-
-    def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
-        """Replay consecutive states in assembly order."""
-
-    def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        """Take one step, as a replay of both states."""
-
-    @property
-    def assembly(self) -> Assembly:
-        """The structure."""
-
-    def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> AnyReplayer:
-        """Return a replayer of the same structure under other settings."""
-
-    def first_tipping(self, states: States, histories: Sequence[History], known: int = 0) -> int | None:
-        """Return the first state that a small motion leaves, though it is at rest; None if there is none."""
-
-    def slip(self, before: History, after: History) -> float:
-        """Return the largest movement of a part between two histories, as a share of the movement limit."""
-
-    def loads(self, states: States, histories: Sequence[History]) -> Loads:
-        """Return what robots bear in states in assembly order."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +58,7 @@ def inexact(change: Change, presses: Presses) -> Presses:
 
 
 def in_pieces(
-    replayer: AnyReplayer, states: States, presses: Presses, known: tuple[int, History] | None = None
+    replayer: Replayer, states: States, presses: Presses, known: tuple[int, History] | None = None
 ) -> Iterator[tuple[int, Sequence[History]]]:
     """Yield the histories of a few states along a route at a time, up to the first that does not come to rest.
 
@@ -142,7 +88,7 @@ def in_pieces(
 class RouteReplay:
     """Replay of routes of one structure; each begins with what it has in common with the last."""
 
-    def __init__(self, replayer: AnyReplayer, change: Change | None = None) -> None:
+    def __init__(self, replayer: Replayer, change: Change | None = None) -> None:
         """Begin without a route.
 
         Args:
@@ -215,8 +161,10 @@ def _falls(replays: Sequence[RouteReplay], states: States) -> list[int | None]:
     """
     over = Event()
     with ThreadPoolExecutor(core_count()) as pool:
+        # Each in a copy of this context: threads too are interrupted by what interrupts this one.
+        running = [pool.submit(copy_context().run, one.falls_at, states, over) for one in replays]
         try:
-            return list(pool.map(lambda one: one.falls_at(states, over), replays))
+            return [one.result() for one in running]
         finally:
             over.set()
 
@@ -256,7 +204,7 @@ class EnsembleReplayer(Replayer):
     varies = True
 
     def also_under(self, changes: Sequence[Change]) -> None:
-        """As of `AnyReplayer`."""
+        """Have every step come to rest under these changes too; histories from before do not hold any more."""
         self.changes = tuple(changes)
 
     @cached_property
@@ -301,7 +249,7 @@ def _cut(found: Replay, other: Replay, row: int) -> Replay:
 
 
 def replay_varied(
-    replayer: AnyReplayer, states: States, presses: Presses | None = None, *, changes: Sequence[Change] | None = None
+    replayer: Replayer, states: States, presses: Presses | None = None, *, changes: Sequence[Change] | None = None
 ) -> list[Variation]:
     """Replay a plan under other settings: a plan that collapses under one of them is marginal.
 
@@ -323,7 +271,7 @@ def replay_varied(
 class AllVariations:
     """Test of plans under changed settings; what it learns stays with the replayer."""
 
-    def __init__(self, replayer: AnyReplayer, count: int = FEW) -> None:
+    def __init__(self, replayer: Replayer, count: int = FEW) -> None:
         """Prepare the test of plans with the settings of a replayer, which tries steps under these alone at first.
 
         Args:

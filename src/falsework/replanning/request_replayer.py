@@ -1,26 +1,22 @@
-"""Contact replays of candidate routes within the deadline of a request."""
+"""Contact replays of the routes of a replanning request, which begin with what is built and end with its clock."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.result import barred_row
-from falsework.stability.contact.history import Change, History, Presses, Replay, ReplaySettings
-from falsework.stability.contact.hold_loads import Loads
+from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings
 from falsework.stability.contact.newton import RESTS
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.holds import Press
-from falsework.stability.problem import Problem
 from falsework.stability.settings import StabilitySettings
-from falsework.utils.interruption import PIECE
+from falsework.utils.interruption import PIECE, interrupted_by
 
 
 @dataclass(frozen=True)
@@ -85,11 +81,11 @@ class Falls:
     """States between the ends at which sequences failed."""
 
 
-class DeadlineReplayer:
-    """Replayer that checks the deadline between steps and replays no sequence twice.
+class RequestReplayer(Replayer):
+    """Replayer of one request: it ends with the clock and replays no sequence twice, but goes on where it ended.
 
-    Searches use it like a `Replayer`. They exclude the state in which a sequence fails. Every sequence has the two
-    ends, so if an end fails, its neighbour is excluded.
+    Searches exclude the state in which a sequence fails. Every sequence has the two ends, so if an end fails, its
+    neighbour is excluded.
     """
 
     def __init__(
@@ -106,76 +102,31 @@ class DeadlineReplayer:
             built: states that have been built, the last of which is the first of every sequence, and the presses of
                 the steps that led to each of them; sequences then begin with that history, not from rest.
         """
+        super().__init__(replayer.assembly, replayer.settings, replayer.replay_settings, replayer.solver)
         self._replayer = replayer
         self._built = built
         self._prefix: _Progress | None = None
         self._clock = clock
         self._known: dict[tuple[bytes, Presses | None], _Progress] = {}
-        self._varied: dict[tuple[StabilitySettings, ReplaySettings], DeadlineReplayer] = {}
+        self._varied: dict[tuple[StabilitySettings, ReplaySettings], RequestReplayer] = {}
         self.falls = Falls()
         """Of this one and of replayers under other settings."""
-
-    @property
-    def assembly(self) -> Assembly:
-        """As of `Replayer`."""
-        return self._replayer.assembly
-
-    @property
-    def problem(self) -> Problem:
-        """As of `Replayer`."""
-        return self._replayer.problem
-
-    @property
-    def varies(self) -> bool:
-        """As of `AnyReplayer`."""
-        return self._replayer.varies
-
-    @property
-    def changes(self) -> tuple[Change, ...]:
-        """As of `AnyReplayer`."""
-        return self._replayer.changes
-
-    def also_under(self, changes: Sequence[Change]) -> None:
-        """As of `AnyReplayer`; sequences that were replayed before are replayed anew."""
-        if tuple(changes) != self.changes:
-            self._prefix = None
-            self._known.clear()
-        self._replayer.also_under(changes)
 
     @property
     def iterations(self) -> int:
         """As of `Replayer`."""
         return self._replayer.iterations
 
-    @property
-    def settings(self) -> StabilitySettings:
-        """As of `Replayer`."""
-        return self._replayer.settings
-
-    def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> DeadlineReplayer:
+    def vary(self, settings: StabilitySettings | None = None, replay: ReplaySettings | None = None) -> RequestReplayer:
         """Return a replayer of the same structure under other settings, with the same clock."""
-        key = settings, replay
+        key = settings or self.settings, replay or self.replay_settings
         if key not in self._varied:
-            varied = DeadlineReplayer(self._replayer.vary(settings, replay), self._clock, self._built)
-            varied.falls = self.falls
-            self._varied[key] = varied
+            self._varied[key] = RequestReplayer(self._replayer.vary(*key), self._clock, self._built)
+            self._varied[key].falls = self.falls
         return self._varied[key]
 
-    def first_tipping(self, states: States, histories: Sequence[History], known: int = 0) -> int | None:
-        """Return the first state that a small motion leaves, see `Replayer.first_tipping`."""
-        with self._clock.piece("replays"):
-            return self._replayer.first_tipping(states, histories, known)
-
-    def slip(self, before: History, after: History) -> float:
-        """Return how far parts move, see `Replayer.slip`."""
-        return self._replayer.slip(before, after)
-
-    def loads(self, states: States, histories: Sequence[History]) -> Loads:
-        """Return what robots bear, see `Replayer.loads`."""
-        return self._replayer.loads(states, histories)
-
     def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
-        """Replay as `Replayer.replay`, without histories unless a single state is replayed.
+        """Replay as `Replayer.replay` does; where several states have no history before them, without histories.
 
         Raises:
             DeadlineExceeded: the deadline passed; `unfinished` then is this sequence.
@@ -189,8 +140,7 @@ class DeadlineReplayer:
             ends = built.moved[-1:], built.part[-1:], built.residual[-1:]
             return Replay(result, *ends, 0.0, tuple(filter(None, histories)))
         if history is not None or len(sequence) < 2:
-            with self._clock.piece("replays"):
-                return self._replayer.replay(sequence, history, presses)
+            return self._within_time(sequence, history, presses)
         if presses is not None and self._built is not None:
             presses = (*self._built[1], *presses[1:])
         progress, before = self._continue(sequence, presses), self._before
@@ -203,15 +153,6 @@ class DeadlineReplayer:
             result[barred_row(progress.reached - before, len(sequence)) or len(sequence) :] = 0
         arrays = progress.moved[before:], progress.part[before:], progress.residual[before:]
         return Replay(result, *arrays, 0.0, presses=tuple(progress.presses[before:]))
-
-    def step(self, history: History, before: States, after: States) -> tuple[bool, History]:
-        """Replay a step as `Replayer.step`.
-
-        Raises:
-            DeadlineExceeded: the deadline passed.
-        """
-        with self._clock.piece("replays"):
-            return self._replayer.step(history, before, after)
 
     def replay_in_time(self, states: States, presses: Presses | None = None) -> Replayed:
         """Replay a sequence, or as much of it as the deadline allows; with a reserve, under the true friction too.
@@ -295,13 +236,12 @@ class DeadlineReplayer:
         """Replay further states of a sequence, as far as the clock allows."""
         count = len(states) if upto is None else upto
         while not progress.fell and progress.reached < count:
-            self._clock.between()
-            if self._clock.passed:
-                break
             first = max(progress.reached - 1, 0)  # the last state at rest, whose history is known
             rows = slice(first, min(first + PIECE + 1, count))
-            with self._clock.timed("replays"):
-                found = self._replayer.replay(states[rows], progress.history, given and given[rows])
+            try:
+                found = self._within_time(states[rows], progress.history, given and given[rows])
+            except DeadlineExceeded:
+                break
             done = int(np.argmin(np.append(found.stands == RESTS, False)))
             fresh = slice(progress.reached, first + done)
             skipped = progress.reached - first
@@ -312,6 +252,11 @@ class DeadlineReplayer:
             if done:
                 progress.presses += found.presses[skipped:done]
                 progress.reached, progress.history = first + done, found.histories[done - 1]
+
+    def _within_time(self, states: States, history: History | None, presses: Presses | None) -> Replay:
+        """Replay as `Replayer.replay` does, until the clock has run out."""
+        with interrupted_by(self._clock.check), self._clock.timed("replays"):
+            return self._replayer.replay(states, history, presses)
 
     def _note(self, states: States, row: int) -> None:
         """Record that a sequence fails in state `row`."""

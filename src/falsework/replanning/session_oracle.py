@@ -1,0 +1,81 @@
+"""Oracle of a replanning request: it ends with the clock of the request, and leaves out what replays have excluded."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from falsework.assembly.state import Mask, States
+from falsework.replanning.request_replayer import RequestReplayer
+from falsework.search.problem.deadline import Deadline
+from falsework.search.problem.oracle import Oracle
+from falsework.stability.settings import StabilitySettings
+from falsework.stability.verdict import Verdict, Verdicts
+from falsework.utils.interruption import interrupted_by
+
+
+class SessionOracle(Oracle):
+    """Oracle of one request, which counts the states that it is asked for."""
+
+    def __init__(self, oracle: Oracle, clock: Deadline, replayer: RequestReplayer | None = None) -> None:
+        """Query an oracle until a clock has run out.
+
+        States that `replayer` has excluded count as sliding, whatever the verdict of the oracle.
+        """
+        self.asked = 0
+        """Number of states checked."""
+        self._oracle, self._replayer, self._clock = oracle, replayer, clock
+
+    @property
+    def holds_keep_stable(self) -> bool:
+        """As of the oracle."""
+        return self._oracle.holds_keep_stable
+
+    @property
+    def replayer(self) -> RequestReplayer | None:
+        """Replayer of the request; None where there is no history to take into account."""
+        return self._replayer
+
+    @property
+    def settings(self) -> StabilitySettings | None:
+        """As of the oracle."""
+        return self._oracle.settings
+
+    @property
+    def premises(self) -> dict[str, Any]:
+        """As of the oracle."""
+        return self._oracle.premises
+
+    def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
+        """See `falsework.search.problem.oracle.Oracle`.
+
+        Raises:
+            DeadlineExceeded: the deadline has passed.
+        """
+        with interrupted_by(self._clock.check), self._clock.timed("verdicts"):
+            found = self._oracle.verdicts(states, near=near, require_certificate=require_certificate)
+        if not require_certificate:
+            found.verdict[self.rules_out(states)] = Verdict.SLIDES
+            self.asked += len(states)
+        return found
+
+    def plausible(self, states: States, parents: States) -> Mask:
+        """Return which states a replay may find at rest, see `StabilityOracle.plausible`.
+
+        Raises:
+            DeadlineExceeded: the deadline has passed.
+        """
+        with interrupted_by(self._clock.check), self._clock.timed("verdicts"):
+            found = self._oracle.plausible(states, parents)
+        self.asked += len(states)
+        return found & ~self.rules_out(states)
+
+    def keeps(self, states: States) -> Mask:
+        """Return which states keep the margins that the oracle asks for; see `MarginOracle.keeps`."""
+        return self._oracle.keeps(states)
+
+    def rules_out(self, states: States) -> Mask:
+        """Return which states replays have excluded, shape (batch,)."""
+        known = () if self._replayer is None else self._replayer.falls.ruled_out
+        return np.array([bool(known) and state.tobytes() in known for state in states], dtype=bool)
