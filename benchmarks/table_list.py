@@ -87,6 +87,16 @@ def counted(path: str) -> Callable[[Runs], str]:
     return write
 
 
+def standing(key: str) -> Callable[[Runs], str]:
+    """Return a column with the plans of which none of some replays falls, of those with a reserve."""
+
+    def write(runs: Runs) -> str:
+        found = [run[key] for run in runs if run["accepted"]]
+        return f"{found.count(0)} of {len(found)}"
+
+    return write
+
+
 def total(path: str) -> Callable[[Runs], str]:
     """Return a column with the sum of a figure over all runs."""
     return lambda runs: number(sum(int(run[path]) for run in runs))
@@ -268,6 +278,17 @@ TABLES = {
         (("plans found", planned), ("built, contacts as of the criterion", counted("alike"))),
         benchmark="judges shells",
         where=lambda record: not record.get("judge"),
+    ),
+    "changes": Table(
+        "changes",
+        (("robots", "{robots}"),),
+        (
+            ("structures and seeds", lambda runs: str(len(runs))),
+            ("stand under all random changes", standing("falls")),
+            ("under all sixteen extremes", standing("extremes")),
+            ("random changes that fell one", lambda runs: number(sum(run.get("falls", 0) for run in runs))),
+            ("of", lambda runs: number(sum(run["draws"] for run in runs if run["accepted"]))),
+        ),
     ),
     "first-minute": Table(
         "first_minute",
