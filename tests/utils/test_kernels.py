@@ -249,7 +249,7 @@ def test_the_command_says_so_in_one_line(tmp_path: Path) -> None:
     assert done.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize(("seconds", "lines"), [(0.05, 0), (1.5, 1)])
+@pytest.mark.parametrize(("seconds", "lines"), [(0.05, 0), (0.8, 1)])
 def test_a_long_compilation_is_announced_once(seconds: float, lines: int) -> None:
     """While it lasts; compilations within others, and further ones, say nothing more."""
     program = f"""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,6 +32,19 @@ from falsework.robots.model.shapes import block, pose
 from falsework.robots.plans.robot_plan import records_of
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.viewer import Timeline
+
+CHROMIUM_FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox", "--hide-scrollbars"]
+# Without a graphics card the processor draws all but the scene sooner by itself than as one.
+CHROMIUM_FLAGS += ["--disable-gpu-rasterization", "--disable-gpu-compositing"]
+
+
+def chromium() -> str:
+    """Path of a Chromium that is installed, or skip."""
+    named = os.environ.get("FALSEWORK_CHROMIUM")
+    found = named or shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if not found or not Path(found).exists():
+        pytest.skip("no Chromium here: install it (Debian: apt install chromium) or name it in FALSEWORK_CHROMIUM")
+    return found
 
 
 @cache

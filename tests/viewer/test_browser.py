@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import re
-import shutil
 import signal
 import subprocess
 import time
@@ -31,14 +29,13 @@ from falsework.viewer.page.page import Page
 from falsework.viewer.page.scene import SIZE
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import ROBOTS, rgb
-from tests.viewer.conftest import planned
+from tests.viewer.conftest import CHROMIUM_FLAGS, chromium, planned
 
 pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
 playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright to steer a browser")
 pil = pytest.importorskip("PIL.Image")
 
 WINDOW = {"width": 800, "height": 500}
-FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox", "--hide-scrollbars"]
 PATIENCE = 60.0
 # Chromium says these of software rendering, and of parts of viser that the page does not use: they are no errors of it.
 HARMLESS = (
@@ -52,23 +49,20 @@ HARMLESS = (
 )
 
 
-def chromium() -> str:
-    """Path of a Chromium that is installed, or skip."""
-    named = os.environ.get("FALSEWORK_CHROMIUM")
-    found = named or shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if not found or not Path(found).exists():
-        pytest.skip("no Chromium here: install it (Debian: apt install chromium) or name it in FALSEWORK_CHROMIUM")
-    return found
-
-
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """One headless Chromium for all tests here."""
     path = chromium()
     with playwright.sync_playwright() as driver:
-        started = driver.chromium.launch(executable_path=path, args=FLAGS)
+        started = driver.chromium.launch(executable_path=path, args=CHROMIUM_FLAGS)
         yield started.new_context(viewport=WINDOW)
         started.close()
+
+
+@pytest.fixture(scope="module")
+def tab(browser: Any) -> Any:
+    """One tab for all pages that are served here: another has a process of its own, which reads all scripts anew."""
+    return browser.new_page()
 
 
 @dataclass
@@ -137,20 +131,24 @@ class Open:
 
 
 @pytest.fixture
-def opened(browser: Any, arch: Any) -> Iterator[Callable[..., Open]]:
-    """Serve a model and open it in a tab; whatever the console says against it fails the test."""
-    pages: list[Open] = []
+def opened(tab: Any) -> Iterator[Callable[..., Open]]:
+    """Serve a model and open it in the tab; whatever the console says against it fails the test."""
+    pages: list[Page] = []
+    listening: list[tuple[str, Callable[[Any], None]]] = []
+
+    def listen(event: str, hear: Callable[[Any], None]) -> None:
+        tab.on(event, hear)
+        listening.append((event, hear))
 
     def show(model: ViewerState, *, shadows: bool = False, window: dict[str, int] = WINDOW) -> Open:
         page = Page(model, port=8190)
+        pages.append(page)
         if not shadows:  # most of what it takes to draw a picture without a graphics card
             page.server.scene.configure_default_lights(enabled=True, cast_shadow=False)
-        tab = browser.new_page()
         tab.set_viewport_size(window)
         now = Open(page, tab, [])
-        tab.on("console", lambda said: said.type == "error" and now.complaints.append(said.text))
-        tab.on("pageerror", lambda error: now.complaints.append(str(error)))
-        pages.append(now)
+        listen("console", lambda said: now.complaints.append(said.text) if said.type == "error" else None)
+        listen("pageerror", lambda error: now.complaints.append(str(error)))
         tab.goto(page.address)
         tab.get_by_role("tab", name="Look").wait_for(timeout=1000 * PATIENCE)
         now.until(lambda: bool(page.server.get_clients()), "the browser connects")
@@ -158,9 +156,11 @@ def opened(browser: Any, arch: Any) -> Iterator[Callable[..., Open]]:
         return now
 
     yield show
-    for some in pages:
-        some.tab.close()
-        some.page.close()
+    for event, hear in listening:
+        tab.remove_listener(event, hear)
+    tab.goto("about:blank")
+    for page in pages:
+        page.close()
 
 
 def complaints_of(now: Open) -> list[str]:
@@ -503,7 +503,7 @@ def test_a_file_plays_without_a_server(browser: Any, arch: Any, tmp_path: Path) 
     while len(seen) < 3:  # it plays
         assert time.monotonic() < end
         seen.add(time_box.input_value())
-        tab.wait_for_timeout(300)
+        tab.wait_for_timeout(100)
     tab.locator("button.mantine-ActionIcon-root").first.click()  # pause, so that the time stays as it is set
 
     def at(step: int) -> np.ndarray:
@@ -512,7 +512,7 @@ def test_a_file_plays_without_a_server(browser: Any, arch: Any, tmp_path: Path) 
         shots, end = [shot()], time.monotonic() + PATIENCE
         while len(shots) < 3 or changed(*shots[-2:]):  # until the picture rests
             assert time.monotonic() < end
-            tab.wait_for_timeout(750)
+            tab.wait_for_timeout(250)
             shots.append(shot())
         return shots[-1]
 
@@ -527,7 +527,7 @@ def test_a_file_plays_without_a_server(browser: Any, arch: Any, tmp_path: Path) 
     again, end = at(1), time.monotonic() + PATIENCE
     while changed(first, again) >= 500:  # going back leaves nothing of what came later
         assert time.monotonic() < end
-        tab.wait_for_timeout(750)
+        tab.wait_for_timeout(250)
         again = shot()
     assert [text for text in wrong if not any(word in text for word in HARMLESS)] == []
     tab.close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from falsework.viewer.cells.cell_model import COLLIDES, NEAR, build_cell_model, 
 from falsework.viewer.palette import unit_rgb
 from tests.robots.cells.arm_description import urdf_text
 from tests.robots.cells.cell_texts import ONE_ARM, TWO_JOINTS
+from tests.viewer.conftest import CHROMIUM_FLAGS, chromium
 
 pytestmark = pytest.mark.filterwarnings("ignore::falsework.robots.cells.urdf_review.CellWarning")
 
@@ -281,17 +281,14 @@ def test_in_a_browser(file: Path, tmp_path: Path) -> None:
     pytest.importorskip("viser", reason="the page needs viser; pip install 'falsework[viewer]'")
     playwright = pytest.importorskip("playwright.sync_api", reason="needs playwright to steer a browser")
     image = pytest.importorskip("PIL.Image", reason="pictures need Pillow")
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-    if chromium is None:
-        pytest.skip("no Chromium here: install it (Debian: apt install chromium)")
+    path = chromium()
     from falsework.viewer import view_cell
 
     file.write_text(INTO_TABLE)
     page = view_cell(file, port=8392)
-    flags = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
     try:
         with playwright.sync_playwright() as driver:
-            browser = driver.chromium.launch(executable_path=chromium, args=flags)
+            browser = driver.chromium.launch(executable_path=path, args=CHROMIUM_FLAGS)
             tab = browser.new_page(viewport={"width": 700, "height": 480})
             tab.goto(page.address)
             tab.get_by_text("home is too near").first.wait_for(timeout=30_000)

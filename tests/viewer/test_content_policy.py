@@ -83,6 +83,7 @@ def test_every_answer_has_the_policy(timeline: Timeline) -> None:
             policy = answer.headers["Content-Security-Policy"]
             assert policy.startswith("script-src 'wasm-unsafe-eval' 'sha256-")
             assert answer.headers["X-Content-Type-Options"] == "nosniff"
+            answer.read()  # all of it: a server waits for readers before it ends
             connection.close()
     finally:
         page.close()

@@ -58,12 +58,12 @@ def solve_wrist(screws: Screws, targets: Array) -> tuple[Array, Owner]:
     turn, shift = _moved(screws, targets)
     if screws.spherical:
         q6 = np.zeros((len(targets), 1))
-        first, turned, good = _arm(screws, turn, shift, q6)
-        return _euler(screws, turn, first[:, 0], turned[:, 0], good[:, 0])
+        first, good = _arm(screws, turn, shift, q6)
+        return _euler(screws, turn, first[:, 0], _turned(screws, first[:, 0]), good[:, 0])
     grid = np.linspace(-np.pi, np.pi, WRIST_ANGLES + 1)
-    q6 = np.broadcast_to(grid, (len(targets), WRIST_ANGLES + 1))
-    first, turned, good = _arm(screws, turn, shift, q6)
-    value = np.where(good, _offset_equation(screws, turn, turned, q6), np.nan)
+    q6 = grid[None]  # the same for all targets
+    first, good = _arm(screws, turn, shift, q6)
+    value = np.where(good, _offset_equation(screws, turn, first, q6), np.nan)
     left, right = value[:, :-1], value[:, 1:]
     with np.errstate(invalid="ignore"):
         crossing = left * right <= 0
@@ -127,29 +127,32 @@ def _moved(screws: Screws, targets: Array) -> tuple[Array, Array]:
     return moved[:, :3, :3], moved[:, :3, 3]
 
 
-def _arm(screws: Screws, turn: Array, shift: Array, q6: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _arm(screws: Screws, turn: Array, shift: Array, q6: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return the first three joints that bring the wrist centre to its target for given sixth angles.
 
     Args:
         turn, shift: G, shapes (batch, 3, 3) and (batch, 3).
-        q6: shape (batch, angles).
+        q6: shape (batch, angles) or (1, angles).
 
     Returns:
-        Joint values, shape (batch, angles, 4, 3), the rotations e1 e2 e3, shape (batch, angles, 4, 3, 3), and whether
-        solutions exist, shape (batch, angles, 4).
+        Joint values, shape (batch, angles, 4, 3), and whether solutions exist, shape (batch, angles, 4).
     """
     w, p, center = screws.axes, screws.points, screws.center
     assert center is not None
-    arm = p[5] + np.einsum("bgij,j->bgi", _about(w[5], -q6), center - p[5])
+    arm = p[5] + _rotate(w[5], -q6, center - p[5])
     moved = np.einsum("bij,bgj->bgi", turn, arm) + shift[:, None]
     q1, good = _level(w[0], w[1], moved - p[0], float((center - p[0]) @ w[1]))
-    flat = p[0] + np.einsum("bgkij,bgj->bgki", _about(w[0], -q1), moved - p[0])
+    flat = p[0] + _rotate(w[0], -q1, (moved - p[0])[:, :, None])
     q2, q3, met = _two_bars(w, p[1], p[2], center, flat)
     q1 = np.broadcast_to(q1[..., None], q2.shape)
-    found = np.stack([q1, q2, q3], axis=-1).reshape(*q6.shape, 4, 3)
-    met = (met & good[..., None]).reshape(*q6.shape, 4)
-    turned = _about(w[0], found[..., 0]) @ _about(w[1], found[..., 1]) @ _about(w[2], found[..., 2])
-    return found, turned, met
+    shape = (*moved.shape[:2], 4)
+    return np.stack([q1, q2, q3], axis=-1).reshape(*shape, 3), (met & good[..., None]).reshape(shape)
+
+
+def _turned(screws: Screws, first: Array) -> Array:
+    """Return the rotations e1 e2 e3 of the first three joints, shape (..., 3) to (..., 3, 3)."""
+    about = [_about(axis, first[..., joint]) for joint, axis in enumerate(screws.axes[:3])]
+    return about[0] @ about[1] @ about[2]
 
 
 def _euler(screws: Screws, turn: Array, first: Array, turned: Array, good: NDArray[np.bool_]) -> tuple[Array, Owner]:
@@ -171,12 +174,22 @@ def _euler(screws: Screws, turn: Array, first: Array, turned: Array, good: NDArr
     return np.concatenate([arm[keep], np.stack([q4[keep], q5[keep], q6[keep]], axis=1)], axis=1), owner
 
 
-def _offset_equation(screws: Screws, turn: Array, turned: Array, q6: Array) -> Array:
-    """Return the residual of the offset wrist equation, zero at solutions; shape (batch, angles, 4)."""
+def _offset_equation(screws: Screws, turn: Array, first: Array, q6: Array) -> Array:
+    """Return the residual of the offset wrist equation, zero at solutions; shape (batch, angles, 4).
+
+    It is the cosine between the fifth axis at its target and the fourth, e1 e2 e3 w4. With the first axis, the second
+    and a third one square to both as a basis, e2 e3 is a turn about the second, to which the third joint is parallel.
+    """
     w = screws.axes
-    seen = np.einsum("bgij,j->bgi", _about(w[5], -q6), w[4])
-    world = np.einsum("bij,bgj->bgi", turn, seen)
-    return np.einsum("bgkji,bgj,i->bgk", turned, world, w[3])
+    world = np.einsum("bij,bgj->bgi", turn, _rotate(w[5], -q6, w[4]))
+    basis = np.array([w[0], w[1], np.cross(w[0], w[1])])
+    along, level, side = np.moveaxis(world @ basis.T, 2, 0)[..., None]
+    fourth = basis @ w[3]
+    q1, q23 = first[..., 0], first[..., 1] + float(np.sign(w[2] @ w[1])) * first[..., 2]
+    sin, cos = np.sin(q1), np.cos(q1)
+    level, side = cos * level + sin * side, cos * side - sin * level
+    sin, cos = np.sin(q23), np.cos(q23)
+    return fourth[1] * level + (cos * fourth[2] - sin * fourth[0]) * side + (sin * fourth[2] + cos * fourth[0]) * along
 
 
 def _finish_offset(
@@ -184,10 +197,10 @@ def _finish_offset(
 ) -> tuple[Array, Owner]:
     """Return all joints for sixth angles near roots."""
     w = screws.axes
-    first, turned, good = _arm(screws, turn, shift, q6[:, None])
+    first, good = _arm(screws, turn, shift, q6[:, None])
     pick = np.arange(len(q6))
-    first, turned, good = first[pick, 0, branches], turned[pick, 0, branches], good[pick, 0, branches]
-    rest = np.swapaxes(turned, -1, -2) @ turn @ _about(w[5], -q6)
+    first, good = first[pick, 0, branches], good[pick, 0, branches]
+    rest = np.swapaxes(_turned(screws, first), -1, -2) @ turn @ _about(w[5], -q6)
     image = rest @ w[4]
     q4 = _turn_between(w[3], np.broadcast_to(w[4], image.shape), image)
     last = np.swapaxes(_about(w[3], q4), -1, -2) @ rest
@@ -201,6 +214,13 @@ def _about(axis: Array, angle: Array) -> Array:
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     sin, cos = np.sin(angle)[..., None, None], np.cos(angle)[..., None, None]
     return np.eye(3) * cos + cross * sin + np.outer(axis, axis) * (1 - cos)
+
+
+def _rotate(axis: Array, angle: Array, vector: Array) -> Array:
+    """Return vectors rotated about an axis, shapes (...) and (..., 3) to (..., 3)."""
+    along = (vector @ axis)[..., None] * axis
+    sin, cos = np.sin(angle)[..., None], np.cos(angle)[..., None]
+    return along + cos * (vector - along) + sin * np.cross(axis, vector)
 
 
 def _level(axis: Array, across: Array, arm: Array, level: float) -> tuple[Array, NDArray[np.bool_]]:
