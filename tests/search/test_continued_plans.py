@@ -86,6 +86,19 @@ def test_a_search_begins_with_the_history_of_what_is_built(plan: Plan) -> None:
     assert np.abs(begun.springs - from_rest.springs).max() > 1e-3 * np.abs(whole.springs).max()
 
 
+def test_a_state_stands_as_it_was_built_also_where_it_slides_from_rest() -> None:
+    vault = load_structure("vault:parts=30")
+    plan = find_plans(vault, robots=2).plans[0]
+    oracle = StabilityOracle(vault, StabilitySettings.from_claim(plan.claim))
+    (step, *_) = np.flatnonzero(oracle.verdicts(plan.states).slides).tolist()
+    answer = replan(plan, step=step, structure=vault)
+    assert answer.found, answer.reason
+    assert validate_plan(answer.plans[0], vault).good
+    assert Replanner(vault, oracle=oracle).replan(plan.states[step]).reason == "the state slides"
+    tight = Replanner(vault, oracle=oracle).replan(plan=plan, step=step, deadline=1e-6)
+    assert tight.reason == "the deadline passed; more time may find a plan"
+
+
 def test_steps_that_are_done_stay(plan: Plan) -> None:
     for step in (2, 6, 9):
         part = late(plan, step)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.search.problem.deadline import Deadline, pieces
@@ -26,7 +27,7 @@ class TimedOracle(Oracle):
     ) -> None:
         """Query `oracle` until `clock` has run out.
 
-        States that `replayer` has excluded count as sliding, whatever the verdict of `oracle`.
+        What `replayer` has shown counts, whatever the verdict of `oracle`, see `as_replayed`.
         """
         self.asked = 0
         """Number of states checked."""
@@ -68,7 +69,7 @@ class TimedOracle(Oracle):
             with self._clock.piece("verdicts"):
                 found = self._oracle.verdicts(states[rows], near=None if near is None else near[rows])
             verdicts.put(rows, found)
-            verdicts.verdict[rows[self.rules_out(states[rows])]] = Verdict.SLIDES
+            verdicts.verdict[rows] = self.as_replayed(states[rows], found.verdict)
             self.asked += len(rows)
         return verdicts
 
@@ -86,6 +87,19 @@ class TimedOracle(Oracle):
     def keeps(self, states: States) -> Mask:
         """Return which states keep the margins that the oracle asks for; see `MarginOracle.keeps`."""
         return self._oracle.keeps(states)
+
+    def as_replayed(self, states: States, verdict: NDArray[np.int8]) -> NDArray[np.int8]:
+        """Return verdicts from rest with what replays have shown, shape (batch,).
+
+        A state that they exclude slides. The state from which sequences go on stands as it has been built, unless that
+        falls, also where it would slide from rest.
+        """
+        shown = verdict.copy()
+        if self._replayer is not None:
+            moves = (verdict == Verdict.SLIDES) | (verdict == Verdict.UNDECIDED)
+            shown[moves & self._replayer.has_built(states)] = Verdict.STABLE
+        shown[self.rules_out(states)] = Verdict.SLIDES
+        return shown
 
     def rules_out(self, states: States) -> Mask:
         """Return which states replays have excluded, shape (batch,)."""
