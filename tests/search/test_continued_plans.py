@@ -197,6 +197,9 @@ def test_alternatives_all_begin_with_what_is_done(plan: Plan) -> None:
     ("subject", "options", "message"),
     [
         ("plan", {"step": 99}, "step 99 does not exist; the plan has the steps 1 to 14, and 0 is the start"),
+        ("plan", {"step": 4, "parts_at_once": 0}, "0 is not a number of parts of arch:blocks=7 that can move at once"),
+        ("plan", {"step": 4, "moves": -1}, "-1 is not a number of moves of a way out; give 1"),
+        ("plan", {"step": 4, "direction": "up"}, "there is no direction 'up'; give disassembly or assembly"),
         ("plan", {}, "the plan has 14 steps; name the last one that is done, 0 for none"),
         ("plan", {"step": 2, "state": "empty"}, "leave one of the two out"),
         ("plan", {"step": 4, "missing": [0]}, "is said to be missing, yet step 1 has placed it"),

@@ -82,7 +82,8 @@ class FindMargins(Command):
         from falsework.utils.quantity import parse_quantity
 
         limits = self._limits()
-        errors = [parse_quantity(text, "length", "--placement") for text in (self.placement or "").split(",") if text]
+        asked = [] if self.placement is None else self.placement.split(",")
+        errors = [parse_quantity(text, "length", "--placement") for text in asked]
         assembly, chosen = self.structure.load_states(self.states, output)
         plan, states = chosen.plan, chosen.states
         settings = chosen.settings(self.criterion, self.cone)

@@ -46,6 +46,10 @@ class Direction(StrEnum):
     ASSEMBLY = "assembly"
     """From the target state, by inserting and releasing; a release needs a verdict."""
 
+    @classmethod
+    def _missing_(cls, value: object) -> Direction:
+        raise InputError(f"there is no direction {value!r}; give {' or '.join(cls)}")
+
 
 @dataclass(frozen=True, eq=False)
 class Task:
