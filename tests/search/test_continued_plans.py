@@ -216,6 +216,13 @@ def test_wrong_requests(subject: str, options: dict[str, Any], message: str, pla
         replan(plan if subject == "plan" else subject, **options)
 
 
+@pytest.mark.parametrize("direction", list(Direction))
+def test_more_held_than_robots_is_said_of_the_state_in_either_direction(direction: Direction) -> None:
+    held = {"standing": [], "held": [0, 6]}
+    with pytest.raises(StateError, match="the state has 2 parts held; 1 robot can hold 1; give more, or let go"):
+        replan(ARCH, held, robots=1, direction=direction)
+
+
 def test_plans_with_props_go_on() -> None:
     """The prop that stands stays until it may go, and the steps that are done keep their numbers."""
     arch = load_structure("arch:blocks=7", ground=True)
