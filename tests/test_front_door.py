@@ -516,6 +516,16 @@ def test_margins_of_plans_and_of_states_agree(arch: Assembly, plan: fw.Plan) -> 
         fw.margins("arch:blocks=7", plan)
 
 
+def test_margins_of_a_plan_are_those_of_states_as_built() -> None:
+    """As of the command: a state may slide from rest that the plan reaches in balance."""
+    vault = fw.load_structure("vault:parts=30")
+    plan = fw.find_plans(vault, robots=2).unwrap()
+    row = int(np.argmax(fw.StabilityOracle(vault).verdicts(plan.states).slides))
+    assert row
+    assert not fw.margins(vault, plan.states[row], ["friction"])[0].stands
+    assert all(state.stands for state in fw.margins(vault, plan, ["held"]))
+
+
 def test_a_plan_without_motions_needs_no_cell(arch: Assembly, plan: fw.Plan) -> None:
     with pytest.raises(InputError, match="needs no cell; leave it out"):
         UNTYPED.check(arch, plan, "bottle-12")

@@ -140,6 +140,13 @@ def test_wrong_options(falsework: Run, tmp_path: Path, command: str, options: tu
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("option", ["--hold-force", "--hold-moment"])
+def test_a_check_with_a_limit_of_nothing_is_refused(falsework: Run, tmp_path: Path, option: str) -> None:
+    out = tmp_path / "plan.json"
+    assert falsework("plan", "arch:blocks=5", "--out", out).code == 0
+    refused(falsework("check", out, option, 0), f"{option} is 0, which limits nothing; give more than 0")
+
+
 def test_robots_of_no_force_never_press(falsework: Run, tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     done = falsework("plan", "arch:blocks=5", "--hold-force", 0, "--out", out)

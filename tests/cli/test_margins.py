@@ -127,6 +127,8 @@ def test_placement_errors_cost_some_draws(falsework: Run, tmp_path: Path, write_
         (("--bears", "100,8Nm"), "has no unit; give 2N"),
         (("--placement", "1deg"), "has the unit deg; give 2mm"),
         (("--placement", "-1mm"), "not above zero"),
+        (("--placement", ""), "'' is no length"),
+        (("--states", ""), "an item is empty"),
         (("--placement", "1mm", "--draws", "0"), "the number of draws is 0; give at least 1"),
         (("--settlement", "--criterion", "equilibrium"), "equilibrium has no displacements"),
         (("--deadline", "0"), "a deadline of 0 s leaves no time"),

@@ -197,6 +197,17 @@ def test_a_plan_does_not_choose_what_stable_means(
     assert "the structure is unstable" in corrected.error
 
 
+@pytest.mark.parametrize(("option", "name"), [("--begin", "start"), ("--end", "target")])
+@pytest.mark.parametrize("command", ["plan", "graph"])
+def test_ends_are_called_in_the_order_of_assembly(
+    falsework: Run, tmp_path: Path, command: str, option: str, name: str
+) -> None:
+    out = tmp_path / ("graph.npz" if command == "graph" else "plan.json")
+    finished = falsework(command, "arch:blocks=3", option, "voussoir-1", "--out", out)
+    assert finished.code == 1
+    assert f"no plan exists: the {name} state is unstable; voussoir-1 falls" in finished.error
+
+
 def test_a_step_has_one_number_and_a_robot_in_every_output(falsework: Run, tmp_path: Path) -> None:
     """Of lists in both orders, the replay, margins and the sheet."""
     out = tmp_path / "plan.json"

@@ -88,6 +88,15 @@ def test_people_are_told_which_part_moves_and_how(falsework: Run, write_structur
     assert "part 1 slides down and towards +x" in finished.out
 
 
+@pytest.mark.parametrize(("text", "code", "words"), [("1", 0, "stable"), ("2", 1, "falls"), ("2100", 2, "4 values")])
+def test_a_number_alone_is_a_part_and_not_the_digits_of_a_state(
+    falsework: Run, stack: Path, text: str, code: int, words: str
+) -> None:
+    finished = falsework("stability", stack, "--states", text)
+    assert finished.code == code
+    assert words in finished.out + finished.error
+
+
 def test_states_from_a_file_get_one_record_each(falsework: Run, stack: Path, tmp_path: Path) -> None:
     states = [[2, 1, 1], [2, 0, 1], [2, 0, 2], [2, 0, 0], [2, 2, 1]]
     verdicts = ["stable", "unstable", "stable", "stable", "stable"]

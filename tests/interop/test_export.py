@@ -62,6 +62,7 @@ def test_a_glb_is_a_structure_again(tmp_path: Path) -> None:
         (("--out", "folder"), "cannot show a plan"),
         (("--out", "plan.obj"), "no export format ends in .obj"),
         (("--out", "out.glb", "--step-seconds", "0"), "0 seconds"),
+        (("--out", "out.glb", "--step-seconds", "1e308"), "1e+308 seconds cannot be seen; give 0.001 to 1000"),
         (("--out", "no/out.glb"), "no folder"),
         (("--out", "out.glb", "--friction", "0.9"), "another structure"),
     ],

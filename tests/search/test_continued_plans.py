@@ -86,6 +86,19 @@ def test_a_search_begins_with_the_history_of_what_is_built(plan: Plan) -> None:
     assert np.abs(begun.springs - from_rest.springs).max() > 1e-3 * np.abs(whole.springs).max()
 
 
+def test_a_state_stands_as_it_was_built_also_where_it_slides_from_rest() -> None:
+    vault = load_structure("vault:parts=30")
+    plan = find_plans(vault, robots=2).plans[0]
+    oracle = StabilityOracle(vault, StabilitySettings.from_claim(plan.claim))
+    (step, *_) = np.flatnonzero(oracle.verdicts(plan.states).slides).tolist()
+    answer = replan(plan, step=step, structure=vault)
+    assert answer.found, answer.reason
+    assert validate_plan(answer.plans[0], vault).good
+    assert Replanner(vault, oracle=oracle).replan(plan.states[step]).reason == "the state slides"
+    tight = Replanner(vault, oracle=oracle).replan(plan=plan, step=step, deadline=1e-6)
+    assert tight.reason == "the deadline passed; more time may find a plan"
+
+
 def test_steps_that_are_done_stay(plan: Plan) -> None:
     for step in (2, 6, 9):
         part = late(plan, step)
@@ -184,6 +197,9 @@ def test_alternatives_all_begin_with_what_is_done(plan: Plan) -> None:
     ("subject", "options", "message"),
     [
         ("plan", {"step": 99}, "step 99 does not exist; the plan has the steps 1 to 14, and 0 is the start"),
+        ("plan", {"step": 4, "parts_at_once": 0}, "0 is not a number of parts of arch:blocks=7 that can move at once"),
+        ("plan", {"step": 4, "moves": -1}, "-1 is not a number of moves of a way out; give 1"),
+        ("plan", {"step": 4, "direction": "up"}, "there is no direction 'up'; give disassembly or assembly"),
         ("plan", {}, "the plan has 14 steps; name the last one that is done, 0 for none"),
         ("plan", {"step": 2, "state": "empty"}, "leave one of the two out"),
         ("plan", {"step": 4, "missing": [0]}, "is said to be missing, yet step 1 has placed it"),
@@ -198,6 +214,13 @@ def test_wrong_requests(subject: str, options: dict[str, Any], message: str, pla
         options = {**options, "missing": [plan.steps[0].part]}
     with pytest.raises(InputError, match=message):
         replan(plan if subject == "plan" else subject, **options)
+
+
+@pytest.mark.parametrize("direction", list(Direction))
+def test_more_held_than_robots_is_said_of_the_state_in_either_direction(direction: Direction) -> None:
+    held = {"standing": [], "held": [0, 6]}
+    with pytest.raises(StateError, match="the state has 2 parts held; 1 robot can hold 1; give more, or let go"):
+        replan(ARCH, held, robots=1, direction=direction)
 
 
 def test_plans_with_props_go_on() -> None:

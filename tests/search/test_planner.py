@@ -258,6 +258,7 @@ def test_no_plan_found_is_not_no_plan(rules: Any) -> None:
     [
         ({"width": 0}, "width 0"),
         ({"directions": ()}, "no direction"),
+        ({"directions": ("up",)}, "there is no direction 'up'; give disassembly or assembly"),
         ({"alternatives": 0}, "0 alternatives"),
         ({"seed": -1}, "a seed is not negative"),
     ],
@@ -265,6 +266,11 @@ def test_no_plan_found_is_not_no_plan(rules: Any) -> None:
 def test_bad_settings(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         PlannerSettings(**settings)
+
+
+@pytest.mark.parametrize("given", ["assembly", ("assembly",), [Direction.ASSEMBLY]])
+def test_directions_may_be_given_by_their_names(given: Any) -> None:
+    assert PlannerSettings(directions=given) == PlannerSettings(directions=(Direction.ASSEMBLY,))
 
 
 def test_plans_of_a_real_arch(small_arch: Assembly, arch_oracle: StabilityOracle) -> None:

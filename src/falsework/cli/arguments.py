@@ -190,7 +190,7 @@ def parse_states(text: str, option: str, assembly: Assembly, plan: Plan | None =
     try:
         if text in ("complete", "empty"):
             return ChosenStates(named_state(text, assembly)[None])
-        if text and set(text) <= set("012") and (plan is None or len(text) == assembly.part_count):
+        if text and set(text) <= set("012") and _is_digits(text, assembly, plan):
             return ChosenStates(as_states([int(digit) for digit in text], assembly.boundary))
         if text.startswith("["):
             return ChosenStates(as_states(parse_json(text), assembly.boundary))
@@ -209,6 +209,12 @@ def parse_states(text: str, option: str, assembly: Assembly, plan: Plan | None =
         return ChosenStates(_state_of_parts(text, option, assembly)[None])
     except (StateError, PlanError, ValueError) as error:
         raise StateError(f"{option} {text}: {error}") from None
+
+
+def _is_digits(text: str, assembly: Assembly, plan: Plan | None) -> bool:
+    """Return whether 0, 1 and 2 are the digits of a state, also one of wrong length, rather than a step or a part."""
+    part = text in assembly.names or text in map(str, range(assembly.part_count))
+    return len(text) == assembly.part_count or (plan is None and not part)
 
 
 def _plan(file: str, assembly: Assembly) -> Plan:

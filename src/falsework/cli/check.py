@@ -115,6 +115,10 @@ class CheckPlan(JudgingCommand):
 
         if self.replay and self.criterion != "contact":
             raise InputError("the criterion equilibrium has no contact history; leave out --replay or --criterion")
+        limits = parse_limits(self.hold_force, self.hold_moment)
+        for name, limit in zip(("--hold-force", "--hold-moment"), limits, strict=True):
+            if limit == 0:
+                raise InputError(f"{name} is 0, which limits nothing; give more than 0, or leave it out")
         settings = StabilitySettings(
             criterion=self.criterion,
             cone=self.cone,
@@ -122,7 +126,7 @@ class CheckPlan(JudgingCommand):
             gravity=self.gravity,
             force_bound=self.force_bound,
             reserve=self.reserve,
-            holds=HoldSettings(float("inf"), *parse_limits(self.hold_force, self.hold_moment)),
+            holds=HoldSettings(float("inf"), *limits),
         )
         demands = None if self.margin is None else Demands.from_text(self.margin)
         plan = load_plan(self.plan)

@@ -164,7 +164,7 @@ class StructureOptions(LoadOptions):
             if own is not None:
                 raise InputError(f"{self.spec} is a robot plan; give the plan or the structure")
             assembly = self.load()
-            return assembly, parse_states(states or "complete", "--states", assembly)
+            return assembly, parse_states("complete" if states is None else states, "--states", assembly)
         assembly, set_by_plan = structure_to_check(own, self.spec, **self.given())
         check_identity(own, assembly)
         if set_by_plan:

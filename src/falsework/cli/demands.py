@@ -19,10 +19,10 @@ _HALVINGS = 8
 
 
 def refuse_weak_end(oracle: MarginOracle, task: Task, output: Output) -> bool:
-    """Report a start or target state that does not keep the required margins, since then there is no plan."""
+    """Report a start or target of an assembly that does not keep the required margins: then there is no plan."""
     from falsework.search.problem.result import end_subject
 
-    for name, state in (("start", task.start), ("target", task.target)):
+    for name, state in (("target", task.start), ("start", task.target)):
         broken = oracle.broken(state)
         if broken:
             lacks = shortfall(oracle, state[None])

@@ -90,7 +90,7 @@ class MakeGraph(JudgingCommand):
         if self.presses and self.device == "cuda":
             oracle.use_gpu()  # which answers what stands without presses; these are chosen on the processor
         task = make_task(assembly, self.robots, **self.task.rules(assembly))
-        if refuse_unstable(assembly, oracle, task, output):
+        if refuse_unstable(assembly, oracle, task, output, building=True):
             return Exit.NO
         if widths is not None:
             return self._save_sets(assembly, task, oracle, widths, clock, output)

@@ -28,13 +28,13 @@ class HoldOptions:
 
     hold_force: Annotated[str | None, arg(metavar="FORCE", help_behavior_hint="(default: 50 weights)")] = None
     """Largest force of a robot on a part that it holds, such as 300N or 1.5kN; by default fifty weights of the heaviest
-    part."""
+    part. With 0 robots never press, and bear any force."""
     hold_stiffness: Annotated[float | None, arg(metavar="N/m", help_behavior_hint="(default: inf)")] = None
     """Stiffness of a robot at its gripper, N/m, where its controller does not keep the pose of the part that it holds.
     An industrial arm has 1e6 to 1e8."""
     hold_moment: Annotated[str | None, arg(metavar="MOMENT", help_behavior_hint=UNSET)] = None
     """Largest moment of a robot about the centre of mass of a part that it holds, such as 40Nm; by default twice the
-    largest force times the largest radius of gyration of a part."""
+    largest force times the largest radius of gyration of a part. With 0 they bear any moment."""
     press_mode: Annotated[Literal["force", "hybrid"] | None, arg(help_behavior_hint="(default: hybrid)")] = None
     """What a robot controls that presses on a part while another part is released: its force in all directions, or
     along one direction only, with the position of the part across it."""

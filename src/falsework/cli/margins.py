@@ -17,11 +17,9 @@ from falsework.utils.quantity import format_quantity
 if TYPE_CHECKING:
     from falsework.assembly.model import Assembly
     from falsework.assembly.state import States
-    from falsework.cli.arguments import ChosenStates
     from falsework.cli.output import Output
     from falsework.search.plans.plan import Plan
     from falsework.stability import StateMargins
-    from falsework.stability.contact.history import History
     from falsework.stability.settings import StabilitySettings
 
 
@@ -77,12 +75,14 @@ class FindMargins(Command):
 
     def run(self, output: Output) -> Exit:
         """Find and print the margins."""
+        from falsework.search.measure import histories_as_built
         from falsework.stability.margins.margins import QUICK
         from falsework.stability.oracle import StabilityOracle
         from falsework.utils.quantity import parse_quantity
 
         limits = self._limits()
-        errors = [parse_quantity(text, "length", "--placement") for text in (self.placement or "").split(",") if text]
+        asked = [] if self.placement is None else self.placement.split(",")
+        errors = [parse_quantity(text, "length", "--placement") for text in asked]
         assembly, chosen = self.structure.load_states(self.states, output)
         plan, states = chosen.plan, chosen.states
         settings = chosen.settings(self.criterion, self.cone)
@@ -90,7 +90,8 @@ class FindMargins(Command):
             self._refuse_out(plan, settings)
         extra = [kind for kind in ("polygon", "settlement") if getattr(self, kind)]
         oracle, found, interrupted = StabilityOracle(assembly, settings), [], False
-        histories = _histories(chosen, assembly, settings) if self.out is None else ()
+        from_rest = plan is None or self.out is not None
+        histories = () if from_rest else histories_as_built(plan, assembly, settings, chosen.steps)
         with output.count("margins", "state") as progress:
             try:
                 for row in range(len(states)):
@@ -205,19 +206,3 @@ class FindMargins(Command):
                 progress=progress,
             )
         return curve.shares.T.tolist()
-
-
-def _histories(chosen: ChosenStates, assembly: Assembly, settings: StabilitySettings) -> tuple[History, ...]:
-    """Return the histories of the contacts in the states of a plan; none where they are measured from rest."""
-    from falsework.stability.contact.replay import Replayer
-
-    plan, count = chosen.plan, max(chosen.steps, default=0) + 1
-    if (
-        plan is None
-        or (settings.criterion, plan.claim.criterion) != ("contact", "contact")
-        or assembly.joints is not None
-    ):
-        return ()
-    replayer = Replayer(assembly, replace(settings, holds=plan.claim.holds))
-    histories = replayer.replay(plan.states[:count], presses=plan.presses_before[:count]).histories
-    return tuple(histories[step] for step in chosen.steps) if len(histories) == count else ()

@@ -164,7 +164,7 @@ class MakePlan(Command):
         stability = self.holds.settings(self.criterion, self.cone, self.solver)
         plain = replace(stability, reserve=1.0)
         oracle = MarginOracle(assembly, stability, demands) if demands else StabilityOracle(assembly, stability)
-        if refuse_unstable(assembly, StabilityOracle(assembly, plain), task, output):
+        if refuse_unstable(assembly, StabilityOracle(assembly, plain), task, output, building=True):
             return Exit.NO
         demanding = oracle if isinstance(oracle, MarginOracle) else None
         guide = policy_guide(self.guide, assembly, task.judged_by(oracle))

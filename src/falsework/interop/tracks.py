@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from falsework.assembly.state import REMOVED
-from falsework.errors import InputError, PlanError
+from falsework.errors import PlanError
 from falsework.geometry.clearance.moves import ExitPath, way_back
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.plans.steps import NO_ROBOT, moved_parts
 from falsework.stability.margins.state_margins import triple
+from falsework.utils.quantity import check_step_seconds
 from falsework.viewer.appearance import diagonal
 from falsework.viewer.timeline import exit_directions
 
@@ -78,8 +79,7 @@ def tracks_of(plan: Plan, assembly: Assembly, step_seconds: float = 1.0) -> Trac
     disappears; one that is inserted does the opposite.
     """
     check_identity(plan, assembly)
-    if not (np.isfinite(step_seconds) and step_seconds > 0):
-        raise InputError(f"a step of {step_seconds:g} seconds cannot be seen; give a number above zero")
+    check_step_seconds(step_seconds)
     parts = assembly.part_count
     present, robots = plan.states != REMOVED, plan.holders
     shown = [[(0.0, bool(present[0, part]))] for part in range(parts)]

@@ -15,7 +15,6 @@ from falsework.replanning.session import ReplanContext, ReplanSession
 from falsework.search.problem.result import Route
 from falsework.search.problem.rollout import Rollout, follow_scores
 from falsework.search.problem.task import Direction, Task
-from falsework.stability.verdict import Verdict
 from falsework.utils.interruption import pieces
 
 _SHARE = 0.6
@@ -193,8 +192,7 @@ def _judge(owners: Sequence[ReplanSession], states: States, parents: States) -> 
         taken = time.perf_counter() - since
         for row in rows.tolist():
             owners[row].oracle.asked += 1
-            if owners[row].oracle.rules_out(states[row][None])[0]:
-                verdict[row] = Verdict.SLIDES
+            verdict[row] = owners[row].oracle.as_replayed(states[row][None], verdict[row][None])[0]
         for session in {id(owners[row]): owners[row] for row in rows.tolist()}.values():
             session.clock.add("verdicts", taken)
     return verdict

@@ -10,7 +10,7 @@ import numpy as np
 from falsework.assembly.model import Assembly
 from falsework.assembly.part_numbers import part_ids
 from falsework.assembly.props import whole_state
-from falsework.assembly.state import HELD, REMOVED, States, held_count
+from falsework.assembly.state import HELD, REMOVED, States, check_robots, held_count
 from falsework.errors import InputError, StateError
 from falsework.replanning.executed_steps import ExecutedSteps
 from falsework.replanning.named_state import StateLike, named_state
@@ -19,7 +19,7 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.task import STAGE, Direction, Task
 from falsework.search.task_rules import TaskRules, exit_rules
-from falsework.utils.quantity import check_deadline, check_seed
+from falsework.utils.quantity import check_deadline, check_seed, counted
 
 MOST_PLANS = 1000
 """Alternatives that can be asked for."""
@@ -141,7 +141,11 @@ class Request:
         if assembly.props and (self.alternatives > 1 or self.missing):
             other = "alternatives" if self.alternatives > 1 else "missing parts"
             raise InputError(f"plans with props take no {other}; leave out one of the two")
-        built, state = self.done(assembly), self.current(assembly)
+        built, state, robots = self.done(assembly), self.current(assembly), check_robots(self.robots)
+        held = int(held_count(state[None], assembly.immovable)[0])
+        if held > robots:
+            can = f"{counted(robots, 'robot')} can hold {robots}"
+            raise StateError(f"the state has {counted(held, 'part')} held; {can}; give more, or let go of some first")
         target = None if self.target is None else _state(self.target, assembly, "target")
         missing = part_ids(self.missing, assembly.names, "missing")
         fixed = part_ids(self.fixed, assembly.names, "fixed")

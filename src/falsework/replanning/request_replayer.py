@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from falsework.assembly.state import States
+from falsework.assembly.state import Mask, States
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.result import barred_row
 from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings
@@ -191,6 +191,12 @@ class RequestReplayer(Replayer):
         """
         prefix = self._replay_built()
         return prefix.reached if prefix is not None and prefix.fell else None
+
+    def has_built(self, states: States) -> Mask:
+        """Return which states are the one that has been built, if it comes to rest as far as time allows."""
+        if self._built is None or self.executed_fails_at() is not None:
+            return np.zeros(len(states), dtype=bool)
+        return (states == self._built[0][-1]).all(axis=-1)
 
     @property
     def _before(self) -> int:

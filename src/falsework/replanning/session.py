@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -198,12 +198,14 @@ class ReplanSession:
             self.outcome, self.decided_by = result.outcome, Stage.EXHAUSTIVE
 
     def check_ends(self, verdicts: Verdicts) -> None:
-        """Take the verdicts on start and target."""
+        """Take the verdicts on start and target from rest."""
+        ends = np.stack([self.task.start, self.task.target])
+        verdicts = replace(verdicts, verdict=self.oracle.as_replayed(ends, verdicts.verdict))
         if not verdicts.stable.all():
             row = int(np.argmin(verdicts.stable))
             proved = bool(verdicts.unstable[row])
             name = "state" if (row == 0) == (self.direction is Direction.DISASSEMBLY) else "target"
-            self._unstable = (self.task.start, self.task.target)[row][None]
+            self._unstable = ends[row][None]
             words = "is not stable" if proved else verdicts.kinds[row].words
             self._why = f"the {name} {words}"
             if proved:
@@ -240,7 +242,7 @@ class ReplanSession:
                         plan = prover.plan(whole, task, self.replayer, built=self._done, forces=forces, seconds=left)
                         plans = (*plans, plan if self.built is None else self.built.with_ways(plan))
                 except PlanError as error:
-                    self._why = str(error) if fallen is None else ""
+                    self._why = str(error) if fallen is None and not late else ""
                     self.outcome, self.decided_by = Outcome.NOT_FOUND, Stage.NONE
         moving = () if plans else self._moving()
         replayer = self.replayer

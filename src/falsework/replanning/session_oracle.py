@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.replanning.request_replayer import RequestReplayer
@@ -21,7 +22,7 @@ class SessionOracle(Oracle):
     def __init__(self, oracle: Oracle, clock: Deadline, replayer: RequestReplayer | None = None) -> None:
         """Query an oracle until a clock has run out.
 
-        States that `replayer` has excluded count as sliding, whatever the verdict of the oracle.
+        What `replayer` has shown counts, whatever the verdict of the oracle, see `as_replayed`.
         """
         self.asked = 0
         """Number of states checked."""
@@ -56,7 +57,7 @@ class SessionOracle(Oracle):
         with interrupted_by(self._clock.check), self._clock.timed("verdicts"):
             found = self._oracle.verdicts(states, near=near, require_certificate=require_certificate)
         if not require_certificate:
-            found.verdict[self.rules_out(states)] = Verdict.SLIDES
+            found.verdict[:] = self.as_replayed(states, found.verdict)
             self.asked += len(states)
         return found
 
@@ -74,6 +75,19 @@ class SessionOracle(Oracle):
     def keeps(self, states: States) -> Mask:
         """Return which states keep the margins that the oracle asks for; see `MarginOracle.keeps`."""
         return self._oracle.keeps(states)
+
+    def as_replayed(self, states: States, verdict: NDArray[np.int8]) -> NDArray[np.int8]:
+        """Return verdicts from rest with what replays have shown, shape (batch,).
+
+        A state that they exclude slides. The state from which sequences go on stands as it has been built, unless that
+        falls, also where it would slide from rest.
+        """
+        shown = verdict.copy()
+        if self._replayer is not None:
+            moves = (verdict == Verdict.SLIDES) | (verdict == Verdict.UNDECIDED)
+            shown[moves & self._replayer.has_built(states)] = Verdict.STABLE
+        shown[self.rules_out(states)] = Verdict.SLIDES
+        return shown
 
     def rules_out(self, states: States) -> Mask:
         """Return which states replays have excluded, shape (batch,)."""

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from numpy.typing import ArrayLike
 
 from falsework.assembly.load import AnyStructure, as_assembly
+from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import check_identity
+from falsework.stability.contact.history import History
+from falsework.stability.contact.replay import Replayer
 from falsework.stability.margins.state_margins import StateMargins
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
@@ -24,6 +28,8 @@ def margins(
     deadline: float | None = None,
 ) -> list[StateMargins]:
     """Measure how far friction, tilt, loads and pushes are from the limit of stability.
+
+    States of a plan under `contact` are measured as built, see `histories_as_built`; others from rest.
 
     Args:
         assembly: the structure, or its name or path.
@@ -42,10 +48,33 @@ def margins(
         StateError: states of the wrong length or with other values.
     """
     assembly, settings = as_assembly(assembly), stability or StabilitySettings()
+    histories: Sequence[History] = ()
     if isinstance(subject, Plan):
         check_identity(subject, assembly)
         if stability is None:
             settings = StabilitySettings.from_claim(subject.claim)
+        histories = histories_as_built(subject, assembly, settings, range(len(subject.states)))
         subject = subject.states
-    oracle = StabilityOracle(assembly, settings)
-    return oracle.margins(complete_state(assembly.boundary) if subject is None else subject, kinds, deadline=deadline)
+    states = complete_state(assembly.boundary) if subject is None else subject
+    return StabilityOracle(assembly, settings).margins(states, kinds, deadline=deadline, histories=histories)
+
+
+def histories_as_built(
+    plan: Plan, assembly: Assembly, settings: StabilitySettings, steps: Sequence[int]
+) -> tuple[History, ...]:
+    """Return what the contacts have taken on after some steps of a plan, under the true friction.
+
+    Args:
+        settings: criterion and gravity.
+        steps: 0 for the start.
+
+    Returns:
+        One entry a step; none where states are measured from rest: under `equilibrium`, with joints, or where the plan
+        does not come to rest.
+    """
+    if (settings.criterion, plan.claim.criterion) != ("contact", "contact") or assembly.joints is not None:
+        return ()
+    count = max(steps, default=0) + 1
+    replayer = Replayer(assembly, replace(settings, holds=plan.claim.holds, reserve=1.0))
+    histories = replayer.replay(plan.states[:count], presses=plan.presses_before[:count]).histories
+    return tuple(histories[step] for step in steps) if len(histories) == count else ()

@@ -40,6 +40,8 @@ class PlannerSettings:
     def __post_init__(self) -> None:
         if self.width < 1:
             raise InputError(f"a beam of width {self.width} keeps nothing; give at least 1")
+        given = (self.directions,) if isinstance(self.directions, str) else self.directions
+        object.__setattr__(self, "directions", tuple(map(Direction, given)))
         if not self.directions:
             raise InputError("no direction to search in; give assembly, disassembly or both")
         if self.alternatives < 1:

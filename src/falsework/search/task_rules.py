@@ -52,11 +52,16 @@ class AllowsExits(Protocol):
 def exit_rules(*several: AllowsExits) -> ExitRules:
     """Return rules that allow all that one of several allows, such as a plan and what follows it."""
     return {
-        "parts_at_once": max(one.parts_at_once for one in several),
-        "moves": max(one.moves for one in several),
+        "parts_at_once": _most([one.parts_at_once for one in several]),
+        "moves": _most([one.moves for one in several]),
         "turns": any(one.turns for one in several),
         "waiting": any(one.waiting for one in several),
     }
+
+
+def _most(counts: list[int]) -> int:
+    """Return the largest count; one that is none, which a task refuses, is not hidden behind it."""
+    return min(counts) if min(counts) < 1 else max(counts)
 
 
 class TaskRules(ExitRules, total=False):

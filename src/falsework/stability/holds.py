@@ -65,7 +65,7 @@ class HoldSettings:
     what they bear has no limit."""
     moment: float | None = None
     """Largest moment about the centre of mass of a held part, N m; if not given, twice the largest force times the
-    largest radius of gyration."""
+    largest radius of gyration. With 0 it has no limit."""
     mode: HoldMode = HoldMode.HYBRID
     """What robots control while another part is let go of. Only with `locked` do they never press held parts against
     others."""

@@ -144,6 +144,16 @@ def check_counts(settings: object, *names: str) -> None:
             raise InputError(f"{name} is {getattr(settings, name)}; give at least 1")
 
 
+def check_step_seconds(seconds: float) -> None:
+    """Raise unless a step of a plan in motion may last for some seconds.
+
+    Raises:
+        InputError: it is too short or too long to be seen, or no number.
+    """
+    if not 1e-3 <= seconds <= 1e3:
+        raise InputError(f"a step of {seconds:g} seconds cannot be seen; give 0.001 to 1000")
+
+
 def check_seed(seed: int) -> None:
     """Raise unless a number can be a random seed."""
     if seed < 0:

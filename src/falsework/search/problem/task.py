@@ -46,6 +46,10 @@ class Direction(StrEnum):
     ASSEMBLY = "assembly"
     """From the target state, by inserting and releasing; a release needs a verdict."""
 
+    @classmethod
+    def _missing_(cls, value: object) -> Direction:
+        raise InputError(f"there is no direction {value!r}; give {' or '.join(cls)}")
+
 
 @dataclass(frozen=True, eq=False)
 class Task:
@@ -147,9 +151,7 @@ class Task:
                 raise StateError(f"part {part} is fixed but differs between start and target; make them agree")
         for part in missing:
             if first[part] == REMOVED:
-                raise StateError(
-                    f"part {part} is missing but not in the start either, so it is never needed; leave it out"
-                )
+                raise StateError(f"part {part} is missing but not in the start either, so never needed; leave it out")
             if last[part] != REMOVED:
                 raise StateError(
                     f"part {part} is missing but already in place where assembly starts; take it out of that state, or "
@@ -161,9 +163,8 @@ class Task:
         for name, state in (("start", first), ("target", last)):
             held = int(held_count(state[None], immovable)[0])
             if held > robots:
-                raise StateError(
-                    f"the {name} state has {counted(held, 'part')} held; {counted(robots, 'robot')} can hold {robots}"
-                )
+                hold = counted(robots, "robot")
+                raise StateError(f"the {name} state has {counted(held, 'part')} held; {hold} can hold {robots}")
         for array in (boundary, first, last):
             array.setflags(write=False)
         neighbours = None

@@ -15,6 +15,7 @@ from falsework.errors import InputError
 from falsework.robots.cells.visuals import PLAIN
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.lazy import importing
+from falsework.utils.quantity import check_step_seconds
 from falsework.viewer.appearance import bounds_of
 from falsework.viewer.arms import TINT, Arms, bounds_with_arms
 from falsework.viewer.arrows import arrows_of_step
@@ -113,8 +114,7 @@ def _check_rate(rate: float) -> None:
 
 def frame_places(steps: int, seconds: float, rate: float) -> list[float]:
     """Return places of a timeline that are shown, in steps."""
-    if not (np.isfinite(seconds) and seconds > 0):
-        raise InputError(f"a step of {seconds:g} seconds cannot be seen; give a number above zero")
+    check_step_seconds(seconds)
     _check_rate(rate)
     each = max(round(seconds * rate), 1)
     return [min(number / each, float(steps)) for number in range(steps * each + 1)]
