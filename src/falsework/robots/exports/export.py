@@ -25,6 +25,7 @@ from falsework.robots.plans.robot_forces import GripLoad, TimedPress, has_presse
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import schedule_of
 from falsework.robots.plans.trajectory import check_limits
+from falsework.stability.holds import HoldMode
 from falsework.utils.files.output_file import write_whole
 
 Format = Literal["ros2-json", "ros2-yaml", "ros2-goals", "csv", "rapid", "urscript", "mcap"]
@@ -135,6 +136,11 @@ def export_notes(plan: RobotPlan, form: str, cell: Cell) -> list[str]:
     lost = lost_schedule(plan, form)
     language = next((language for language in MAKERS if language == form), None)
     notes = [lost] if lost else []
+    if form == "urscript" and has_presses(plan) and plan.plan.claim.holds.mode is HoldMode.FORCE:
+        notes.append(
+            "robots press with moments, and in all directions, in this plan, and URScript has the force along one "
+            "direction alone: what is proven of these presses does not hold; plan with --press-mode hybrid"
+        )
     if language is not None:
         notes += program_notes(cell, language)
         for number, robot in enumerate(cell.robots):
