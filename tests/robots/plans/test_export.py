@@ -7,6 +7,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,7 +42,7 @@ def test_one_function_exports_robot_plans_too(robot_plan: RobotPlan, cell: Cell,
 
 @pytest.mark.parametrize("form", ["rapid", "urscript", "mcap"])
 def test_one_function_exports_what_the_structure_adds(
-    robot_plan: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path, form: str
+    robot_plan: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path, form: Any
 ) -> None:
     """Loads of parts in programs, and their shapes in bags, as the command does; what is missing is a warning."""
     ours = replace(cell, robots=tuple(replace(robot, maker=MAKERS.get(form)) for robot in cell.robots))
