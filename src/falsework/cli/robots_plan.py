@@ -214,7 +214,7 @@ class PlanRobots(Command):
         }
         if not building or begun is not None or {self.state, self.joints, self.holding, self.grips} != {None}:
             given |= {"configurations": joints, "held": held, "gripped": grips}
-        if text := boundless(cell):
+        if stability.criterion == "contact" and (text := boundless(cell, stability.holds.force)):
             output.say(text)
         with output.count("planning motions", "step") as progress:
             given["progress"] = lambda now: progress(now.reached, now.steps)

@@ -25,7 +25,7 @@ from falsework.robots.exports.commands import Begin, Grip, Pressing, PublishCoun
 from falsework.robots.exports.export import export_notes
 from falsework.robots.kinematics.forward import flange_pose, tool_pose
 from falsework.robots.model.cell import cell_identity
-from falsework.robots.model.cell_holds import CellScale, stability_in
+from falsework.robots.model.cell_holds import CellScale, boundless, stability_in
 from falsework.robots.plans.robot_forces import grip_loads, overloads, timed_presses
 from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
 from falsework.robots.plans.timeline import event_times, schedule_of
@@ -380,6 +380,16 @@ def test_limits_of_holds_are_those_of_the_weakest_gripper(column: Assembly, cell
         stability_in(replace(small, robots=(first, weak)), column, settings)
     with pytest.raises(CellError, match="the gripper of arm 2 bears 4 N"):
         plan_robots(column, replace(small, robots=(first, weak)), settings=APART)
+
+
+def test_what_grippers_without_limits_bear_is_said(cell: Cell) -> None:
+    """Fifty weights only where nothing else limits what robots bear."""
+    first, second = cell.robots
+    mixed = replace(cell, robots=(first, replace(second, gripper=replace(second.gripper, name="weak", force=14.0))))
+    assert boundless(cell).endswith("bear fifty weights of the heaviest part in planning: cup")
+    assert boundless(cell, 20.0).endswith("bear at most 20 N in planning: cup")
+    assert boundless(mixed, 20.0).endswith("bear at most 14 N in planning: cup")
+    assert boundless(limited(cell, force=14.0)) == ""
 
 
 @pytest.fixture(scope="module")
