@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework import Assembly, Direction, StabilitySettings, Task, export, load_structure, plan_robots
+from falsework import Assembly, Direction, StabilitySettings, Task, export, load_structure, make_task, plan_robots
 from falsework.assembly import HELD, REMOVED, Loads, complete_state
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.store import save_assembly
@@ -26,9 +26,10 @@ from falsework.robots.exports.export import export_notes
 from falsework.robots.kinematics.forward import flange_pose, tool_pose
 from falsework.robots.model.cell import cell_identity
 from falsework.robots.model.cell_holds import CellScale, boundless, stability_in
+from falsework.robots.plans.continued import continued
 from falsework.robots.plans.robot_forces import grip_loads, overloads, timed_presses
 from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
-from falsework.robots.plans.timeline import event_times, schedule_of
+from falsework.robots.plans.timeline import event_times, interruption, schedule_of
 from falsework.search.plans.plan_check import validate_plan
 from falsework.stability import HoldSettings
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, Press
@@ -215,6 +216,23 @@ def test_ros_files_have_presses(pressed: RobotPlan, column: Assembly, cell: Cell
     np.testing.assert_allclose(found["world"]["force"] + found["world"]["torque"], WRENCH)
     np.testing.assert_allclose(found["center"], column.mass.center[SIDE], atol=1e-12)
     np.testing.assert_allclose(found["tool"]["force"] + found["tool"]["torque"], press.wrench_in(press.tool))
+
+
+def test_a_plan_that_goes_on_keeps_what_was_pressed(pressed: RobotPlan, column: Assembly, cell: Cell) -> None:
+    """The new steps are proven with the presses with which the others were done, not with those found anew."""
+    (first,) = (k for k in range(len(pressed)) if pressed.actions[k] == 0)
+    begun = with_press(pressed, first, Press(SIDE, (0.0, 0.0, 5.0, 0.0, 0.0, 0.0)))
+    instant = float(event_times(begun, schedule_of(begun))[first])
+    now = interruption(begun, instant + 0.01)
+    assert now.done == int(begun.rows[first]) + 1
+    task = make_task(column, 2, start=complete_state(column.boundary), target=now.state)
+    arms: dict[str, Any] = {"configurations": now.configurations, "held": now.held, "gripped": now.gripped}
+    rest = plan_robots(column, cell, task=task, settings=HybridSettings(Direction.ASSEMBLY, attempts=4), **arms).value
+    assert rest is not None
+    whole, falls_at = continued(rest, begun, now.done, column)
+    assert falls_at is None
+    assert whole.plan.presses[now.done - 1] == begun.plan.presses[now.done - 1] != ()
+    assert validate_plan(whole.plan, column).good
 
 
 def test_a_table_of_presses(pressed: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path) -> None:
