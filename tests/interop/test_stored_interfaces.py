@@ -14,7 +14,7 @@ from falsework import Assembly, StabilityOracle, export, load_structure
 from falsework.assembly import ContactWarning, complete_state
 from falsework.assembly.store import save_assembly
 from falsework.cli.main import main
-from falsework.errors import AssemblyError, InputError
+from falsework.errors import AssemblyError, ExportWarning, InputError
 from falsework.interop.compas_read import READER as COMPAS
 from falsework.interop.compas_read import read_compas
 from falsework.stability.stiffness import normal_stiffness
@@ -138,6 +138,12 @@ def test_given_contacts_are_kept_or_refused(written: Path, tmp_path: Path) -> No
         stored.with_ground()
     with pytest.raises(InputError, match="cannot keep"):
         save_assembly(stored, tmp_path / "folder")
+    for name, form in (("out.glb", None), ("out.usda", None), ("out.json", "compas"), ("out.json", "compas-dem")):
+        with pytest.warns(ExportWarning, match="have no given contacts: those of arch are left out"):
+            export(stored, tmp_path / name, format=form)
+    export(stored, tmp_path / "out.json", format="compas-assembly")
+    again = COMPAS.read(tmp_path / "out.json", interfaces="stored")
+    np.testing.assert_allclose(again.contacts.areas, stored.contacts.areas)
 
 
 def test_a_plan_remembers_where_its_contacts_came_from(written: Path, tmp_path: Path) -> None:

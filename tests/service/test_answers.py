@@ -67,6 +67,14 @@ def test_a_plan_leads_where_it_shall_and_every_state_stands(
     assert validate_plan(plan, live.assembly).good
 
 
+def test_a_refusal_names_the_reserve_that_was_asked_for(live: Any) -> None:
+    """Without it there is a plan."""
+    asked = {"state": "complete", "direction": "disassembly", "reserve": 50, "deadline": 60_000}
+    answer = live.post("/replan", asked).json()
+    assert answer["outcome"] == "proved_impossible"
+    assert answer["reason"] == "the state is not stable with friction divided by 50"
+
+
 def test_robots_and_reserve_are_those_of_the_request(live: Any) -> None:
     """Requests for different robots that come together each get theirs; what is left out is as by default."""
     usual = {"state": "empty", "direction": "assembly", "deadline": 60_000}

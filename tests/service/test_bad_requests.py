@@ -82,6 +82,7 @@ def pids(live: Any, kind: str) -> list[int]:
         (b'{"holds": {"stiffness": NaN}}', ("holds.stiffness",)),
         (b'{"holds": {"force": -1}}', ("holds.force",)),
         (b'{"holds": {"moment": "5"}}', ("holds.moment",)),
+        (b'{"holds": {"moment": 0}}', ("holds.moment is 0; give a number > 0",)),
         (b'{"holds": {"mode": 1}}', ("holds.mode",)),
         (b'{"holds": {"strength": 1}}', ("holds.strength is not known; known are force",)),
         (b'{"holds": {"force": 1}}', ("holds:", "cannot carry part voussoir-", "weighs")),

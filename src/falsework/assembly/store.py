@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict
 from difflib import get_close_matches
@@ -139,6 +140,10 @@ def save_assembly(assembly: Assembly, folder: str | Path) -> Path:
     """
     if not isinstance(assembly, Assembly):
         raise InputError(f"save_assembly writes an Assembly, not {type(assembly).__name__}; load_structure makes one")
+    for name, count in Counter(assembly.names).items():
+        if count > 1 or not name.strip():  # no file may hold such names
+            parts = "parts have" if count > 1 else "part has"
+            raise InputError(f"{count} {parts} the name {name!r}; give each one of its own, then save {assembly.name}")
     target = Path(folder).resolve()  # links stay
     if assembly.contacts_given:
         raise InputError(f"{assembly.name} has given contacts, which a folder of meshes cannot keep; find them instead")

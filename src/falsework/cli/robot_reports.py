@@ -229,7 +229,7 @@ def overloads_of(plan: RobotPlan, assembly: Assembly, cell: Cell) -> list[PlanPr
 
 
 def holds_record(loads: list[GripLoad], plan: RobotPlan, cell: Cell) -> list[dict[str, Any]]:
-    """Return the largest force and moment that each robot bears for a part that it holds."""
+    """Return the largest force and moment that each robot bears for a part that it holds, and its largest press."""
     from falsework.robots.plans.robot_forces import heaviest
 
     records, names = [], plan.plan.part_names
@@ -241,6 +241,8 @@ def holds_record(loads: list[GripLoad], plan: RobotPlan, cell: Cell) -> list[dic
         limits = {"force_n": robot.gripper.force, "moment_nm": robot.gripper.moment, "payload_kg": robot.payload}
         record: dict[str, Any] = {"robot": robot.name, "force_n": force.force_n, "moment_nm": moment.moment_nm}
         record |= {f"{kind}_part": names[load.part] for kind, load in (("force", force), ("moment", moment))}
+        presses = [load.force_n for load in loads if load.presses and load.robot == number]
+        record["press_n"] = max(presses, default=None)
         limits = {key: None if value == float("inf") else value for key, value in limits.items()}
         records.append(record | {"limits": limits})
     return records
@@ -252,8 +254,9 @@ def holds_text(record: dict[str, Any]) -> str:
     kinds = (("force_n", "force"), ("moment_nm", "moment"))
     said = [format_quantity(limits[key], kind) for key, kind in kinds if limits[key] is not None]
     payload = "" if limits["payload_kg"] is None else f", payload {format_quantity(limits['payload_kg'], 'mass')}"
+    presses = "" if record["press_n"] is None else f", presses with up to {format_quantity(record['press_n'], 'force')}"
     return (
         f"{record['robot']} bears up to {format_quantity(record['force_n'], 'force')} (holding "
         f"{record['force_part']}) and {format_quantity(record['moment_nm'], 'moment')} at its tool (holding "
-        f"{record['moment_part']}); limits of its gripper: {' and '.join(said) or 'not given'}{payload}"
+        f"{record['moment_part']}){presses}; limits of its gripper: {' and '.join(said) or 'not given'}{payload}"
     )

@@ -10,7 +10,6 @@ from tyro.conf import Positional, arg
 
 from falsework.cli.command import UNSET, Command
 from falsework.cli.exit_code import Exit
-from falsework.errors import InputError
 from falsework.utils.quantity import counted
 
 if TYPE_CHECKING:
@@ -55,26 +54,16 @@ class ExportRobots(Command):
     def run(self, output: Output) -> Exit:
         """Load and write."""
         from falsework.robots.cells.cell_file import load_cell
-        from falsework.robots.exports.export import export_notes, export_plan
-        from falsework.robots.plans.robot_forces import has_presses
+        from falsework.robots.exports.export import export_notes, export_plan, structure_for_export
         from falsework.robots.plans.robot_plan_file import load_robot_plan
-        from falsework.search.plans.plan_source import structure_of_plan
 
         plan = load_robot_plan(self.plan)
-        cell, shapes = load_cell(self.cell or plan.cell_place(self.plan)), None
-        pressed, lacking = has_presses(plan), []
-        if self.format in ("mcap", "rapid", "urscript") or pressed:
-            try:
-                shapes = structure_of_plan(plan.plan, self.plan, self.structure)
-            except InputError as error:
-                if self.structure is not None or pressed:
-                    raise
-                what = "the bag has no shapes" if self.format == "mcap" else "programs have no loads"
-                lacking = [f"{what} of parts: {error}"]
+        cell = load_cell(self.cell or plan.cell_place(self.plan))
+        shapes, lacking = structure_for_export(plan, self.format, self.plan, self.structure)
         output.replaced = self.out if self.out.is_dir() and any(self.out.iterdir()) else None
         options = {name: getattr(self, name) for name in ("rate", "joint_prefix", "force")}
         paths = export_plan(plan, self.out, self.format, structure=shapes, cell=cell, **options)
-        notes = lacking + export_notes(plan, self.format, cell)
+        notes = [lacking] * bool(lacking) + export_notes(plan, self.format, cell)
         for path in paths:
             output.file(path)
         output.say(f"{counted(len(paths), 'file')} in {self.out}")

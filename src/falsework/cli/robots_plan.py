@@ -214,13 +214,13 @@ class PlanRobots(Command):
         }
         if not building or begun is not None or {self.state, self.joints, self.holding, self.grips} != {None}:
             given |= {"configurations": joints, "held": held, "gripped": grips}
-        if text := boundless(cell):
-            output.say(text)
+        if stability.criterion == "contact" and (bear := boundless(cell, stability.holds.force)):
+            output.say(bear)
         with output.count("planning motions", "step") as progress:
             given["progress"] = lambda now: progress(now.reached, now.steps)
             result = plan_robots(assembly, cell, **given)
         found = result.partial if result.value is None else result.value  # a plan without steps is false
-        done = self._report(result, found, begun, output)
+        done, found = self._report(result, found, begun, output)
         if done is not Exit.DONE or found is None:
             return done
         if text := press_text(found.plan, scale.force):
@@ -292,7 +292,9 @@ class PlanRobots(Command):
 
     def _report(
         self, result: HybridResult, found: RobotPlan | None, begun: InterruptedPlan | None, output: Output
-    ) -> Exit:
+    ) -> tuple[Exit, RobotPlan | None]:
+        """Save and report a plan; return the exit code so far and the plan as it is in the file, None without one."""
+        saved = None
         if found is not None:
             fails_at = None
             if begun is not None:
@@ -317,8 +319,8 @@ class PlanRobots(Command):
                         f"falsework: with the history of the steps that are done the replay fails at step {fails_at}, "
                         "so the new steps are numbered from 1 and proven from rest"
                     )
-                    return output.outcome("weaker")
-                return Exit.DONE
+                    return output.outcome("weaker"), saved
+                return Exit.DONE, saved
             output.outcome("partial")
             which = "first" if saved.direction == "disassembly" else "last"
             output.note(f"{self.out} has the {which} {counted(len(saved), 'step')}")
@@ -327,7 +329,7 @@ class PlanRobots(Command):
             output.record({"failure": why, **result.statistics})
         if result.explanation is not None:
             output.note(f"falsework: {result.explanation.text}")
-        return Exit.NO
+        return Exit.NO, saved
 
     def _save(self, plan: RobotPlan, begun: InterruptedPlan | None, joined: Assembly | None) -> RobotPlan:
         from falsework.assembly.groups import groups_of

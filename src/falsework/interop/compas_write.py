@@ -173,7 +173,7 @@ def _exporter(kind: CompasKind, suffixes: tuple[str, ...] = ()) -> Exporter:
     def text(assembly: Assembly) -> str:
         return json.dumps(to_compas(assembly, kind), ensure_ascii=False, allow_nan=False) + "\n"
 
-    return Exporter(writer_of(text), suffixes)
+    return Exporter(writer_of(text), suffixes, contacts=kind == "assembly")
 
 
 MESHES, ASSEMBLY, DEM = _exporter("meshes", (".json",)), _exporter("assembly"), _exporter("dem")

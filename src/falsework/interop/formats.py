@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from falsework.assembly.load import as_assembly, load_structure
 from falsework.assembly.model import Assembly
-from falsework.errors import InputError
+from falsework.errors import ExportWarning, InputError
 from falsework.files import load_own
 from falsework.robots.cells.cell_file import AnyCell
-from falsework.robots.exports.export import export_plan
-from falsework.robots.plans.robot_forces import has_presses
+from falsework.robots.exports.export import export_losses, export_plan, structure_for_export
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_source import structure_of_plan
@@ -61,12 +61,13 @@ def export(
     """Write a structure, a plan in motion or as a sheet, or the motions of a robot plan for other programs.
 
     A sheet has the assembly instructions of a plan for a crew: which part to place, to hold and to release. Files of
-    other programs hold no joints and loads; what is left out is an `ExportWarning`.
+    other programs hold no joints, loads and given contacts; what is left out, of a robot plan too, is an
+    `ExportWarning`.
 
     Args:
         subject: a structure, plan or robot plan, or what `load_structure`, `load_plan` or `load_robot_plan` read.
         path: file to write, or folder, which must be new or empty.
-        structure: structure of a plan that does not name it; of a robot plan only where robots press.
+        structure: structure of a plan that does not name it.
         format: `folder` (one mesh a part), `glb`, `gltf`, `usd`, `html` (a page that opens without a server),
             `compas`, `compas-assembly` or `compas-dem`, or one that another package registers; for a sheet `pdf` or
             `csv`; for a robot plan `html`,
@@ -94,8 +95,10 @@ def export(
             shown = structure_of_plan(subject.plan, file, given, **options)
             write_format(shown, path, chosen, subject, cell=cell, **view)
             return
-        pressed = structure_of_plan(subject.plan, file, given, **options) if has_presses(subject) else None
-        export_plan(subject, path, chosen, structure=pressed, cell=cell)
+        needed, lacking = structure_for_export(subject, chosen, file, given, **options)
+        export_plan(subject, path, chosen, structure=needed, cell=cell)
+        for lost in [lacking] * bool(lacking) + export_losses(subject, chosen):
+            warnings.warn(lost, ExportWarning, stacklevel=2)
         return
     chosen = format_of(path) if format is None else format
     if isinstance(subject, Plan):

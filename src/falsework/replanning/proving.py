@@ -13,7 +13,6 @@ from falsework.assembly.state import HELD
 from falsework.replanning.request_replayer import Replayed, RequestReplayer
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.proofs import prove_route
-from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Task
 from falsework.stability.contact.history import of_all
@@ -68,7 +67,7 @@ class Prover:
         replayed = None if replayer is None else replayer.replay_in_time(route.states[::-1][built:])
         whole = replayed is None or replayed.stands is True
         if forces or (whole and self.seconds_for(len(route.states)) <= seconds):
-            known, begun = None if replayed is None or not whole else _summary(replayed), time.perf_counter()
+            known, begun = None if replayed is None or not whole else replayed.summary, time.perf_counter()
             # A plan that goes on keeps the numbers of its parts.
             plan = prove_route(route, self.assembly, task, self.oracle, forces=forces, replay=known, all_props=True)
             taken = (time.perf_counter() - begun) / len(route.states)
@@ -87,12 +86,6 @@ class Prover:
             verdicts.put(np.arange(done, len(states)), self.oracle.verdicts(states[done:]))
         verdicts.verdict[:done], verdicts.proof[:done] = Verdict.STABLE, Proof.HISTORY
         verdicts.residual[:done], verdicts.decided_by[:done] = replayed.residuals, Solver.CPU
-        known = None if replayed.stands is None else _summary(replayed)
+        known = None if replayed.stands is None else replayed.summary
         presses = of_all(replayed.presses, len(states))[1:]
         return replace(Plan.from_route(route, self.assembly, task, verdicts, claim), presses=presses, replay=known)
-
-
-def _summary(replayed: Replayed) -> PlanReplay:
-    """Return the summary of a replay that is over."""
-    falls_at = None if replayed.stands else len(replayed.residuals[: replayed.steps + 1])
-    return PlanReplay(replayed.stands is True, replayed.moved, replayed.part, falls_at, replayed.presses)

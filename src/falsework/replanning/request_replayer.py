@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from falsework.assembly.state import Mask, States
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
+from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import barred_row
 from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings
 from falsework.stability.contact.newton import RESTS
@@ -41,6 +42,12 @@ class Replayed:
     def to_dict(self) -> dict[str, Any]:
         """Return the replay as a JSON object."""
         return {"stands": self.stands, "steps": self.steps, "of": self.of, "moved_mm": self.moved * 1e3}
+
+    @property
+    def summary(self) -> PlanReplay:
+        """Summary of the replay, which is over."""
+        falls_at = None if self.stands else len(self.residuals[: self.steps + 1])
+        return PlanReplay(self.stands is True, self.moved, self.part, falls_at, self.presses)
 
 
 @dataclass(eq=False)

@@ -124,7 +124,7 @@ def find_plans(
     if oracle is not None:
         return _find(assembly, task, oracle, clock, checkpoint, *more)
     first = StabilityOracle(assembly, stability)
-    if first.replayer is None or stability.reserve <= 1.0:
+    if stability.reserve <= 1.0:
         return _find(assembly, task, first, clock, checkpoint, *more)
 
     def over(found: Planning) -> bool:
@@ -139,7 +139,7 @@ def find_plans(
         return found if found is not None and found.found and not other.accepted else other
 
     found = attempt(first, FIRST_SHARE)
-    if first.replayer.changes and not (found.found or over(found)):
+    if first.replayer is not None and first.replayer.changes and not (found.found or over(found)):
         first.replayer = first.replayer.vary()  # under the settings proper alone
         found = attempt(first, FIRST_SHARE, found)
     if not over(found):

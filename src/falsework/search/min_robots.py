@@ -139,7 +139,7 @@ def min_robots(
     clock, assembly = Deadline(deadline), as_assembly(assembly)
     progress = or_notebook(progress, "searching")
     first = oracle or StabilityOracle(assembly, stability)
-    again = oracle is None and stability.reserve > 1.0 and first.replayer is not None
+    again = oracle is None and stability.reserve > 1.0
     share = Deadline(None if deadline is None else FIRST_SHARE * deadline) if again else clock
     effort = FIRST_SHARE * EFFORT if again else EFFORT
     answer = _Query(assembly, first, settings, share, effort, progress, forces, rules).answer()

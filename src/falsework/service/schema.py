@@ -40,7 +40,7 @@ class Holds(FileModel, frozen=True):
     """Of a hold, N/m; null, the default, for robots that keep the pose of a part."""
     force: Number | UnsetType | None = UNSET
     """Largest force on a held part, N; by default fifty weights of the heaviest part, null for no limit."""
-    moment: Number | UnsetType | None = UNSET
+    moment: Annotated[float, Meta(gt=0)] | UnsetType | None = UNSET
     """Largest moment about the centre of mass of a held part, N m; by default twice the force times the largest radius
     of gyration, null for no limit."""
     mode: HoldMode = HoldSettings().mode

@@ -64,6 +64,11 @@ class StabilityCriterion(StabilityBounds):
         return "stable as built" if self.criterion == "contact" else "stable"
 
     @property
+    def presses(self) -> bool:
+        """Whether robots may press: under `contact`, if their holds do."""
+        return self.criterion == "contact" and self.holds.presses
+
+    @property
     def well_below(self) -> float:
         """Residual up to which a stable state does not depend on the tolerance, a share of gravity."""
         return _WELL_BELOW * self.tolerance

@@ -64,8 +64,8 @@ class HoldSettings:
     """Largest force on a held part, N; fifty weights of the heaviest part if not given. With 0 robots never press, and
     what they bear has no limit."""
     moment: float | None = None
-    """Largest moment about the centre of mass of a held part, N m; if not given, twice the largest force times the
-    largest radius of gyration. With 0 it has no limit."""
+    """Largest moment about the centre of mass of a held part, N m, above zero; if not given, twice the largest force
+    times the largest radius of gyration."""
     mode: HoldMode = HoldMode.HYBRID
     """What robots control while another part is let go of. Only with `locked` do they never press held parts against
     others."""
@@ -109,10 +109,11 @@ class HoldSettings:
         object.__setattr__(self, "mode", HoldMode(self.mode))
         if not self.stiffness > 0:
             raise InputError(f"the stiffness of holds is {self.stiffness:g} N/m; give a positive number, inf for rigid")
-        for name, unit in (("force", "N"), ("moment", "N m")):
-            value = getattr(self, name)
-            if value is not None and not value >= 0:
-                raise InputError(f"the largest {name} of holds is {value:g} {unit}; give 0 or more")
+        if self.force is not None and not self.force >= 0:
+            raise InputError(f"the largest force of holds is {self.force:g} N; give 0 or more")
+        # Rounding alone is a moment, so that with none no part could be held.
+        if self.moment is not None and not self.moment > 0:
+            raise InputError(f"the largest moment of holds is {self.moment:g} N m; give more than 0")
 
 
 class Press(FileModel, frozen=True):

@@ -79,6 +79,7 @@ def test_built_in_cells_can_work(name: str, shared_assembly) -> None:
             ("payload = 5.0", "payload = -1"),
             r"grippers\.cup\.payload is -1; give a number >= 0 \(largest mass that it lifts, kg\)",
         ),
+        (("payload = 5.0", "payload = 5.0\nmoment = 0"), r"grippers\.cup\.moment is 0; give a number > 0"),
         (("payload = 5.0", 'payload = "five"'), r"grippers\.cup\.payload is 'five'; give a number"),
         (("scale = 0.5", "scael = 0.5"), r"structure\.scael is not known; did you mean scale\?"),
         (("free = 0.004", "free = 0.0"), r"margins\.free is 0.0; give a number >= 0.0005"),

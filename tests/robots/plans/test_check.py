@@ -176,6 +176,8 @@ def test_one_check_has_motions_and_states(robot_plan: RobotPlan, column: Assembl
     assert not strict.problems  # the motions are as good as before, the states have no such margin
     assert strict.states is not None
     assert not strict.states.good
+    assert repr(strict) == f"<CheckReport: {strict.states.reason}>"
+    assert repr(report).startswith("<CheckReport: no problem in ")
     assert not strict.good
     with pytest.raises(InputError, match="a robot plan is checked in a cell"):
         check(column, robot_plan, None)  # pyrefly: ignore

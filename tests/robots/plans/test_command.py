@@ -20,7 +20,9 @@ from falsework.cli.robot_reports import schedule_text
 from falsework.robots import interruption
 from falsework.robots.plans.robot_plan import acts
 from falsework.robots.plans.robot_plan_file import load_robot_plan
+from falsework.robots.plans.timeline import event_times, schedule_of
 from falsework.search.plans.steps import NO_ROBOT
+from falsework.utils.quantity import format_quantity
 from falsework.viewer.viewable import viewable_of
 from tests.robots.cells.cell_texts import REACHING as CELL
 
@@ -574,3 +576,21 @@ def interrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     words = ["robots", "plan", STACK, "--cell", folder / "cell.toml", "--criterion", "equilibrium", "--sequential"]
     assert main([*map(str, words), "--out", str(folder / "plan.json")]) == 0
     return folder / "plan.json"
+
+
+def test_what_is_said_of_a_plan_that_goes_on_is_that_of_its_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its steps come after those that are done, with which robots press otherwise than from rest."""
+    arch, cell, first, rest = "arch:radius=0.3,blocks=5", *(tmp_path / name for name in ("c.toml", "a.json", "b.json"))
+    drawn = ("cell", "new", "left=ur10e,right=ur10e", "--structure", arch, "--density", "100", "--out", str(cell))
+    assert main([*drawn]) == 0
+    cell.write_text(cell.read_text().replace("# force = 60.0", "force = 14.0"))
+    assert main(["robots", "plan", arch, "--density", "100", "--cell", str(cell), "--out", str(first)]) == 0
+    plan = load_robot_plan(first)
+    (step,) = (k for k in range(len(plan)) if "presses" in plan.does(k))
+    before = float(event_times(plan, schedule_of(plan))[step - 1]) - 0.1
+    capsys.readouterr()
+    assert main(["robots", "plan", "--from", str(first), "--at", f"{before:.2f}s", "--out", str(rest)]) == 0
+    force = max(press.force for presses in load_robot_plan(rest).plan.presses for press in presses)
+    assert f"with at most {format_quantity(force, 'force')}" in capsys.readouterr().out

@@ -301,6 +301,18 @@ def test_signals_of_grippers_are_settings(robot_plan: RobotPlan, cell: Cell, tmp
         assert not list((tmp_path / "no").glob("*"))
 
 
+@pytest.mark.parametrize("form", ["rapid", "urscript"])
+def test_programs_say_how_an_arm_is_mounted(robot_plan: RobotPlan, cell: Cell, form: str) -> None:
+    """Loads and forces of a controller rest on it; upright is what controllers take without being told."""
+    first, second = cell.robots
+    base = first.base.copy()
+    base[:3, :3] = base[:3, :3] @ Rotation.from_euler("y", 30, degrees=True).as_matrix()
+    tilted = replace(cell, robots=(replace(first, base=base), second))
+    notes = [note for note in export_notes(robot_plan, form, tilted) if note.startswith("set up the controller")]
+    told = ["it is mounted 30 degrees off upright, as the cell has its base" in note for note in notes]
+    assert told == [True, False]
+
+
 @pytest.fixture(scope="module")
 def timed(robot_plan: RobotPlan, column: Assembly, cell: Cell) -> RobotPlan:
     """The plan with a schedule."""

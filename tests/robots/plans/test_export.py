@@ -7,15 +7,17 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
 from falsework import Assembly, export
-from falsework.errors import InputError, PlanError
+from falsework.errors import ExportWarning, InputError, PlanError
 from falsework.robots import Cell, RobotPlan, export_plan
 from falsework.robots.exports.commands import Grip, events_of
+from falsework.robots.exports.controller import MAKERS
 from falsework.robots.exports.export import FORMATS
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.part_shapes import place_parts
@@ -36,6 +38,22 @@ def test_one_function_exports_robot_plans_too(robot_plan: RobotPlan, cell: Cell,
     texts = [[path.read_text() for path in sorted((tmp_path / name).iterdir())] for name in ("one", "three")]
     assert texts[0] == texts[1]
     assert len(list((tmp_path / "other").iterdir())) == len(texts[0])
+
+
+@pytest.mark.parametrize("form", ["rapid", "urscript", "mcap"])
+def test_one_function_exports_what_the_structure_adds(
+    robot_plan: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path, form: Any
+) -> None:
+    """Loads of parts in programs, and their shapes in bags, as the command does; what is missing is a warning."""
+    ours = replace(cell, robots=tuple(replace(robot, maker=MAKERS.get(form)) for robot in cell.robots))
+    whole = export_plan(robot_plan, tmp_path / "whole", form, structure=column, cell=ours)
+    export(robot_plan, tmp_path / "one", column, format=form, cell=ours)
+    for path in whole:
+        assert (tmp_path / "one" / path.name).read_bytes() == path.read_bytes()
+    with pytest.warns(ExportWarning, match=r"(programs have no loads|the bag has no shapes) of parts: "):
+        export(robot_plan, tmp_path / "bare", format=form, cell=ours)
+    bare = [(tmp_path / "bare" / path.name).read_bytes() for path in whole]
+    assert all(len(less) < len(path.read_bytes()) for less, path in zip(bare, whole, strict=True))
 
 
 def load_yaml(text: str):

@@ -13,20 +13,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework import Assembly, Direction, StabilitySettings, Task, export, load_structure, plan_robots
+from falsework import Assembly, Direction, StabilitySettings, Task, export, load_structure, make_task, plan_robots
 from falsework.assembly import HELD, REMOVED, Loads, complete_state
 from falsework.assembly.library.blocks import box, gather
 from falsework.assembly.store import save_assembly
 from falsework.cli.main import main
+from falsework.cli.robot_reports import holds_record, holds_text
 from falsework.errors import CellError, PlanError
 from falsework.robots import Cell, HybridSettings, KeyframeGraph, Placement, RobotPlan, export_plan
 from falsework.robots.exports.commands import Begin, Grip, Pressing, PublishCount, Wait, commands_of
+from falsework.robots.exports.export import export_notes
 from falsework.robots.kinematics.forward import flange_pose, tool_pose
 from falsework.robots.model.cell import cell_identity
-from falsework.robots.model.cell_holds import CellScale, stability_in
+from falsework.robots.model.cell_holds import CellScale, boundless, stability_in
+from falsework.robots.plans.continued import continued
 from falsework.robots.plans.robot_forces import grip_loads, overloads, timed_presses
 from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
-from falsework.robots.plans.timeline import event_times, schedule_of
+from falsework.robots.plans.timeline import event_times, interruption, schedule_of
 from falsework.search.plans.plan_check import validate_plan
 from falsework.stability import HoldSettings
 from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, Press
@@ -215,6 +218,23 @@ def test_ros_files_have_presses(pressed: RobotPlan, column: Assembly, cell: Cell
     np.testing.assert_allclose(found["tool"]["force"] + found["tool"]["torque"], press.wrench_in(press.tool))
 
 
+def test_a_plan_that_goes_on_keeps_what_was_pressed(pressed: RobotPlan, column: Assembly, cell: Cell) -> None:
+    """The new steps are proven with the presses with which the others were done, not with those found anew."""
+    (first,) = (k for k in range(len(pressed)) if pressed.actions[k] == 0)
+    begun = with_press(pressed, first, Press(SIDE, (0.0, 0.0, 5.0, 0.0, 0.0, 0.0)))
+    instant = float(event_times(begun, schedule_of(begun))[first])
+    now = interruption(begun, instant + 0.01)
+    assert now.done == int(begun.rows[first]) + 1
+    task = make_task(column, 2, start=complete_state(column.boundary), target=now.state)
+    arms: dict[str, Any] = {"configurations": now.configurations, "held": now.held, "gripped": now.gripped}
+    rest = plan_robots(column, cell, task=task, settings=HybridSettings(Direction.ASSEMBLY, attempts=4), **arms).value
+    assert rest is not None
+    whole, falls_at = continued(rest, begun, now.done, column)
+    assert falls_at is None
+    assert whole.plan.presses[now.done - 1] == begun.plan.presses[now.done - 1] != ()
+    assert validate_plan(whole.plan, column).good
+
+
 def test_a_table_of_presses(pressed: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path) -> None:
     paths = export_plan(pressed, tmp_path, "csv", structure=column, cell=cell)
     assert paths[-1].name == "presses.csv"
@@ -229,6 +249,8 @@ def test_a_table_of_presses(pressed: RobotPlan, column: Assembly, cell: Cell, tm
     inside = [float(numbers[f"tool_{axis}"]) for axis in axes]
     np.testing.assert_allclose(inside, press.wrench_in(press.tool), atol=1e-6)
     np.testing.assert_allclose([float(row[0]), float(row[1])], [press.start, press.end], atol=1e-6)
+    assert numbers["mode"] == "force"
+    np.testing.assert_allclose([float(numbers[f"center_{axis}"]) for axis in "xyz"], press.center, atol=1e-6)
 
 
 def test_a_bag_has_set_points_of_the_wrench(pressed: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path) -> None:
@@ -251,12 +273,12 @@ def test_a_module_moves_the_set_point(pressed: RobotPlan, column: Assembly, cell
     text = paths[1].read_text()
     assert {"MoveL", "RelTool", "CalcRobT"} <= Rapid(text).called
     (press,) = timed_presses(pressed, column, cell, schedule_of(pressed))
-    assert "! press block-2 with 13.0 N, (-12.0, 3.0, 4.0) N in the cell, at 1 MN/m" in text
+    assert "! press block-2 with 13 N, (-12, 3, 4) N in the cell, at 1 MN/m" in text
     numbers = r"(-?\d+\.\d+)"
     form = rf"MoveL RelTool\(CalcRobT\((\w+), arm_2_tool\), {', '.join([numbers] * 3)}"
     form += "".join(rf"\\R{axis}:={numbers}" for axis in "xyz") + r"\), v5, fine, arm_2_tool;"
     (found,) = re.findall(form, text)
-    np.testing.assert_allclose(np.array(found[1:4], float), 1e3 * press.offset[:3], atol=1e-4)
+    np.testing.assert_allclose(np.array(found[1:4], float), 1e3 * press.offset[:3], atol=1e-6)
     np.testing.assert_allclose(np.array(found[4:], float), np.degrees(press.offset[3:]), atol=1e-5)
     (held,) = re.findall(rf"CONST jointtarget {found[0]} := \[\[([^\]]*)\]", text)
     values = np.radians([float(value) for value in held.split(",")])
@@ -276,7 +298,7 @@ def test_two_presses_add_up_in_a_module(pressed: RobotPlan, column: Assembly, ce
     text = export_plan(plan, tmp_path, "rapid", structure=column, cell=cell)[1].read_text()
     both = timed_presses(plan, column, cell, schedule_of(plan))
     shifts = [float(x) for x in re.findall(r"RelTool\(CalcRobT\(\w+, arm_2_tool\), (-?[\d.]+),", text)]
-    np.testing.assert_allclose(shifts, 1e3 * np.cumsum([press.offset[0] for press in both]), atol=1e-4)
+    np.testing.assert_allclose(shifts, 1e3 * np.cumsum([press.offset[0] for press in both]), atol=1e-6)
 
 
 def test_a_script_controls_the_force(pressed: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path) -> None:
@@ -321,6 +343,35 @@ def test_a_gripper_opens_only_while_the_other_arm_presses(
         assert run_programs(paths, seed)
 
 
+def test_steps_name_the_arm_that_presses(pressed: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path) -> None:
+    """As the cell does, not as the plan numbers robots; newtons are those in the cell, where they are given."""
+    step = last_step(pressed)
+    assert pressed.does(step) == "release block-1; arm 2 presses block-2"
+    small = replace(cell, placement=Placement(scale=0.5))
+    for path in export_plan(in_cell(pressed, small), tmp_path, "rapid", structure=column, cell=small):
+        said = [line for line in path.read_text().splitlines() if "press" in line and " N" in line]
+        assert all("press block-2 with 1.625 N, (-1.5, 0.375, 0.5) N in the cell" in line for line in said)
+    (record,) = (
+        entry
+        for entry in holds_record(grip_loads(in_cell(pressed, small), column, small), pressed, small)
+        if entry["press_n"] is not None
+    )
+    assert (record["robot"], record["press_n"]) == ("arm 2", pytest.approx(1.625))
+    assert "arm 2 bears up to" in holds_text(record)
+    assert ", presses with up to 1.62 N; limits" in holds_text(record)
+
+
+def test_scripts_say_that_they_leave_moments_out(pressed: RobotPlan, cell: Cell) -> None:
+    lost = "URScript has the force along one direction alone"
+    assert [any(lost in note for note in export_notes(pressed, form, cell)) for form in ("urscript", "rapid")] == [
+        True,
+        False,
+    ]
+    claim = replace(pressed.plan.claim, holds=HoldSettings())
+    along = replace(pressed, plan=replace(pressed.plan, claim=claim))
+    assert not any(lost in note for note in export_notes(along, "urscript", cell))
+
+
 def test_one_function_exports_presses_too(pressed: RobotPlan, column: Assembly, cell: Cell, tmp_path: Path) -> None:
     save_robot_plan(pressed, tmp_path / "plan.json")
     export(tmp_path / "plan.json", tmp_path / "out", column, format="csv", cell=cell)
@@ -347,6 +398,16 @@ def test_limits_of_holds_are_those_of_the_weakest_gripper(column: Assembly, cell
         stability_in(replace(small, robots=(first, weak)), column, settings)
     with pytest.raises(CellError, match="the gripper of arm 2 bears 4 N"):
         plan_robots(column, replace(small, robots=(first, weak)), settings=APART)
+
+
+def test_what_grippers_without_limits_bear_is_said(cell: Cell) -> None:
+    """Fifty weights only where nothing else limits what robots bear."""
+    first, second = cell.robots
+    mixed = replace(cell, robots=(first, replace(second, gripper=replace(second.gripper, name="weak", force=14.0))))
+    assert boundless(cell).endswith("bear fifty weights of the heaviest part in planning: cup")
+    assert boundless(cell, 20.0).endswith("bear at most 20 N in planning: cup")
+    assert boundless(mixed, 20.0).endswith("bear at most 14 N in planning: cup")
+    assert boundless(limited(cell, force=14.0)) == ""
 
 
 @pytest.fixture(scope="module")

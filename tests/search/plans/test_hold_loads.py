@@ -96,7 +96,8 @@ def test_limits_are_checked_by_evaluation(arch: Assembly, plan: Plan, kind: str,
     """Whatever limit the plan claims: by its certificates, and by building it anew."""
     plan = replace(plan, displacement=None) if solved else plan
     largest = largest_load(plan.loads)[("force", "moment").index(kind)]
-    for claimed in (getattr(plan.claim.holds, kind), 0.0, np.inf):
+    without = [0.0, np.inf] if kind == "force" else [np.inf]
+    for claimed in (getattr(plan.claim.holds, kind), *without):
         holds = replace(plan.claim.holds, **{kind: claimed})  # type: ignore[arg-type]
         free = replace(plan, claim=replace(plan.claim, holds=holds))
         assert validate_plan(free, arch, limited(**{kind: 1.01 * largest})).good

@@ -31,6 +31,7 @@ from falsework.search.plans.plan_report import PlanReport
 from falsework.search.plans.plan_source import structure_to_check
 from falsework.search.plans.proofs import prove_build
 from falsework.search.problem.result import Route
+from falsework.stability.holds import HoldMode, HoldSettings
 from falsework.stability.settings import EQUILIBRIUM
 
 Peak = Callable[[Callable[[], Any]], int]
@@ -306,6 +307,24 @@ def test_one_change_of_a_plan_with_presses(pressed: tuple[Assembly, Plan]) -> No
         *("steps.presses", "steps.residual", "steps.bears", "replay", "displacements"),
         *("start.bears", "start.residual"),
     }
+
+
+@pytest.mark.parametrize(
+    "claimed",
+    [
+        {"criterion": "equilibrium", "cone": "octagon"},
+        {"holds": HoldSettings(mode=HoldMode.LOCKED)},
+        {"holds": HoldSettings(force=0.0)},
+    ],
+)
+def test_robots_that_never_press_do_not(pressed: tuple[Assembly, Plan], claimed: dict[str, Any]) -> None:
+    """Neither in a plan in memory nor in a file."""
+    assembly, plan = pressed
+    plan = replace(plan, displacement=None, loads=(), claim=replace(plan.claim, **claimed))
+    settings = StabilitySettings.from_claim(plan.claim)
+    assert "robots press, which those of the plan never do" in validate_plan(plan, assembly, settings).reason
+    with pytest.raises(InputError, match="robots press in it, which they do under contact alone"):
+        plan_from_dict(plan_to_dict(plan))
 
 
 def test_a_plan_without_a_press_that_it_needs_is_refused(pressed: tuple[Assembly, Plan]) -> None:

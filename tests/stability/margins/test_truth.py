@@ -12,7 +12,7 @@ from falsework.stability.margins.conditions import Condition
 
 STRUCTURES = ("arch:blocks=5", "corbel", "catenary:blocks=5")
 BESIDE = 0.02
-RIGID = StabilitySettings(holds=HoldSettings(stiffness=np.inf, force=0.0, moment=0.0))
+RIGID = StabilitySettings(holds=HoldSettings(stiffness=np.inf, force=0.0))
 """Margins are those of a state in which held parts do not move, whatever they bear."""
 
 

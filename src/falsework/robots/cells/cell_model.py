@@ -74,7 +74,7 @@ class _GripperEntry(FileModel, frozen=True, tag_field="kind"):
     """kg."""
     force: Limit | None = None
     """Largest force that it bears, N."""
-    moment: Limit | None = None
+    moment: Annotated[float, Meta(gt=0)] | None = None
     """Largest moment that it bears, N m."""
     center_of_mass: Vector | None = None
     """In the frame of the flange, metres."""

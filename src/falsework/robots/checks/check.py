@@ -80,8 +80,9 @@ class CheckReport:
     """Check of the stability of the states, where it was made."""
 
     def __repr__(self) -> str:
-        found = self.problems[0] if self.problems else f"no problem in {counted(self.samples, 'configuration')}"
-        return f"<CheckReport: {found}>"
+        unstable = "" if self.states is None else self.states.reason
+        fine = f"no problem in {counted(self.samples, 'configuration')}"
+        return f"<CheckReport: {self.problems[0] if self.problems else unstable or fine}>"
 
     @property
     def good(self) -> bool:

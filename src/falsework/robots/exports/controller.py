@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import Literal
 
+import numpy as np
+
 from falsework.errors import InputError
 from falsework.robots.model.cell import Cell, CellRobot, maker_of
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -15,6 +17,8 @@ MAKERS: dict[Language, str] = {"rapid": "ABB", "urscript": "Universal Robots"}
 """Maker whose controllers run a language."""
 REGISTER = 128
 """First general-purpose Modbus register of a UR controller."""
+_UPRIGHT = 0.1
+"""Degrees up to which a base counts as upright."""
 _SIGNALS: dict[Language, tuple[str, str]] = {
     "rapid": (r"[A-Za-z]\w{0,31}", "the name of a digital output, such as do_vacuum"),
     "urscript": (r"(standard|configurable|tool) [0-7]", "standard, configurable or tool and a number, such as tool 0"),
@@ -108,6 +112,9 @@ def controller_settings(plan: RobotPlan, cell: Cell, robot: int, language: Langu
     entry, level = cell.robots[robot], int(cell.robots[robot].signals.closed)
     output = grip_signal(entry, names[robot], language)
     lines = [f"digital output {output} at {level} closes the gripper"]
+    tilt = np.degrees(np.arccos(np.clip(entry.base[2, 2], -1.0, 1.0)))
+    if tilt > _UPRIGHT:  # controllers take weights to act along their own z
+        lines.append(f"it is mounted {tilt:.3g} degrees off upright, as the cell has its base")
     others = [k for k in range(len(names)) if k != robot]
     if language == "urscript":
         reads = [f"its register {REGISTER} is read at {address_of(entry, names[robot])} by the others"]

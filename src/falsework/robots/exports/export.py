@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from falsework.assembly.load import AnyStructure, as_assembly
+from falsework.assembly.model import Assembly
 from falsework.errors import InputError, PlanError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.exports.bag_view import PlacedParts
@@ -25,6 +26,8 @@ from falsework.robots.plans.robot_forces import GripLoad, TimedPress, has_presse
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import schedule_of
 from falsework.robots.plans.trajectory import check_limits
+from falsework.search.plans.plan_source import structure_of_plan
+from falsework.stability.holds import HoldMode
 from falsework.utils.files.output_file import write_whole
 
 Format = Literal["ros2-json", "ros2-yaml", "ros2-goals", "csv", "rapid", "urscript", "mcap"]
@@ -130,11 +133,47 @@ def export_plan(
     return paths
 
 
+def structure_for_export(
+    plan: RobotPlan, form: str, file: Path | str | None, structure: AnyStructure | None, **options: Any
+) -> tuple[Assembly | None, str]:
+    """Return the structure that an export needs, None for none, and what the export lacks without it, in one line.
+
+    Args:
+        file: of the plan, for structures that it names.
+        structure: instead of the one that the plan names.
+        options: as for `load_structure`.
+
+    Raises:
+        InputError: robots press, or a structure is given, and it cannot be read, or is another one.
+    """
+    pressed = has_presses(plan)
+    if form not in ("mcap", *MAKERS) and not pressed:
+        return None, ""
+    try:
+        return structure_of_plan(plan.plan, file, structure, **options), ""
+    except InputError as error:
+        if structure is not None or pressed:
+            raise
+        what = "the bag has no shapes" if form == "mcap" else "programs have no loads"
+        return None, f"{what} of parts: {error}"
+
+
+def export_losses(plan: RobotPlan, form: str) -> list[str]:
+    """Return what an export does not keep of a plan, each in one line."""
+    lost = lost_schedule(plan, form)
+    losses = [lost] if lost else []
+    if form == "urscript" and has_presses(plan) and plan.plan.claim.holds.mode is HoldMode.FORCE:
+        losses.append(
+            "robots press with moments, and in all directions, in this plan, and URScript has the force along one "
+            "direction alone: what is proven of these presses does not hold; plan with --press-mode hybrid"
+        )
+    return losses
+
+
 def export_notes(plan: RobotPlan, form: str, cell: Cell) -> list[str]:
     """Return what an export does not keep, or takes for granted, each in one line."""
-    lost = lost_schedule(plan, form)
     language = next((language for language in MAKERS if language == form), None)
-    notes = [lost] if lost else []
+    notes = export_losses(plan, form)
     if language is not None:
         notes += program_notes(cell, language)
         for number, robot in enumerate(cell.robots):

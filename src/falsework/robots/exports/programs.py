@@ -251,10 +251,10 @@ def _describe_press(plan: RobotPlan, command: Pressing) -> str:
     press, part = command.press, ascii_text(plan.plan.part_names[command.press.part])
     if not command.begins:
         return f"stay where the press of {part} has ended"
-    force = ", ".join(f"{value:.1f}" for value in press.wrench[:3])
+    force = ", ".join(f"{round(value, 9) + 0.0:.4g}" for value in press.wrench[:3])
     along = " along it" if press.mode is HoldMode.HYBRID else ""
     return (
-        f"press {part} with {press.force:.1f} N, ({force}) N in the cell, at "
+        f"press {part} with {press.force:.4g} N, ({force}) N in the cell, at "
         f"{format_quantity(press.stiffness, 'stiffness')}{along}"
     )
 
@@ -262,7 +262,7 @@ def _describe_press(plan: RobotPlan, command: Pressing) -> str:
 def _shift(offset: Array) -> str:
     """Return a displacement along and about the axes of a tool, m and rad, as arguments of `RelTool`."""
     turn = "".join(f"\\R{axis}:={value:.5f}" for axis, value in zip("xyz", np.degrees(offset[3:]), strict=True))
-    return ", ".join(f"{1000 * value:.4f}" for value in offset[:3]) + turn
+    return ", ".join(f"{1000 * value:.6f}" for value in offset[:3]) + turn
 
 
 def _ur_press(press: TimedPress) -> list[str]:

@@ -12,6 +12,9 @@ import numpy as np
 from falsework.robots.plans.robot_forces import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan
 
+_PRESS_ENDS = ("mode", "center_x", "center_y", "center_z")
+"""Last columns of the table of presses: what robots control, and the point of the moment in the world, metres."""
+
 
 def csv_tables(plan: RobotPlan, presses: Sequence[TimedPress], rate: float) -> Iterator[tuple[str, str]]:
     """Yield a table for each step and one for the plan, with one motion after the other, at some rows per second.
@@ -45,13 +48,14 @@ def csv_tables(plan: RobotPlan, presses: Sequence[TimedPress], rate: float) -> I
         axes = [f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"]
         columns = [f"{frame}_{axis}" for frame in ("world", "tool") for axis in axes]
         rows = [_press_row(plan, press) for press in presses]
-        yield "presses.csv", _table(["start", "end", "step", "robot", "part", *columns], rows)
+        yield "presses.csv", _table(["start", "end", "step", "robot", "part", *columns, *_PRESS_ENDS], rows)
 
 
 def _press_row(plan: RobotPlan, press: TimedPress) -> list[Any]:
     about = [press.step + 1, plan.robots[press.robot].name, plan.plan.part_names[press.part]]
     numbers = [f"{value:.6f}" for value in (*press.wrench, *press.wrench_in(press.tool))]
-    return [f"{press.start:.6f}", f"{press.end:.6f}", *about, *numbers]
+    center = [f"{value:.6f}" for value in press.center]
+    return [f"{press.start:.6f}", f"{press.end:.6f}", *about, *numbers, press.mode.value, *center]
 
 
 def _table(header: list[str], rows: list[list[Any]]) -> str:

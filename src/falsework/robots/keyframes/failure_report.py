@@ -86,7 +86,7 @@ class Explanation:
 
 def describe_failure(what: str, route: Route, row: int, names: Sequence[str], plans: int = 0) -> str:
     """Return in words at which state, numbered in assembly order, the structure collapses in the replay of a plan."""
-    place = "in the first state"
+    place = "in the first state, which is loaded from rest"
     if row:
         before, after = route.states[::-1][row - 1 : row + 1]
         verb, name = describe_step(before, after, names).split(" ", 1)

@@ -82,12 +82,18 @@ def _unscaled(assembly: Assembly) -> str:
     return " and ".join(found)
 
 
-def boundless(cell: Cell) -> str:
-    """Return in words what planning assumes of grippers without limits; empty where all have them."""
+def boundless(cell: Cell, force: float | None = None) -> str:
+    """Return in words what planning under `contact` assumes of grippers without limits; empty where all have them.
+
+    Args:
+        force: largest force of robots that was asked for, in the cell, N.
+    """
     names = sorted({robot.gripper.name for robot in cell.robots if not robot.gripper.has_limits})
     if not names:
         return ""
-    return f"grippers without force and moment bear fifty weights of the heaviest part in planning: {', '.join(names)}"
+    least = min([force or np.inf, *(robot.gripper.force for robot in cell.robots)])
+    bear = "fifty weights of the heaviest part" if np.isinf(least) else f"at most {format_quantity(least, 'force')}"
+    return f"grippers without force and moment bear {bear} in planning: {', '.join(names)}"
 
 
 def stability_in(cell: Cell, assembly: Assembly, settings: StabilitySettings) -> StabilitySettings:

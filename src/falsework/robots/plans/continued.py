@@ -7,12 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from falsework.assembly.model import Assembly
+from falsework.replanning.executed_steps import ExecutedSteps
 from falsework.robots.plans.robot_plan import RobotPlan, acts
 from falsework.search.find import make_task
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.proofs import prove_route
+from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
+from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 
@@ -21,8 +24,8 @@ def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) 
     """Return a robot plan whose steps come after those of another one that are done, and count on from them.
 
     Its motions are those of `rest`; its plan has the steps that are done too. With it comes None, or where its replay
-    fails the number of the state: the history of what was built is then too much for the new steps. PlanError if a
-    state cannot be proved.
+    fails the number of the state: the history of what was built is then too much for the new steps. In assembly that
+    history has the presses with which the steps were done. PlanError if a state cannot be proved.
     """
     if not done:
         return rest, None
@@ -37,7 +40,12 @@ def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) 
         actions = np.concatenate([old.actions[:done], new.actions])
     route, oracle = Route(states, actions), StabilityOracle(assembly, StabilitySettings.from_claim(rest.plan.claim))
     forces = rest.plan.proof_arrays() is not None
-    whole = prove_route(route, assembly, _task(route, rest.plan, begun.plan, assembly), oracle, forces=forces)
+    known = None
+    if builds and oracle.replayer is not None:
+        built = ExecutedSteps(begun.plan, done).history
+        known = DeadlineReplayer(oracle.replayer, Deadline(), built).replay_in_time(route.states[::-1][done:]).summary
+    task = _task(route, rest.plan, begun.plan, assembly)
+    whole = prove_route(route, assembly, task, oracle, forces=forces, replay=known)
     if whole.replay is not None and not whole.replay.stands:
         return rest, whole.replay.falls_at
     ways, told = (plan.exit_paths or ((),) * len(plan) for plan in (rest.plan, begun.plan))

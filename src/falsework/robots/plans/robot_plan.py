@@ -327,19 +327,21 @@ class RobotPlan(Displayed):
                 home += 1
             where = "back" if self.standing[home, carried].all() else "aside"
             return f"move {names} {where}" if (self.states[step, carried] != REMOVED).all() else f"carry {names}"
-        if entry.hands_over is None:
-            what = self.plan.in_order(self.direction)[int(self.done[step])].words
+        parts, held = self.plan.part_names, self.keyframes[step].held
+        if entry.hands_over is None:  # newtons are left out: those of the plan are not those in the cell
+            done = self.plan.in_order(self.direction)[int(self.done[step])]
+            by = {part: robot.name for part, robot in zip(held, self.robots, strict=True)}
+            presses = [f"{by.get(one.part, 'no robot')} presses {parts[one.part]}" for one in done.presses]
+            what = "; ".join([f"{done.action} {done.name}", *presses])
             return what if entry.put_down is None else f"{what}, put down and gripped again on the way"
-        name, held = self.plan.part_names[entry.hands_over], self.keyframes[step].held
-        others = [k for k, part in enumerate(held) if part == entry.hands_over and k != entry.robot]
-        other = " and ".join(self.robots[k].name for k in others) or "no robot"
+        name, others = parts[entry.hands_over], [k for k, one in enumerate(held) if one == entry.hands_over]
+        other = " and ".join(self.robots[k].name for k in others if k != entry.robot) or "no robot"
         return f"take {name} over from {other}" if self.grip(step) == "close" else f"leave {name} to {other}"
 
     def describe(self, step: int) -> str:
         """Describe a step, such as `left: remove keystone (3.1 s)`."""
-        entry = self.steps[step]
-        names = " and ".join(self.robots[robot].name for robot in entry.robots)
-        return f"{names}: {self.does(step)} ({entry.seconds:.1f} s)"
+        names = " and ".join(self.robots[robot].name for robot in self.steps[step].robots)
+        return f"{names}: {self.does(step)} ({self.steps[step].seconds:.1f} s)"
 
     def moves(self) -> Iterator[tuple[int, int, Trajectory]]:
         """Yield all trajectories in time order: step, robot, trajectory."""

@@ -138,7 +138,7 @@ class HoldsEntry(FileModel, frozen=True):
     """N/m; null for holds that never give way."""
     force: NotNegative | None
     """Largest force on a held part, N; null for no limit."""
-    moment: NotNegative | None
+    moment: Positive | None
     """Largest moment about the centre of mass of a held part, N m; null for no limit."""
     mode: HoldMode
     """What robots control while a part is released: the pose (they never press), the wrench of a part that they press,

@@ -109,6 +109,8 @@ class PlanReader:
             self._fail("it says what robots bear, which is not known under the criterion equilibrium")
         exit_paths = [self._exit_path(step, number) for number, step in enumerate(file.steps, 1)]
         presses = [self._presses(step, number) for number, step in enumerate(file.steps, 1)]
+        if any(presses) and not claim.presses:
+            self._fail("robots press in it, which they do under contact alone, not with holds.mode locked or force 0")
         return {
             "states": states,
             "actions": actions,

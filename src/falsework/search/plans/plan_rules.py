@@ -167,6 +167,8 @@ def _task_of(plan: Plan) -> Task:
 
 def _broken_press(plan: Plan, step: int, pressed: list[int]) -> str:
     """Return why robots cannot press on some parts in a step; empty if they can."""
+    if not plan.claim.presses:
+        return "robots press, which those of the plan never do"
     before, after = plan.states[step : step + 2]
     held = (before == HELD) & (after == HELD) & ~plan.immovable
     for part in pressed:

@@ -57,7 +57,20 @@ class Exporter:
     options: tuple[str, ...] = ()
     """Options that it takes for a plan: `step_seconds`, `azimuth`, `elevation`, `progress`."""
     complete: bool = False
-    """Whether it keeps joints and loads, or says itself that it cannot."""
+    """Whether it keeps joints, loads and given contacts, or says itself that it cannot."""
+    contacts: bool = False
+    """Whether it keeps given contacts."""
+
+
+def _left_out(assembly: Any, exporter: Exporter) -> str:
+    """Return in words what files of a format lack of a structure; empty if nothing."""
+    lacks = {
+        "joints": assembly.joints is not None,
+        "loads": assembly.loads is not None,
+        # Those of fasteners are part of their joints.
+        "given contacts": assembly.contacts_given and assembly.joints is None and not exporter.contacts,
+    }
+    return " and ".join(what for what, lacking in lacks.items() if lacking)
 
 
 def writer_of(make: Callable[..., bytes | str]) -> Callable[..., None]:
@@ -143,8 +156,7 @@ def write_format(assembly: Any, path: Path | str, name: str, plan: Any = None, *
         if option != "progress" and (plan is None or option not in exporter.options):
             which = " of plans" if plan is None else ""
             raise InputError(f"--{option.replace('_', '-')} is no option of {name}{which}; leave it out")
-    lost = () if plan is not None or exporter.complete else ("joints", "loads")
-    left_out = " and ".join(lacking for lacking in lost if getattr(assembly, lacking) is not None)
+    left_out = "" if plan is not None or exporter.complete else _left_out(assembly, exporter)
     if left_out:
         warnings.warn(
             f"{name} files have no {left_out}: those of {assembly.name} are left out, without which its stability "
