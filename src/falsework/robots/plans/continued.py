@@ -8,6 +8,7 @@ import numpy as np
 
 from falsework.assembly.model import Assembly
 from falsework.replanning.executed_steps import ExecutedSteps
+from falsework.replanning.request_replayer import RequestReplayer
 from falsework.robots.plans.robot_plan import RobotPlan, acts
 from falsework.search.find import make_task
 from falsework.search.plans.plan import Plan
@@ -15,7 +16,6 @@ from falsework.search.plans.proofs import prove_route
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import Route
 from falsework.search.problem.task import Direction, Task
-from falsework.search.problem.timed_replayer import DeadlineReplayer
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 
@@ -43,7 +43,7 @@ def continued(rest: RobotPlan, begun: RobotPlan, done: int, assembly: Assembly) 
     known = None
     if builds and oracle.replayer is not None:
         built = ExecutedSteps(begun.plan, done).history
-        known = DeadlineReplayer(oracle.replayer, Deadline(), built).replay_in_time(route.states[::-1][done:]).summary
+        known = RequestReplayer(oracle.replayer, Deadline(), built).replay_in_time(route.states[::-1][done:]).summary
     task = _task(route, rest.plan, begun.plan, assembly)
     whole = prove_route(route, assembly, task, oracle, forces=forces, replay=known)
     if whole.replay is not None and not whole.replay.stands:
