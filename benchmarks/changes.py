@@ -6,8 +6,9 @@
 A plan with a reserve stands under four changes of all settings to their extremes. Here it is replayed under all sixteen
 combinations of extremes, and under random ones between them: ratio of stiffness, increments of a release, medium and
 stiffness of holds are drawn evenly, on a logarithmic scale, and so is the error of presses; in a thicker medium new
-contacts have initial friction. `falls` counts the draws under which the plan does not stand, `falls_at` says at which
-states, and `extremes` counts those of the sixteen.
+contacts have initial friction. `falls` counts the draws under which the plan does not stand with friction divided by
+its reserve, `true_falls` those under the true friction, `falls_at` and `true_falls_at` say at which states, and
+`extremes` counts those of the sixteen, with the reserve.
 """
 
 from __future__ import annotations
@@ -86,18 +87,18 @@ def _plan(name: str, seed: int, options: Options) -> dict[str, Any]:
     if not found.plans:
         return row
     plan = found.plans[0]
-    replayer = StabilityOracle(assembly, replace(PLANS, reserve=plan.claim.reserve)).replayer
-    assert replayer is not None
+    row |= {"reserve": plan.claim.reserve, "steps": len(plan), "presses": sum(map(len, plan.presses))}
     drawn = random_changes(options.draws, np.random.default_rng(seed))
-    cases = replay_varied(replayer, plan.states, plan.presses_before, changes=drawn)
-    extremes = replay_varied(replayer, plan.states, plan.presses_before)
-    return row | {
-        "reserve": plan.claim.reserve,
-        "steps": len(plan),
-        "falls": sum(not case.good for case in cases),
-        "falls_at": sorted({case.falls_at for case in cases if case.falls_at is not None}),
-        "extremes": sum(not case.good for case in extremes),
-    }
+    for prefix, reserve in (("", plan.claim.reserve), ("true_", 1.0)):
+        replayer = StabilityOracle(assembly, replace(PLANS, reserve=reserve)).replayer
+        assert replayer is not None
+        cases = replay_varied(replayer, plan.states, plan.presses_before, changes=drawn)
+        row[f"{prefix}falls"] = sum(not case.good for case in cases)
+        row[f"{prefix}falls_at"] = sorted({case.falls_at for case in cases if case.falls_at is not None})
+        if not prefix:
+            extremes = replay_varied(replayer, plan.states, plan.presses_before)
+            row["extremes"] = sum(not case.good for case in extremes)
+    return row
 
 
 def main(options: Options) -> None:
