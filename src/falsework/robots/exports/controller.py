@@ -10,6 +10,7 @@ import numpy as np
 from falsework.errors import InputError
 from falsework.robots.model.cell import Cell, CellRobot, maker_of
 from falsework.robots.plans.robot_plan import RobotPlan
+from falsework.utils.quantity import format_number
 
 Language = Literal["rapid", "urscript"]
 
@@ -114,7 +115,7 @@ def controller_settings(plan: RobotPlan, cell: Cell, robot: int, language: Langu
     lines = [f"digital output {output} at {level} closes the gripper"]
     tilt = np.degrees(np.arccos(np.clip(entry.base[2, 2], -1.0, 1.0)))
     if tilt > _UPRIGHT:  # controllers take weights to act along their own z
-        lines.append(f"it is mounted {tilt:.3g} degrees off upright, as the cell has its base")
+        lines.append(f"it is mounted {format_number(tilt, 3)} degrees off upright, as the cell has its base")
     others = [k for k in range(len(names)) if k != robot]
     if language == "urscript":
         reads = [f"its register {REGISTER} is read at {address_of(entry, names[robot])} by the others"]

@@ -41,7 +41,7 @@ from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import nodes_of
 from falsework.robots.plans.trajectory import Trajectory
 from falsework.stability.holds import HoldMode
-from falsework.utils.quantity import format_quantity
+from falsework.utils.quantity import format_number, format_quantity
 
 MOST_COUNT = 65535
 """Largest 16-bit count."""
@@ -251,10 +251,10 @@ def _describe_press(plan: RobotPlan, command: Pressing) -> str:
     press, part = command.press, ascii_text(plan.plan.part_names[command.press.part])
     if not command.begins:
         return f"stay where the press of {part} has ended"
-    force = ", ".join(f"{round(value, 9) + 0.0:.4g}" for value in press.wrench[:3])
+    force = ", ".join(format_number(round(value, 9), 4) for value in press.wrench[:3])
     along = " along it" if press.mode is HoldMode.HYBRID else ""
     return (
-        f"press {part} with {press.force:.4g} N, ({force}) N in the cell, at "
+        f"press {part} with {format_number(press.force, 4)} N, ({force}) N in the cell, at "
         f"{format_quantity(press.stiffness, 'stiffness')}{along}"
     )
 
