@@ -34,7 +34,7 @@ class HoldOptions:
     An industrial arm has 1e6 to 1e8."""
     hold_moment: Annotated[str | None, arg(metavar="MOMENT", help_behavior_hint=UNSET)] = None
     """Largest moment of a robot about the centre of mass of a part that it holds, such as 40Nm; by default twice the
-    largest force times the largest radius of gyration of a part. With 0 they bear any moment."""
+    largest force times the largest radius of gyration of a part."""
     press_mode: Annotated[Literal["force", "hybrid"] | None, arg(help_behavior_hint="(default: hybrid)")] = None
     """What a robot controls that presses on a part while another part is released: its force in all directions, or
     along one direction only, with the position of the part across it."""
