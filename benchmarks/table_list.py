@@ -288,6 +288,7 @@ TABLES = {
             ("friction divided by the reserve", standing("falls")),
             ("under all sixteen extremes, by the reserve too", standing("extremes")),
         ),
+        benchmark="changes plans",
     ),
     "first-minute": Table(
         "first_minute",

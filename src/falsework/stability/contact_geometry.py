@@ -54,8 +54,28 @@ class ContactGeometry(NamedTuple):
 
     def wrenches_on(self, parts: NDArray[np.int64], forces: Array) -> Array:
         """Return the wrenches on some parts of forces at every contact point, shapes (some, 6) and (points, 3)."""
+        # By hand: taking rows of a sparse array takes ten times as long as the product itself.
         rows = (6 * parts[:, None] + np.arange(6)).ravel()
-        return (self.wrench[rows] @ forces.ravel()).reshape(-1, 6)
+        first, wrench = self.wrench.indptr, np.zeros(len(rows))
+        count = first[rows + 1] - first[rows]
+        begin = np.cumsum(count) - count
+        at = np.arange(count.sum()) + np.repeat(first[rows] - begin, count)
+        touched = count > 0
+        if touched.any():
+            products = self.wrench.data[at] * forces.ravel()[self.wrench.indices[at]]
+            wrench[touched] = np.add.reduceat(products, begin[touched])
+        return wrench.reshape(-1, 6)
+
+    def relative_at(self, points: NDArray[np.int64], motion: Array) -> Array:
+        """Return the motion of part `b` relative to `a` at some contact points in their frames, shape (batch, some, 3).
+
+        Args:
+            points: shape (some,).
+            motion: as of `relative`.
+        """
+        values = self.motion.data.reshape(-1, 3, 12)[points]  # six of either part
+        columns = self.motion.indices.reshape(-1, 3, 12)[points]
+        return np.asarray((values * motion.reshape(len(motion), -1)[:, columns]).sum(axis=-1))
 
     def present(self, states: States) -> NDArray[np.bool_]:
         """Return the contact points with both parts present, shape (..., points)."""

@@ -224,10 +224,9 @@ class _Law:
             strength: theirs.
             torn: shape (points,).
         """
-        motion = self.geometry.motion[(3 * points[:, None] + np.arange(3)).ravel()]
         force, tears, broken = springs, strength.tears & ~torn[points] & (strength.pull > 0), False
-        for step in steps:
-            trial = springs - self._stiffness[points] * (motion @ step.ravel()).reshape(-1, 3)
+        for motion in self.geometry.relative_at(points, steps):
+            trial = springs - self._stiffness[points] * motion
             broken = broken or bool((tears & (trial[:, 0] < -TEARS * strength.pull)).any())
             force = self.forces(trial, strength)
             springs = np.column_stack([trial[:, 0], force[:, 1:]])
