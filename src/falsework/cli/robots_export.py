@@ -63,7 +63,7 @@ class ExportRobots(Command):
         output.replaced = self.out if self.out.is_dir() and any(self.out.iterdir()) else None
         options = {name: getattr(self, name) for name in ("rate", "joint_prefix", "force")}
         paths = export_plan(plan, self.out, self.format, structure=shapes, cell=cell, **options)
-        notes = [lacking] * bool(lacking) + export_notes(plan, self.format, cell)
+        notes = lacking + export_notes(plan, self.format, cell)
         for path in paths:
             output.file(path)
         output.say(f"{counted(len(paths), 'file')} in {self.out}")

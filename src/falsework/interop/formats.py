@@ -97,7 +97,7 @@ def export(
             return
         needed, lacking = structure_for_export(subject, chosen, file, given, **options)
         export_plan(subject, path, chosen, structure=needed, cell=cell)
-        for lost in [lacking] * bool(lacking) + export_losses(subject, chosen):
+        for lost in lacking + export_losses(subject, chosen):
             warnings.warn(lost, ExportWarning, stacklevel=2)
         return
     chosen = format_of(path) if format is None else format

@@ -15,9 +15,10 @@ from falsework.search.problem.result import barred_row
 from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings
 from falsework.stability.contact.newton import RESTS
 from falsework.stability.contact.replay import Replayer
+from falsework.stability.contact.varied_replay import true_friction
 from falsework.stability.holds import Press
 from falsework.stability.settings import StabilitySettings
-from falsework.utils.interruption import PIECE, interrupted_by
+from falsework.utils.interruption import PIECE
 
 
 @dataclass(frozen=True)
@@ -187,7 +188,7 @@ class RequestReplayer(Replayer):
             done,
         )
         if stands and self.settings.reserve != 1.0:
-            plain = self.vary(replace(self.settings, reserve=1.0), ReplaySettings()).replay_in_time(states, done)
+            plain = self.vary(*true_friction(self.settings)).replay_in_time(states, done)
             found = replace(found, stands=plain.stands, steps=plain.steps)
         return found
 
@@ -268,7 +269,7 @@ class RequestReplayer(Replayer):
 
     def _within_time(self, states: States, history: History | None, presses: Presses | None) -> Replay:
         """Replay as `Replayer.replay` does, until the clock has run out."""
-        with interrupted_by(self._clock.check), self._clock.timed("replays"):
+        with self._clock.piece("replays"):
             return self._replayer.replay(states, history, presses)
 
     def _note(self, states: States, row: int) -> None:

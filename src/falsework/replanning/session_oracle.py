@@ -13,7 +13,6 @@ from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.oracle import Oracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdict, Verdicts
-from falsework.utils.interruption import interrupted_by
 
 
 class SessionOracle(Oracle):
@@ -54,7 +53,7 @@ class SessionOracle(Oracle):
         Raises:
             DeadlineExceeded: the deadline has passed.
         """
-        with interrupted_by(self._clock.check), self._clock.timed("verdicts"):
+        with self._clock.piece("verdicts"):
             found = self._oracle.verdicts(states, near=near, require_certificate=require_certificate)
         if not require_certificate:
             found.verdict[:] = self.as_replayed(states, found.verdict)
@@ -67,7 +66,7 @@ class SessionOracle(Oracle):
         Raises:
             DeadlineExceeded: the deadline has passed.
         """
-        with interrupted_by(self._clock.check), self._clock.timed("verdicts"):
+        with self._clock.piece("verdicts"):
             found = self._oracle.plausible(states, parents)
         self.asked += len(states)
         return found & ~self.rules_out(states)

@@ -139,15 +139,12 @@ class StabilityOracle:
         self.counters.asked += len(batch)
         # Kernels take idle points to bear pressure, so that only certificates count.
         answer = self._certify if require_certificate or self.problem.strength.idle.any() else self._recall
-        if require_certificate:
-            check_interruption()
-            verdicts = replace(answer(batch, origins), assembly=self.assembly, states=batch)
-        else:
-            verdicts = Verdicts.all_undecided(len(batch))
-            for rows in pieces(len(batch)):
-                verdicts.put(rows, answer(batch[rows], None if origins is None else origins[rows]))
+        check_interruption()
+        verdicts = answer(batch, origins)
         verdicts.on_tolerance[:] = self._claim.on_tolerance(verdicts)
-        return verdicts
+        if require_certificate:
+            return replace(verdicts, assembly=self.assembly, states=batch)
+        return verdicts if verdicts.forces is None else verdicts.without_certificates()
 
     def margins(
         self,
@@ -324,9 +321,13 @@ class StabilityOracle:
         if len(rest):
             first, back = unique_rows(states[rest])
             rows = rest[first]
-            solved = self._solve(states[rows], None if near is None else near[rows])
-            self._count(solved)
-            self._cache.store(states[rows], solved.verdict, solved.residual)
+            solved = Verdicts.all_undecided(len(rows))
+            for some in pieces(len(rows)):
+                asked = rows[some]
+                found = self._solve(states[asked], None if near is None else near[asked])
+                self._count(found)
+                self._cache.store(states[asked], found.verdict, found.residual)
+                solved.put(some, found)
             self.counters.cached += len(rest) - len(rows)
             verdicts.put(rest, solved[back])
         verdicts.proof[:] = proof_of(verdicts.verdict, self.settings.criterion)

@@ -135,8 +135,8 @@ def export_plan(
 
 def structure_for_export(
     plan: RobotPlan, form: str, file: Path | str | None, structure: AnyStructure | None, **options: Any
-) -> tuple[Assembly | None, str]:
-    """Return the structure that an export needs, None for none, and what the export lacks without it, in one line.
+) -> tuple[Assembly | None, list[str]]:
+    """Return the structure that an export needs, None for none, and what the export lacks without it, a line each.
 
     Args:
         file: of the plan, for structures that it names.
@@ -148,14 +148,14 @@ def structure_for_export(
     """
     pressed = has_presses(plan)
     if form not in ("mcap", *MAKERS) and not pressed:
-        return None, ""
+        return None, []
     try:
-        return structure_of_plan(plan.plan, file, structure, **options), ""
+        return structure_of_plan(plan.plan, file, structure, **options), []
     except InputError as error:
         if structure is not None or pressed:
             raise
         what = "the bag has no shapes" if form == "mcap" else "programs have no loads"
-        return None, f"{what} of parts: {error}"
+        return None, [f"{what} of parts: {error}"]
 
 
 def export_losses(plan: RobotPlan, form: str) -> list[str]:

@@ -10,8 +10,8 @@ from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.plan_replay import PlanReplay
-from falsework.stability.contact.history import ReplaySettings, of_all
-from falsework.stability.contact.varied_replay import FEW, MANY, AllVariations, RouteReplay
+from falsework.stability.contact.history import of_all
+from falsework.stability.contact.varied_replay import FEW, MANY, AllVariations, RouteReplay, true_friction
 from falsework.stability.holds import HoldLoad
 
 if TYPE_CHECKING:
@@ -47,9 +47,7 @@ class Acceptance:
         if replayer is not None and replayer.varies and (robust or replayer.settings.reserve > 1.0):
             self.variations = AllVariations(replayer, MANY if robust else FEW)
         if replayer is not None:
-            self._plain = RouteReplay(
-                replayer.vary(replace(replayer.settings, reserve=1.0), ReplaySettings(keeps_track=False))
-            )
+            self._plain = RouteReplay(replayer.vary(*true_friction(replayer.settings)))
 
     @property
     def varies(self) -> bool:

@@ -87,6 +87,16 @@ class Deadline:
             yield
 
     @contextmanager
+    def piece(self, what: str) -> Iterator[None]:
+        """Do work whose pieces `check` comes between, and add its seconds to the account `what`.
+
+        Raises:
+            DeadlineExceeded: it is time to stop.
+        """
+        with interrupted_by(self.check), self.timed(what):
+            yield
+
+    @contextmanager
     def timed(self, what: str) -> Iterator[None]:
         """Add the seconds of a piece of work to the account `what`."""
         begun = time.perf_counter()

@@ -52,6 +52,11 @@ def changed(change: Change, settings: StabilitySettings) -> tuple[StabilitySetti
     return replace(settings, holds=holds, stiffness_ratio=change.ratio), change.replay
 
 
+def true_friction(settings: StabilitySettings) -> tuple[StabilitySettings, ReplaySettings]:
+    """Return settings without the reserve, of whose replays no certificates are made."""
+    return replace(settings, reserve=1.0), ReplaySettings(keeps_track=False)
+
+
 def inexact(change: Change, presses: Presses) -> Presses:
     """Return presses with the error of a change."""
     return [inexact_presses(some)[change.press] if some else () for some in presses]
