@@ -288,6 +288,13 @@ def test_a_deadline_that_is_kept_cuts_nothing(scenes: Any) -> None:
     assert near(found.tilt, np.arctan(0.5))
 
 
+@pytest.mark.parametrize("state", [[0, 2], [2, 2]])
+def test_a_state_without_parts_to_load_keeps_its_deadline(scenes: Any, state: list[int]) -> None:
+    (found,) = StabilityOracle(scenes.tower(1)).margins([state], deadline=60.0)
+    assert found.stands
+    assert found.unfinished == ()
+
+
 def test_a_deadline_of_nothing(scenes: Any) -> None:
     with pytest.raises(InputError, match="a deadline of 0 s leaves no time"):
         StabilityOracle(scenes.tower(1)).margins([[1, 2]], deadline=0.0)

@@ -84,7 +84,7 @@ class Weakest:
                 a larger value.
         """
         try:
-            if self._time_limited:
+            if self._time_limited and self._families:
                 self._raise_all(self._first)
             while (best := self._weakest()) is not None:
                 search = self._searches[best]
