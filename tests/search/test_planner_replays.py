@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework import Direction, Outcome, PlannerSettings, StabilitySettings, Task
+from falsework import Direction, Outcome, PlannerSettings, StabilitySettings, Task, find_plans
 from falsework.assembly import States
 from falsework.errors import InputError
 from falsework.search import BeamSearch, BeamSettings
+from falsework.search.find import PLANS
 from falsework.search.planner import Planner
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import SearchProgress, Stop
@@ -220,6 +221,12 @@ def test_a_deadline_is_kept_between_replays(rules: Any) -> None:
     with Deadline(1e-6).interrupts():
         assert search.run().interrupted
     assert search.run().found
+
+
+def test_a_deadline_without_end_is_none() -> None:
+    assert not Deadline(np.inf).limited
+    found = find_plans("arch:blocks=3", deadline=np.inf)
+    assert found.unwrap().claim.reserve == PLANS.reserve
 
 
 def test_without_a_replayer_nothing_is_replayed(rules: Any) -> None:

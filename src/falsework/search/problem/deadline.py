@@ -30,7 +30,7 @@ class Deadline:
         """
         check_deadline(deadline)
         self._begun = time.perf_counter()
-        self._deadline = deadline
+        self._deadline = None if deadline == np.inf else deadline
         self.reserve = 0.0
         """Seconds before the deadline at which to stop searching, for what is to be done after that."""
         self.spent: dict[str, float] = {}
