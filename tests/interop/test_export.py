@@ -35,6 +35,22 @@ def test_the_name_says_the_format(name: str, begins: bytes, plan_file: Path, tmp
         assert (tmp_path / name).read_bytes().startswith(begins)
 
 
+@pytest.mark.parametrize(
+    ("form", "name", "message"),
+    [
+        ("glb", "out.pdf", "out.pdf has the ending of pdf, but glb is written; give a name that ends in .glb"),
+        ("glb", "out.gltf", "out.gltf has the ending of gltf, but glb is written"),
+        ("folder", "out.glb", "out.glb has the ending of glb, but folder is written; give a name without an ending"),
+    ],
+)
+def test_a_name_that_says_another_format(
+    form: str, name: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("export", "arch:blocks=3", "--format", form, "--out", tmp_path / name) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / name).exists()
+
+
 def test_a_plan_says_how_long_a_step_takes(plan_file: Path, tmp_path: Path) -> None:
     assert run("export", plan_file, "--out", tmp_path / "out.gltf", "--step-seconds", 2.5) == 0
     scene = json.loads((tmp_path / "out.gltf").read_text())

@@ -16,7 +16,7 @@ from falsework.robots.exports.export import export_losses, export_plan, structur
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_source import structure_of_plan
-from falsework.utils.files.formats import EXPORTERS, exporter_by_suffix, formats, write_format
+from falsework.utils.files.formats import EXPORTERS, check_ending, exporter_by_suffix, formats, write_format
 
 
 def format_of(path: Path | str) -> str:
@@ -91,6 +91,8 @@ def export(
         if cell is None and file is not None:
             cell = subject.cell_place(file)
         chosen = format or ("html" if Path(path).suffix.lower() == ".html" else "ros2-json")
+        if format is None and chosen != "html":
+            check_ending(path, "folder")
         if chosen == "html":
             shown = structure_of_plan(subject.plan, file, given, **options)
             write_format(shown, path, chosen, subject, cell=cell, **view)

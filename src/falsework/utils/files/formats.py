@@ -134,6 +134,20 @@ def exporter_by_suffix(path: Path | str) -> str | None:
     return next((name for name, exporter in formats(EXPORTERS).items() if suffix in exporter.suffixes), None)
 
 
+def check_ending(path: Path | str, name: str, suffixes: tuple[str, ...] = ()) -> None:
+    """Raise if the name of a file or folder stands for another format than the one that is written.
+
+    Args:
+        name: format that is written.
+        suffixes: endings of its files; without any only folders are checked, as a name has no ending of theirs.
+    """
+    other, suffix = exporter_by_suffix(path), Path(path).suffix.lower()
+    if other is None or suffix in suffixes or not (suffixes or name == "folder"):
+        return
+    ending = f"a name that ends in {' or '.join(suffixes)}" if suffixes else "a name without an ending"
+    raise InputError(f"{path} has the ending of {other}, but {name} is written; give {ending}, or leave the format out")
+
+
 def write_format(assembly: Any, path: Path | str, name: str, plan: Any = None, **options: Any) -> None:
     """Write a structure, or a plan of it, in a format.
 
@@ -151,6 +165,7 @@ def write_format(assembly: Any, path: Path | str, name: str, plan: Any = None, *
         what = " or ".join(_KINDS.get(shown, shown) for shown in exporter.shows)
         others = ", ".join(other for other, one in known.items() if kind in one.shows)
         raise InputError(f"{name} cannot show {_KINDS.get(kind, kind)}; give {what}, or write {others}")
+    check_ending(path, name, exporter.suffixes)
     given = {option: value for option, value in options.items() if value is not None}
     for option in given:
         if option != "progress" and (plan is None or option not in exporter.options):
