@@ -109,6 +109,8 @@ def test_setting_is_linear_between_its_steps() -> None:
     [
         ([{"cohesion": -1.0}], None, "joints[0].cohesion is -1.0; give a number >= 0 (Pa)"),
         ([{"tension": float("nan")}], None, "joints[0].tension is not finite"),
+        ([{"friction": 1e7}], None, "joints[0].friction is 10000000.0; give a number <= 1000000 (coefficient)"),
+        ([{"tension": 1e13}], None, "joints[0].tension is 10000000000000.0; give a number <= 1000000000000 (Pa)"),
         ([{"friction": "rough"}], None, "joints[0].friction is 'rough'; give a number (coefficient)"),
         ([{"tension": True}], None, "joints[0].tension is True; give a number (Pa)"),
         ([{"parts": ["a", "b"]}], None, "joints[0] has no strength; give friction, cohesion or tension"),
@@ -184,7 +186,7 @@ def test_what_cannot_be_a_fastener(change: dict[str, Any], message: str) -> None
 
 def test_what_cannot_be_the_strength_of_contacts() -> None:
     tower = stack()
-    with pytest.raises(AssemblyError, match="tension of a joint is -1 Pa; give a number from 0 up"):
+    with pytest.raises(AssemblyError, match="tension of a joint is -1 Pa; give a number from 0 to"):
         Joints.from_arrays(tower.contacts, tension=-1.0)
     with pytest.raises(AssemblyError, match="parts 2 and 3 touch along a line or at a point, which has no area"):
         Joints.from_arrays(tower.contacts, tension=1.0)

@@ -65,6 +65,8 @@ def test_what_is_given_is_kept():
         ({"density": [1.0, -2.0, 1.0]}, "density of part 1 is -2"),
         ({"density": [1.0, 2.0]}, r"shape \(2,\).*3"),
         ({"density": float("inf")}, "density of part 0 is inf"),
+        ({"density": 1e-320}, "density of part 0 is 9.99989e-321"),
+        ({"friction": 1e12}, "friction is 1e"),
         ({"density": "heavy"}, "density is 'heavy'"),
         (
             {"meshes": [*stack(2), box("stray", (0, 0, 2.25))]},

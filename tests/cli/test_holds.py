@@ -127,7 +127,7 @@ def test_the_reserve_that_no_plan_keeps(falsework: Run, tmp_path: Path, criterio
         (("--hold-force=3kg",), "--hold-force: '3kg' has the unit kg; give 2N or 2kN"),
         (("--hold-moment=much",), "--hold-moment: 'much' is no moment; give 2Nm or 2kNm"),
         (("--hold-force=1",), "with at most 1 N cannot carry part voussoir-0, which weighs"),
-        (("--hold-stiffness=0",), "the stiffness of holds is 0 N/m; give a positive number, inf for rigid"),
+        (("--hold-stiffness=0",), "the stiffness of holds is 0 N/m; give 1e-09 or more, inf for rigid"),
         (("--hold-stiffness=-1",), "the stiffness of holds is -1 N/m"),
         (("--hold-stiffness=nan",), "the stiffness of holds is nan N/m"),
         (("--reserve=0.9",), "--reserve is 0.9; give 1 for none, or more"),

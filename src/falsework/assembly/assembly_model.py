@@ -11,11 +11,14 @@ from falsework.utils.models import FileModel, model_schema
 FORMAT = "falsework.assembly/1"
 MOST = 1e12
 """Largest load, or margin of one, in SI units: beyond all that can be built, and far from where numbers overflow."""
+MOST_FRICTION = 1e6
+"""Largest coefficient of friction: with far larger ones verdicts depend on rounding."""
 
 Bounded = Annotated[float, Meta(ge=-MOST, le=MOST)]
 Vector = Annotated[list[Bounded], Meta(min_length=3, max_length=3)]
 Pair = Annotated[list[int | str], Meta(min_length=2, max_length=2)]
-Strength = Annotated[float, Meta(ge=0)]
+Friction = Annotated[float, Meta(ge=0, le=MOST_FRICTION)]
+Strength = Annotated[float, Meta(ge=0, le=MOST)]
 Count = Annotated[int, Meta(ge=0)]
 Earthquake = Annotated[list[Bounded], Meta(min_length=1, max_length=2)]
 
@@ -51,7 +54,7 @@ class JointEntry(FileModel, frozen=True):
     """Two materials."""
     parts: Pair | None = None
     """Ids or names of two parts."""
-    friction: Strength | None = None
+    friction: Friction | None = None
     """Coefficient."""
     cohesion: Strength | None = None
     """Pa."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.assembly_model import JointEntry
+from falsework.assembly.assembly_model import MOST, MOST_FRICTION, JointEntry
 from falsework.assembly.part_numbers import part_id
 from falsework.errors import AssemblyError
 from falsework.geometry.arrays import read_only
@@ -84,10 +84,11 @@ class Joints:
             if array.shape not in ((), (count,)):
                 raise AssemblyError(f"{name} has shape {array.shape}; give one number, or {count}, one a contact")
             values[name] = array = np.array(np.broadcast_to(array, count))
-            bad = array[~(array >= 0) & ~np.isnan(array) | np.isinf(array)]
+            most = MOST_FRICTION if name == "friction" else MOST
+            bad = array[~((array >= 0) & (array <= most)) & ~np.isnan(array)]
             if len(bad) or (name == "tension" and np.isnan(array).any()):
                 value = bad[0] if len(bad) else np.nan
-                raise AssemblyError(f"{name} of a joint is {value:g}{_UNITS[name]}; give a number from 0 up")
+                raise AssemblyError(f"{name} of a joint is {value:g}{_UNITS[name]}; give a number from 0 to {most:g}")
         share = np.where(contacts.dimension == 2, contacts.areas, 0.0) / np.diff(contacts.start)
         strong = (np.nan_to_num(values["cohesion"]) > 0) | (values["tension"] > 0)
         bare = np.flatnonzero(strong & (share == 0))

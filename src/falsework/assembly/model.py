@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from falsework.assembly.assembly_model import Prop
+from falsework.assembly.assembly_model import MOST, MOST_FRICTION, Prop
 from falsework.assembly.joints import Joints
 from falsework.assembly.loads import Loads
 from falsework.assembly.part_numbers import part_ids
@@ -351,8 +351,8 @@ def _friction(value: float) -> float:
         friction = float(value)
     except (TypeError, ValueError):
         raise AssemblyError(f"friction is {value!r}; give a number such as {FRICTION}") from None
-    if not (np.isfinite(friction) and friction >= 0):
-        raise AssemblyError(f"friction is {friction:g}; give a number that is not negative, such as {FRICTION}")
+    if not 0 <= friction <= MOST_FRICTION:
+        raise AssemblyError(f"friction is {friction:g}; give a number from 0 to {MOST_FRICTION:g}, such as {FRICTION}")
     return friction
 
 
@@ -364,10 +364,10 @@ def _density(value: ArrayLike, parts: int) -> NDArray[np.float64]:
     if density.shape not in ((), (parts,)):
         raise AssemblyError(f"density has shape {density.shape}; give one number in kg/m3, or {parts}, one a part")
     density = np.array(np.broadcast_to(density, parts))
-    wrong = ~(np.isfinite(density) & (density > 0))
+    wrong = ~((density >= 1 / MOST) & (density <= MOST))
     if wrong.any():
         part = int(np.argmax(wrong))
-        raise AssemblyError(f"density of part {part} is {density[part]:g} kg/m3; give a number above zero")
+        raise AssemblyError(f"density of part {part} is {density[part]:g} kg/m3; give {1 / MOST:g} to {MOST:g}")
     return density
 
 

@@ -14,7 +14,7 @@ from falsework.errors import InputError, StateError
 from falsework.replanning.named_state import named_state
 from falsework.search.plans.plan_model import PlanFile
 from falsework.service.settings import LONGEST_DEADLINE, ServiceSettings
-from falsework.stability.holds import HoldMode, HoldSettings
+from falsework.stability.holds import LEAST_STIFFNESS, HoldMode, HoldSettings
 from falsework.stability.verdict import Criterion
 from falsework.utils.json_text import parse_json
 from falsework.utils.models import FileModel, model_schemas, read_model
@@ -36,7 +36,7 @@ Parts = Annotated[list[PartName], Meta(extra_json_schema={"uniqueItems": True})]
 class Holds(FileModel, frozen=True):
     """What robots that hold parts can do, as in plan files; under the criterion contact."""
 
-    stiffness: Annotated[float, Meta(gt=0)] | None = None
+    stiffness: Annotated[float, Meta(ge=LEAST_STIFFNESS)] | None = None
     """Of a hold, N/m; null, the default, for robots that keep the pose of a part."""
     force: Number | UnsetType | None = UNSET
     """Largest force on a held part, N; by default fifty weights of the heaviest part, null for no limit."""

@@ -32,6 +32,8 @@ RobotNames = Callable[[int], str]
 PRESS_STIFFNESS = 1e6
 """Largest stiffness of a robot while it presses, N/m: a stiffer one would turn errors of position into errors of force.
 """
+LEAST_STIFFNESS = 1e-9
+"""Smallest stiffness of a robot that is taken, N/m."""
 FORCE_WEIGHTS = 50.0
 """Default largest force of a robot, in weights of the heaviest part that it may have to carry. The end of an arch that
 is not closed yet presses with the weight of many parts; most plans need far less."""
@@ -107,8 +109,10 @@ class HoldSettings:
         if self.mode not in tuple(HoldMode):
             raise InputError(f"the mode of holds is {self.mode!r}; give {', '.join(HoldMode)}")
         object.__setattr__(self, "mode", HoldMode(self.mode))
-        if not self.stiffness > 0:
-            raise InputError(f"the stiffness of holds is {self.stiffness:g} N/m; give a positive number, inf for rigid")
+        if not self.stiffness >= LEAST_STIFFNESS:  # far below, it is lost beside rounding, and its inverse is no number
+            raise InputError(
+                f"the stiffness of holds is {self.stiffness:g} N/m; give {LEAST_STIFFNESS:g} or more, inf for rigid"
+            )
         if self.force is not None and not self.force >= 0:
             raise InputError(f"the largest force of holds is {self.force:g} N; give 0 or more")
         # Rounding alone is a moment, so that with none no part could be held.

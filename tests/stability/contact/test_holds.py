@@ -205,7 +205,7 @@ def test_limits_are_those_of_the_heaviest_part_that_moves(scenes: Any) -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"stiffness": 0.0}, "the stiffness of holds is 0 N/m; give a positive number, inf for rigid"),
+        ({"stiffness": 0.0}, "the stiffness of holds is 0 N/m; give 1e-09 or more, inf for rigid"),
         ({"stiffness": np.nan}, "the stiffness of holds is nan N/m"),
         ({"force": -1.0}, "the largest force of holds is -1 N; give 0 or more"),
         ({"moment": np.nan}, "the largest moment of holds is nan N m; give more than 0"),

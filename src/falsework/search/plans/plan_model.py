@@ -12,7 +12,7 @@ from falsework.geometry.clearance.moves import MOST_MOVES
 from falsework.search.margins.demands import Demands
 from falsework.search.plans.plan import PartDeadline
 from falsework.search.plans.steps import Action
-from falsework.stability.holds import HoldLoad, HoldMode, Press
+from falsework.stability.holds import LEAST_STIFFNESS, HoldLoad, HoldMode, Press
 from falsework.stability.judges.judgement import Judgement
 from falsework.utils.models import FileModel, model_schema
 
@@ -134,7 +134,7 @@ RULE_FIELDS = dict(zip(RulesEntry.__struct_fields__, RulesEntry.__struct_fields_
 class HoldsEntry(FileModel, frozen=True):
     """What robots that hold parts can do."""
 
-    stiffness: Positive | None
+    stiffness: Annotated[float, Meta(ge=LEAST_STIFFNESS)] | None
     """N/m; null for holds that never give way."""
     force: NotNegative | None
     """Largest force on a held part, N; null for no limit."""
