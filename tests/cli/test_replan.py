@@ -227,6 +227,8 @@ def test_go_on_from_a_step_of_the_plan(falsework: Run, old: Path, tmp_path: Path
     assert "from step 5 on: " in people
     assert f"{late.name} is needed at step {need['after_steps'] + 1}, after " in people
     assert f"compared with {old}: " in people
+    assert "changes of settings were not tried; falsework check --replay does" in people
+    assert answer["varied"] is False
 
 
 def test_criterion_robots_and_reserve_are_those_of_the_plan(falsework: Run, tmp_path: Path) -> None:

@@ -52,6 +52,17 @@ def make(kind: str = "mlp", **options: Any) -> Any:
     return make_policy(ARCH, PolicySettings(kind=kind, **options))  # type: ignore[arg-type]
 
 
+def test_what_the_deadline_left_open_is_said_of_each_plan() -> None:
+    answer = replan(ARCH, "empty", target="complete", alternatives=2)
+    assert answer.open_replay == ""
+    first, second = answer.replays
+    cut = dataclasses.replace(second, stands=None, steps=3)
+    fell = dataclasses.replace(first, stands=False, steps=4)
+    found = dataclasses.replace(answer, replays=(first, cut)).open_replay
+    assert found == f"the deadline left time to replay 3 of the {cut.of} steps of assembly of plan 2"
+    assert "the replay of this one fails at step 5" in dataclasses.replace(answer, replays=(fell, second)).open_replay
+
+
 @pytest.mark.parametrize("told", [(1, True), (3, False)])
 def test_a_policy_for_many_tasks_is_told_the_task_of_each_request(told: tuple[int, bool]) -> None:
     """Whatever it was told before: the same request has the same answer, alone, among others, and after them."""

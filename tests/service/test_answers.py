@@ -99,6 +99,7 @@ def test_alternatives_differ(live: Any) -> None:
     answer = live.post("/replan", {"alternatives": 3, "robots": 3}).json()
     plans = plans_of(answer)
     assert len(plans) == 3
+    assert [(replay["stands"], replay["of"]) for replay in answer["replays"]] == [(True, len(plan)) for plan in plans]
     assert len({plan.actions.tobytes() for plan in plans}) == 3
     assert np.array(answer["distances"])[np.triu_indices(3, 1)].min() > 0
 

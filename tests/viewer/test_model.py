@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from falsework import Direction, StabilitySettings, find_plans, load_structure
+from falsework import Direction, StabilitySettings, find_plans, load_structure, replan
 from falsework.assembly import HELD, INSTALLED, REMOVED
 from falsework.errors import InputError, StateError
 from falsework.search.plans.plan_check import validate_plan
@@ -16,6 +18,7 @@ from falsework.utils.quantity import format_quantity
 from falsework.viewer import Timeline
 from falsework.viewer.appearance import SceneView, bounds_of
 from falsework.viewer.page.disruption import ClickMode, Disruption, chance_of_parts
+from falsework.viewer.page.new_plan import new_plan
 from falsework.viewer.page.page_text import facts_of, labels_of
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.palette import FIXED, SELECTED, ramp_in_steps, rgb
@@ -356,6 +359,18 @@ def test_a_new_plan_keeps_to_what_the_old_one_kept_to(direction: Direction) -> N
     assert new is not None
     assert new.claim == old.claim
     assert new.removable_only_if_clear
+
+
+def test_a_new_plan_says_in_what_it_promises_less(arch) -> None:
+    assembly, old = arch
+    answer = replan(
+        old, step=2, structure=assembly, stability=replace(StabilitySettings.from_claim(old.claim), reserve=1)
+    )
+    words = new_plan(answer, assembly, 0.1, old, 0).words
+    assert "It keeps a reserve of 1, not 1.1 as before." in words
+    assert "It was not tried under changes of settings, as the one before was." in words
+    cut = replace(answer, replays=(replace(answer.replays[0], stands=None, steps=3),))
+    assert "The deadline left time to replay 3 of the " in new_plan(cut, assembly, 0.1, old, 0).words
 
 
 def test_a_structure_without_a_plan_gets_one(arch) -> None:

@@ -149,6 +149,14 @@ def reserve_lines(plan: Plan) -> list[str]:
     return [*([replay_text(plan)] if stands else []), *filter(None, lines)]
 
 
+def untried_changes(plan: Plan) -> str:
+    """Return that a plan with a reserve was not tried under changes of settings; empty if it was, or has not stood."""
+    tried = plan.replay is None or plan.replay.varied or not plan.replay.stands
+    return (
+        "" if plan.claim.reserve == 1 or tried else "changes of settings were not tried; falsework check --replay does"
+    )
+
+
 def lacks_reserve(plan: Plan, asked: float) -> str:
     """Return the remark on a plan that keeps less reserve than was asked; empty if it keeps it."""
     kept = plan.claim.reserve

@@ -24,6 +24,7 @@ from falsework.cli.planning import (
     reserve_lines,
     save_plans,
     say_alternatives,
+    untried_changes,
     writable,
 )
 from falsework.errors import InputError
@@ -49,7 +50,8 @@ class MakeReplan(Command):
     others are given. Or it is a structure, in a state that is given by --state. It may also be a run, the folder that
     `falsework train` wrote: its policy then proposes the steps, and searches take over where it fails. Every state of
     the new plan is certified as stable. With --order assembly the plan adds parts to the state, with disassembly it
-    removes them. How a state that is given by itself was reached is not known: it is loaded from rest. Exit code 1 if
+    removes them. How a state that is given by itself was reached is not known: it is loaded from rest. As deadlines are
+    short, the new plan is not tried under changes of settings; `falsework check --replay` does that. Exit code 1 if
     there is no plan, none was found, or none that keeps the reserve.
     """
 
@@ -160,6 +162,7 @@ class MakeReplan(Command):
         first = answer.plans[0]
         record["criterion"], record["reserve"] = first.claim.criterion, first.claim.reserve
         record["presses"] = sum(map(bool, first.presses))
+        record["varied"] = None if first.replay is None else first.replay.varied
         if self.confidences:
             record["confidences"] = [_probabilities(row, assembly) for row in answer.confidences[0]]
         changes = None if old is None else difference(old, answer.plans[0], answer.direction, answer.built)
@@ -169,7 +172,7 @@ class MakeReplan(Command):
             output.say(f"compared with {self.compare or self.structure.spec}: {changes.text}")
         for text in () if plan is None else _not_asked(plan):
             output.note(f"falsework: {text}")
-        remarks = [_replay_remark(answer), lacks_reserve(answer.plans[0], stability.reserve)]
+        remarks = [answer.open_replay, lacks_reserve(answer.plans[0], stability.reserve)]
         for remark in filter(None, remarks):
             output.note(f"falsework: {remark}")
         return output.outcome("weaker") if any(remarks) else Exit.DONE
@@ -271,13 +274,15 @@ class MakeReplan(Command):
         plan, fewer = answer.plans[0], ""
         if answer.built and self.robots is not None and self.robots < plan.robots:
             fewer = f", {self.robots} from step {answer.built + 1} on"
+        whole = not answer.replays or answer.replays[0].stands
+        proven = plan.claim.proves if whole else "stable, though not all as built"
         output.say(
             f"{paths[0]}: {counted(len(plan), 'step')} of {answer.direction.value} with "
-            f"{counted(plan.robots, 'robot')}{fewer}, every state proven {plan.claim.proves} "
+            f"{counted(plan.robots, 'robot')}{fewer}, every state proven {proven} "
             f"(criterion {plan.claim.criterion}, decided by {answer.decided_by.value}, {answer.seconds:.2f} s, "
             f"{counted(answer.verdicts, 'verdict')})"
         )
-        for line in reserve_lines(plan):
+        for line in filter(None, (*reserve_lines(plan), untried_changes(plan))):
             output.say(line)
         since = f"from step {answer.built + 1} on" if answer.built else "from here on"
         output.say(f"{since}: {first_steps(plan, answer.direction, answer.built)}")
@@ -331,16 +336,6 @@ def _not_asked(plan: Plan) -> list[str]:
 def _record(answer: ReplanResult) -> dict[str, Any]:
     """Return the result as fields of the JSON answer, which has the outcome itself."""
     return {name: value for name, value in answer.to_dict().items() if name != "outcome"}
-
-
-def _replay_remark(answer: ReplanResult) -> str:
-    """Return what the deadline left open of the replay of the first plan; empty if the replay succeeds."""
-    if not answer.replays or answer.replays[0].stands:
-        return ""
-    replayed = answer.replays[0]
-    if replayed.stands is None:
-        return f"the deadline left time to replay {replayed.steps} of the {counted(replayed.of, 'step')} of assembly"
-    return f"the deadline left no time for another plan; the replay of this one fails at step {replayed.steps + 1}"
 
 
 def _probabilities(row: Any, assembly: Assembly) -> dict[str, float]:

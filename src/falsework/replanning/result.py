@@ -17,6 +17,7 @@ from falsework.search.problem.result import Outcome, Result, SearchResult
 from falsework.search.problem.task import Direction
 from falsework.stability.verdict import Criterion
 from falsework.utils.display.notebook import Displayed
+from falsework.utils.quantity import counted
 
 
 class Stage(StrEnum):
@@ -83,6 +84,20 @@ class ReplanResult(Result[Plan], Displayed):
     def value(self) -> Plan | None:
         """The first plan."""
         return self.plans[0] if self.plans else None
+
+    @property
+    def open_replay(self) -> str:
+        """What the deadline left open of the replays of the plans, in words; empty if all succeed."""
+        found = []
+        for number, replayed in enumerate(self.replays, 1):
+            which = "this one" if number == 1 else f"plan {number}"
+            of = f"the {counted(replayed.of, 'step')} of assembly{'' if number == 1 else f' of {which}'}"
+            if replayed.stands is None:
+                found.append(f"the deadline left time to replay {replayed.steps} of {of}")
+            elif not replayed.stands:
+                fails = f"the replay of {which} fails at step {replayed.steps + 1}"
+                found.append(f"the deadline left no time for another plan; {fails}")
+        return "; ".join(found)
 
     @property
     def bound(self) -> None:

@@ -140,6 +140,19 @@ class PictureRequest(FileModel, frozen=True):
     """Of the camera, degrees above the horizon."""
 
 
+class ReplayRecord(FileModel, frozen=True):
+    """Replay of a plan with contact history, as far as the deadline allowed."""
+
+    stands: bool | None
+    """Whether every state comes to rest; null where the deadline came first: the rest was judged from rest."""
+    steps: Count
+    """Steps of assembly that were replayed and came to rest."""
+    of: Count
+    """Steps of the plan."""
+    moved_mm: Number
+    """Largest movement of a part."""
+
+
 class ReplanAnswer(FileModel, frozen=True):
     """Plans, or why there is none."""
 
@@ -164,6 +177,8 @@ class ReplanAnswer(FileModel, frozen=True):
     moving: list[Count]
     """Parts that move where the search ended."""
     plans: list[PlanFile]
+    replays: list[ReplayRecord]
+    """One for each plan under the criterion contact. Changes of settings are not tried."""
     distances: list[list[Number]]
 
 

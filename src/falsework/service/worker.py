@@ -369,6 +369,7 @@ def replan_record(answer: ReplanResult, criterion: Criterion) -> dict[str, Any]:
         "reason": answer.reason,
         "moving": list(answer.moving),
         "plans": [plan_to_dict(plan) for plan in answer.plans],
+        "replays": [replayed.to_dict() for replayed in answer.replays],
         "distances": np.round(answer.distance, 4).tolist(),
     }
 

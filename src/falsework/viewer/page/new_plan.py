@@ -42,6 +42,9 @@ def new_plan(answer: ReplanResult, assembly: Assembly, seconds: float, old: Plan
         name, others = plan.part_names[need.part], need.after_parts - placed
         after = f"after {counted(others, 'other part')}" if others else "before any other part"
         texts.append(f"{name} is needed at step {before + need.after_steps + 1}, {after}.")
+    if answer.open_replay:
+        texts.append(f"{answer.open_replay[:1].upper()}{answer.open_replay[1:]}.")
+    texts += [] if old is None else _weaker(plan, old)
     if old is None:
         texts.append("There was no plan before.")
     else:
@@ -50,3 +53,12 @@ def new_plan(answer: ReplanResult, assembly: Assembly, seconds: float, old: Plan
         if plan.source is None:
             plan = replace(plan, source=old.source)
     return NewPlan(" ".join(texts), plan)
+
+
+def _weaker(plan: Plan, old: Plan) -> list[str]:
+    """Return in what a plan promises less than the one before."""
+    kept, before = plan.claim.reserve, old.claim.reserve
+    found = [f"It keeps a reserve of {kept:g}, not {before:g} as before."] if kept < before else []
+    if old.replay is not None and old.replay.varied and not (plan.replay is not None and plan.replay.varied):
+        found.append("It was not tried under changes of settings, as the one before was.")
+    return found
