@@ -75,6 +75,8 @@ def test_what_cannot_be_saved_or_loaded(arch: fw.Assembly, plan: fw.Plan, tmp_pa
     bare = fw.find_plans(arch, robots=2, forces=False).plans[0]
     with pytest.raises(PlanError, match="carries no displacements"):
         fw.save(bare, tmp_path / "plan.json", proofs=True)
+    with pytest.raises(InputError, match=r"has the ending of glb; a plan is a .json file"):
+        fw.save(plan, tmp_path / "plan.glb")
     fw.save(plan, tmp_path / "plan.json")
     with pytest.raises(InputError, match="is no structure, and takes no density, friction"):
         fw.load(tmp_path / "plan.json", friction=0.5, density=3.0)

@@ -15,7 +15,7 @@ from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_p
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_file import load_plan, save_plan
 from falsework.search.problem.state_graph import StateGraph, load_state_graph, save_state_graph
-from falsework.utils.files.formats import exporter_by_suffix, write_format
+from falsework.utils.files.formats import check_json_name, exporter_by_suffix, write_format
 from falsework.utils.json_file import read_format
 
 if TYPE_CHECKING:
@@ -79,6 +79,8 @@ def save(thing: Assembly | Plan | RobotPlan | StateGraph, path: Path | str, *, p
     """
     if proofs and not isinstance(thing, Plan):
         raise InputError(f"{type(thing).__name__} is saved without a choice of proofs; leave proofs out")
+    if isinstance(thing, (Plan, RobotPlan)):
+        check_json_name(path, "a plan")
     if isinstance(thing, Plan):
         save_plan(thing, path, proofs=proofs)
     elif isinstance(thing, RobotPlan):

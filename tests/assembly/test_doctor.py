@@ -488,3 +488,8 @@ def test_a_folder_whose_unit_nothing_says_is_not_read_in_silence(
         warnings.simplefilter("always")
         load_structure(tmp_path)
     assert not any("nothing says the unit" in str(warning.message) for warning in caught)
+
+
+def test_an_empty_path_is_not_the_present_folder() -> None:
+    with pytest.raises(InputError, match="there is no folder or file"):
+        doctor("")

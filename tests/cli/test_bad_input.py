@@ -51,6 +51,11 @@ def test_no_name_at_all(refused: Callable[..., None]) -> None:
     refused("the structure has no name", "")
 
 
+def test_an_empty_path_is_not_the_present_folder(falsework: Run) -> None:
+    expect(falsework("doctor", ""), 2, "path is empty; name a file or folder")
+    expect(falsework("plan", "arch:blocks=3", "--out", ""), 2, "out is empty; name a file or folder")
+
+
 def test_no_such_built_in(refused: Callable[..., None]) -> None:
     refused("built-in structure 'arhc:blocks=7'; built in are arch, ", "arhc:blocks=7")
 
@@ -237,7 +242,7 @@ def test_no_plan(name: str, hint: str, falsework: Run, tmp_path: Path) -> None:
         ("--fixed", "1,1", "fixed part 1 is listed twice; list it once"),
         ("--end", "211111", "--end 211111: a state of 6 values does not fit 3 parts"),
         ("--begin", "somewhere", "--begin somewhere: 'somewhere' is neither a part nor a file; give complete, empty"),
-        ("--alternatives", "0", "0 alternatives is not a number of plans; ask for at least 1"),
+        ("--alternatives", "0", "alternatives is 0; give at least 1"),
     ],
 )
 def test_wrong_task(option: str, value: str, hint: str, refused: Callable[..., None], stack: Path) -> None:

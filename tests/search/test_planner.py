@@ -256,10 +256,10 @@ def test_no_plan_found_is_not_no_plan(rules: Any) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"width": 0}, "width 0"),
+        ({"width": 0}, "width is 0"),
         ({"directions": ()}, "no direction"),
         ({"directions": ("up",)}, "there is no direction 'up'; give disassembly or assembly"),
-        ({"alternatives": 0}, "0 alternatives"),
+        ({"alternatives": 0}, "alternatives is 0"),
         ({"seed": -1}, "a seed is not negative"),
     ],
 )
@@ -389,9 +389,13 @@ def test_a_rule_that_does_not_exist_is_named() -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"width": 0}, "a beam of width 0 keeps nothing"),
+        ({"width": 0}, "width is 0; give at least 1"),
+        ({"width": float("nan")}, "width is nan; give a whole number"),
+        ({"patience": float("nan")}, "the patience of a search must be above 0"),
+        ({"seed": 1.5}, "a seed is a whole number; 1.5 was given"),
         ({"directions": ()}, "no direction to search in"),
-        ({"alternatives": 0}, "0 alternatives is not a number of plans"),
+        ({"alternatives": 0}, "alternatives is 0; give at least 1"),
+        ({"alternatives": 2.5}, "alternatives is 2.5; give a whole number"),
         ({"patience": 0.0}, "the patience of a search must be above 0"),
         ({"bound_after": -1.0}, "the seconds before a bound not below 0"),
     ],

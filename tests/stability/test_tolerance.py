@@ -10,6 +10,7 @@ import pytest
 
 from falsework import Assembly, StabilityOracle, StabilitySettings, Verdict, find_plans, verify_certificates
 from falsework.assembly import complete_state, library
+from falsework.errors import InputError
 from falsework.search.plans.plan_check import validate_plan
 from falsework.stability import Verdicts
 from falsework.stability.certificate import residual_of_forces
@@ -139,3 +140,9 @@ def test_forces_of_a_verdict_leave_as_much_as_it_says() -> None:
     verdicts = StabilityOracle(assembly, EQUILIBRIUM).verdicts(states, require_certificate=True)
     assert verdicts.forces is not None
     assert residual_of_forces(assembly, states, verdicts.forces)[0] <= EQUILIBRIUM.resolution
+
+
+@pytest.mark.parametrize("tolerance", [1.0, 1e300, 0.0, np.nan, "small"])
+def test_a_tolerance_under_which_parts_may_fall_freely_is_refused(tolerance: Any) -> None:
+    with pytest.raises(InputError, match="tolerance is "):
+        StabilitySettings(tolerance=tolerance)

@@ -151,7 +151,7 @@ def doctor(
     Raises:
         InputError: no such path, or an unknown unit.
     """
-    if not (path := Path(path)).exists():
+    if not path or not (path := Path(path)).exists():  # an empty name would be the present folder
         raise InputError(f"there is no folder or file {path}, and built-in structures need no doctor; give meshes")
     if unit is not None:
         unit_length(unit)

@@ -1,4 +1,4 @@
-"""Parsers of part numbers and states given as command-line arguments."""
+"""Parsers and checks of command-line arguments: paths, part numbers and states."""
 
 from __future__ import annotations
 
@@ -23,6 +23,14 @@ if TYPE_CHECKING:
     from falsework.stability.criterion import Cone
     from falsework.stability.settings import SolverName, StabilitySettings
     from falsework.stability.verdict import Criterion
+
+
+def check_paths(command: Any, words: Sequence[str]) -> Any:
+    """Return a command with its fields, unless one is a path that was given empty, which is the present folder else."""
+    empty = [name for name, value in vars(command).items() if value == Path()] if "" in words else []
+    if empty and "." not in words:
+        raise InputError(f"{empty[0]} is empty; name a file or folder")
+    return command
 
 
 def split_parts(text: str, option: str) -> list[str]:

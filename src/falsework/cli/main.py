@@ -19,9 +19,10 @@ from functools import cache
 from pathlib import Path
 from shutil import get_terminal_size
 from types import UnionType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, cast, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from falsework import __version__
+from falsework.cli.arguments import check_paths
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import Output, write_line
 from falsework.errors import FalseworkError
@@ -188,7 +189,7 @@ def _parse(arguments: list[str]) -> Command | None:
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            return cast("Command", tyro.cli(kind, prog=program, description=about, args=rest, config=_markers()))
+            return check_paths(tyro.cli(kind, prog=program, description=about, args=rest, config=_markers()), rest)
     except SystemExit as exit_request:
         if exit_request.code in (None, 0):
             if named is not None and not {*_HELP}.isdisjoint(rest):
@@ -328,8 +329,7 @@ def _overview() -> str:
 
 def _help_text(kind: type[Command]) -> str:
     text = "\n".join(line.strip() for line in (kind.__doc__ or "").strip().splitlines())
-    heading = "Example:" if len(kind.examples) == 1 else "Examples:"
-    return "\n".join([text, "", heading, *(f"  {example}" for example in kind.examples)])
+    return "\n".join([text, "", f"Example{'s' * (len(kind.examples) > 1)}:", *(f"  {line}" for line in kind.examples)])
 
 
 def _one_line(box: str) -> str:

@@ -151,7 +151,7 @@ class FindMargins(Command):
 
     def _refuse_out(self, plan: Plan | None, settings: StabilitySettings) -> None:
         """Check before the search that the margins can be written into a plan."""
-        from falsework.cli.planning import writable
+        from falsework.cli.planning import writable_plan
 
         assert self.out is not None
         if plan is None or self.states is not None or self.deadline is not None:
@@ -162,7 +162,7 @@ class FindMargins(Command):
                 f"the plan is for the criterion {plan.claim.criterion} with the {plan.claim.cone} cone; "
                 "leave out --criterion and --cone, or --out"
             )
-        writable(self.out)
+        writable_plan(self.out)
 
     def _save(self, plan: Plan, found: list[StateMargins], path: Path, output: Output) -> None:
         """Write the plan with its margins, unless one of its states has none."""

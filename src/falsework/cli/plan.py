@@ -33,7 +33,7 @@ from falsework.cli.planning import (
     save_plans,
     say_alternatives,
     search_directions,
-    writable,
+    writable_plan,
 )
 from falsework.errors import InputError
 from falsework.utils.quantity import check_deadline, counted
@@ -150,7 +150,7 @@ class MakePlan(Command):
         saves = not self.task.wider and self.task.parts_at_once == 1
         demands = Demands() if self.margin is None else Demands.from_text(self.margin)
 
-        writable(self.out)
+        writable_plan(self.out)
         check_deadline(self.deadline)
         if self.robots == "auto":
             return self._with_fewest_robots(demands, output)

@@ -306,6 +306,14 @@ def writable(path: Path, suffix: str = "") -> None:
     check_writable(path)
 
 
+def writable_plan(path: Path) -> None:
+    """Check before a long search that a plan can be written, under a name that does not stand for another format."""
+    from falsework.utils.files.formats import check_json_name
+
+    check_json_name(path, "a plan")
+    writable(path)
+
+
 def refuse_unstable(
     assembly: Assembly, oracle: StabilityOracle, task: Task, output: Output, *, building: bool = False
 ) -> bool:

@@ -25,7 +25,7 @@ from falsework.cli.planning import (
     save_plans,
     say_alternatives,
     untried_changes,
-    writable,
+    writable_plan,
 )
 from falsework.errors import InputError
 from falsework.utils.quantity import counted
@@ -127,7 +127,7 @@ class MakeReplan(Command):
         from falsework.replanning.since import with_places
         from falsework.search.plans.plan_file import load_plan
 
-        writable(self.out)
+        writable_plan(self.out)
         plan, assembly, policy, source, robots, clear = self._load()
         before, since, step = plan, self._since(assembly), self.step
         if since:

@@ -20,7 +20,7 @@ from falsework.cli.planning import (
     policy_guide,
     press_text,
     refuse_unstable,
-    writable,
+    writable_plan,
 )
 from falsework.cli.robot_arguments import parse_grips, parse_holding, parse_joints, parse_now
 from falsework.cli.robot_reports import (
@@ -180,7 +180,7 @@ class PlanRobots(Command):
         from falsework.search.problem.task import Direction
         from falsework.stability.oracle import StabilityOracle
 
-        writable(self.out)
+        writable_plan(self.out)
         begun = self._begun()
         if begun is not None:
             assembly, cell = begun.assembly, begun.cell

@@ -19,7 +19,7 @@ from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.problem.task import STAGE, Direction, Task
 from falsework.search.task_rules import TaskRules, exit_rules
-from falsework.utils.quantity import check_deadline, check_seed, counted
+from falsework.utils.quantity import check_deadline, check_seed, counted, is_whole
 
 MOST_PLANS = 1000
 """Alternatives that can be asked for."""
@@ -96,8 +96,9 @@ class Request:
             return None
         if self.state is not None:
             raise InputError("a plan with its step says what the state is; leave one of the two out")
-        if self.step is None:
-            raise InputError(f"the plan has {len(self.plan)} steps; name the last one that is done, 0 for none")
+        if not is_whole(self.step):
+            given = "" if self.step is None else f"; {self.step!r} is no step"
+            raise InputError(f"the plan has {len(self.plan)} steps; name the last one that is done, 0 for none{given}")
         check_identity(self.plan, assembly)
         return ExecutedSteps(self.plan, self.step)
 
@@ -133,7 +134,7 @@ class Request:
         Raises:
             InputError: it makes no sense for this structure; the message says what to do.
         """
-        if not 1 <= self.alternatives <= MOST_PLANS:
+        if not (is_whole(self.alternatives) and 1 <= self.alternatives <= MOST_PLANS):
             limits = f"at least 1 and at most {MOST_PLANS}"
             raise InputError(f"{self.alternatives} alternatives is not a number of plans; ask for {limits}")
         check_deadline(self.deadline)

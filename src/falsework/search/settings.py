@@ -7,7 +7,7 @@ from typing import Any
 
 from falsework.errors import InputError
 from falsework.search.problem.task import Direction
-from falsework.utils.quantity import check_seed
+from falsework.utils.quantity import check_counts, check_seed
 
 _BOTH = (Direction.ASSEMBLY, Direction.DISASSEMBLY)
 
@@ -38,15 +38,12 @@ class PlannerSettings:
     for half as many seconds at most."""
 
     def __post_init__(self) -> None:
-        if self.width < 1:
-            raise InputError(f"a beam of width {self.width} keeps nothing; give at least 1")
+        check_counts(self, "width", "alternatives")
         given = (self.directions,) if isinstance(self.directions, str) else self.directions
         object.__setattr__(self, "directions", tuple(map(Direction, given)))
         if not self.directions:
             raise InputError("no direction to search in; give assembly, disassembly or both")
-        if self.alternatives < 1:
-            raise InputError(f"{self.alternatives} alternatives is not a number of plans; ask for at least 1")
-        if self.patience <= 0 or self.bound_after < 0:
+        if not (self.patience > 0 and self.bound_after >= 0):
             raise InputError("the patience of a search must be above 0, and the seconds before a bound not below 0")
         check_seed(self.seed)
 

@@ -7,6 +7,7 @@ from typing import Literal, get_args
 
 from falsework.errors import InputError
 from falsework.stability.criterion import Cone, StabilityBounds, StabilityCriterion
+from falsework.stability.holds import HoldSettings
 from falsework.stability.verdict import Criterion
 from falsework.utils.quantity import check_positive
 
@@ -89,6 +90,10 @@ class StabilitySettings(StabilityBounds):
         check_positive(self, "gravity", "tolerance", "force_bound", "stiffness_ratio", "reserve")
         if not 1 / MOST_GRAVITY <= self.gravity <= MOST_GRAVITY:  # beyond, squares of forces are no numbers any more
             raise InputError(f"gravity is {self.gravity:g} m/s2; give {1 / MOST_GRAVITY:g} to {MOST_GRAVITY:g}")
+        if self.tolerance >= 1:  # a part in free fall would be stable
+            raise InputError(f"tolerance is {self.tolerance:g} of gravity; give less than 1")
+        if not isinstance(self.holds, HoldSettings):
+            raise InputError(f"holds are {self.holds!r}; give HoldSettings")
         if self.reserve < 1:
             raise InputError(f"reserve is {self.reserve:g}, which would raise friction; give 1 for none, or more")
         if self.cone is not None and self.cone not in get_args(Cone):

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from decimal import Decimal
+from numbers import Integral, Real
 from typing import Any, TypeGuard
 
 from falsework.errors import InputError
@@ -119,13 +120,22 @@ def is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
+def is_whole(value: Any) -> TypeGuard[int]:
+    """Return whether a value is a whole number of Python or NumPy, which true and false are not."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
 def check_deadline(deadline: float | None) -> None:
     """Raise unless a deadline in seconds leaves time.
 
     Raises:
         InputError: it is zero, less, or no number.
     """
-    if deadline is not None and not deadline > 0:
+    if deadline is None:
+        return
+    if not isinstance(deadline, Real):
+        raise InputError(f"a deadline of {deadline!r} is no number; give seconds")
+    if not deadline > 0:
         raise InputError(f"a deadline of {deadline:g} s leaves no time; give more than 0")
 
 
@@ -133,15 +143,18 @@ def check_positive(settings: object, *names: str) -> None:
     """Raise unless some numbers among settings are finite and above zero."""
     for name in names:
         value = getattr(settings, name)
-        if not (math.isfinite(value) and value > 0):
+        if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
             raise InputError(f"{name} is {value}; give a positive number")
 
 
 def check_counts(settings: object, *names: str) -> None:
-    """Raise unless some numbers among settings are at least 1."""
+    """Raise unless some numbers among settings are whole and at least 1."""
     for name in names:
-        if getattr(settings, name) < 1:
-            raise InputError(f"{name} is {getattr(settings, name)}; give at least 1")
+        value = getattr(settings, name)
+        if not is_whole(value):
+            raise InputError(f"{name} is {value!r}; give a whole number")
+        if value < 1:
+            raise InputError(f"{name} is {value}; give at least 1")
 
 
 def check_step_seconds(seconds: float) -> None:
@@ -156,5 +169,7 @@ def check_step_seconds(seconds: float) -> None:
 
 def check_seed(seed: int) -> None:
     """Raise unless a number can be a random seed."""
+    if not is_whole(seed):
+        raise InputError(f"a seed is a whole number; {seed!r} was given")
     if seed < 0:
         raise InputError(f"a seed is not negative; {seed} was given")

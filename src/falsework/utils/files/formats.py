@@ -148,6 +148,15 @@ def check_ending(path: Path | str, name: str, suffixes: tuple[str, ...] = ()) ->
     raise InputError(f"{path} has the ending of {other}, but {name} is written; give {ending}, or leave the format out")
 
 
+def check_json_name(path: Path | str, what: str) -> None:
+    """Raise if the name of a file that is written as JSON stands for another format."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in ("", ".json") and (other := exporter_by_suffix(path)) is not None:
+        raise InputError(
+            f"{path} has the ending of {other}; {what} is a .json file, and falsework export writes {other}"
+        )
+
+
 def write_format(assembly: Any, path: Path | str, name: str, plan: Any = None, **options: Any) -> None:
     """Write a structure, or a plan of it, in a format.
 
