@@ -325,6 +325,7 @@ def test_what_a_policy_thinks_and_covers(
         (("picture", "PLAN", "--step", "1", "--title", "A", "--out", "x.mp4"), "video such as x.mp4 has no --step and"),
         (("picture", "nowhere.json"), "nowhere"),
         (("picture", "BROKEN"), "JSON"),
+        (("picture", "PLAN", "--cell", "dome-37"), "the cell dome-37 is of a robot plan, which this is not"),
         (("picture", "OTHER"), "cannot be shown"),
         (("picture", "PLAN", "--structure", "arch:blocks=6"), "parts"),
         (("picture", "arch:blocks=5", "--structure", "arch"), "leave --structure out"),

@@ -85,8 +85,7 @@ class Diagnosis:
     contacts: int
     """Contacts of the structure; of one that does not load, those of the pairs of parts that can be judged."""
     stored: InterfaceComparison | None
-    """Differences between the stored interfaces and the contacts; None if there are none, or the structure does not
-    load."""
+    """Differences between the stored interfaces and the contacts; None if there are none, or if it does not load."""
     additions: dict[str, Any]
     """Entries to add to `assembly.json`; empty if there are none."""
     cured: bool
@@ -151,8 +150,9 @@ def doctor(
     Raises:
         InputError: no such path, or an unknown unit.
     """
-    if not path or not (path := Path(path)).exists():  # an empty name would be the present folder
+    if not path or not Path(path).exists():  # an empty name would be the present folder
         raise InputError(f"there is no folder or file {path}, and built-in structures need no doctor; give meshes")
+    path = Path(path)
     if unit is not None:
         unit_length(unit)
     with warnings.catch_warnings(record=True) as caught:

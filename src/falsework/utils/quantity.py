@@ -135,7 +135,7 @@ def check_deadline(deadline: float | None) -> None:
         return
     if not isinstance(deadline, Real):
         raise InputError(f"a deadline of {deadline!r} is no number; give seconds")
-    if not deadline > 0:
+    if not float(deadline) > 0:
         raise InputError(f"a deadline of {deadline:g} s leaves no time; give more than 0")
 
 
@@ -143,7 +143,7 @@ def check_positive(settings: object, *names: str) -> None:
     """Raise unless some numbers among settings are finite and above zero."""
     for name in names:
         value = getattr(settings, name)
-        if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
+        if not (isinstance(value, Real) and 0 < float(value) < math.inf):
             raise InputError(f"{name} is {value}; give a positive number")
 
 

@@ -115,6 +115,9 @@ def viewable_of(
     file = Path(subject) if isinstance(subject, (str, Path)) else None
     known: Any = _opened(subject, structure, options) if isinstance(subject, (str, Path)) else subject
 
+    if cell is not None and not isinstance(known, RobotPlan):
+        raise InputError(f"the cell {cell} is of a robot plan, which this is not; leave it out")
+
     def still(assembly: Assembly, state: ArrayLike) -> Timeline:
         return Timeline.from_state(assembly, state, robots).turned(direction)
 
