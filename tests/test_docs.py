@@ -41,11 +41,15 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 def in_few_steps(words: list[str]) -> list[str]:
-    """Return a command that takes long with few steps, parts or states instead, a film small and with few frames."""
+    """Return a command that takes long with few steps, parts, states or draws instead, a film small and short."""
     if words[1] == "evaluate":
         return with_value(words, "--states", "10")
     if words[1] == "graph":
         return of_few_parts(words)
+    if words[1] == "margins" and "--draws" in words:
+        return with_value(words, "--draws", "5")
+    if words[1] == "picture" and "--frames" in words:
+        return with_value(words, "--frames", "6")
     if words[1] == "picture" and words[-1].endswith((".mp4", ".gif")):
         return with_value(with_value(words, "--width", "160"), "--rate", "3")
     if words[1] != "train" or "--minutes" not in words:

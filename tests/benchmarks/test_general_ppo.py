@@ -45,10 +45,12 @@ def made(folder: Path, labelled: list[LabelledStructure], load: Any = load_struc
 def test_rollouts_of_another_process_improve_one_policy_on_several_structures(
     labelled: list[LabelledStructure], tmp_path: Path
 ) -> None:
-    """From random weights."""
-    with made(tmp_path, labelled) as learner:
+    """From random weights; a structure that is not known is left out."""
+    unknown = replace(labelled[0], name="none")
+    with made(tmp_path, [*labelled, unknown]) as learner:
         before = learner.validate(labelled, 60.0)
         assert len(before) == len(labelled)
+        assert len(learner.validate([unknown, labelled[0]], 3.0)) == 1  # one process, which takes them in turn
         rows, end = [], time.perf_counter() + 90.0
         while time.perf_counter() < end and (not rows or rows[-1]["success"] < 0.8 * rows[-1]["collections"]):
             rows.append(learner.run(2.0, (0.1, 0.1)))
@@ -64,11 +66,6 @@ def test_rollouts_of_another_process_improve_one_policy_on_several_structures(
         assert again.reinforced == 7.0
         for one, other in zip(learner.training.averaged().parameters(), again.averaged().parameters(), strict=True):
             assert one.equal(other)
-
-
-def test_a_structure_that_is_not_known_is_left_out(labelled: list[LabelledStructure], tmp_path: Path) -> None:
-    with made(tmp_path, [replace(labelled[0], name="none")]) as learner:
-        assert learner.run(3.0, (0.0, 0.0))["collections"] == 0
 
 
 def test_a_process_that_fails_is_reported(labelled: list[LabelledStructure], tmp_path: Path) -> None:

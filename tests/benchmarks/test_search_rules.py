@@ -62,7 +62,7 @@ def dying_beam(name: str = "dome:rings=2,blocks=6") -> BeamSearch:
 
 def die() -> None:
     """Have a beam die, and jump back, some times: without rules it would never give up."""
-    levels = iter(range(300))
+    levels = iter(range(100))
     assert not dying_beam().run(4, stop=lambda: next(levels, None) is None).found
 
 
@@ -75,7 +75,7 @@ def begin(what: str, name: str) -> None:
 
 def fall_again() -> None:
     """Have a beam with few states ahead die where parts are known to fall."""
-    assembly, levels = load_structure("dome:rings=2,blocks=6"), iter(range(300))
+    assembly, levels = load_structure("dome:rings=2,blocks=6"), iter(range(100))
     task = Task.from_rules(assembly.boundary, 3, contacts=assembly.contacts.parts)
     settings = BeamSettings.from_width(lookahead=2)
     BeamSearch(task, Chance(0.3), settings, guide=SupportGuide(assembly)).run(stop=lambda: next(levels, None) is None)

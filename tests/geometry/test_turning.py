@@ -112,14 +112,14 @@ def test_a_plug_turns_until_its_lugs_are_below_their_slots(count: int) -> None:
 @pytest.mark.parametrize("stop", [False, True])
 def test_a_leaf_is_turned_on_its_hinge_until_it_lifts_off(stop: bool) -> None:
     """A lift-off hinge: a lintel lies above the leaf where it is shut; where a stop keeps it shut, it stays."""
-    around = 2 * np.pi * np.arange(32) / 32
-    outer = np.where(np.cos(around) > 0.97, 0.06, 0.02)
-    pin, hole = np.full(32, 0.01), np.full(32, 0.0105)
+    around = 2 * np.pi * np.arange(24) / 24
+    outer = np.where(np.cos(around) > 0.96, 0.06, 0.02)
+    pin, hole = np.full(24, 0.01), np.full(24, 0.0105)
     meshes = [
         ring("leaf", outer, hole, 0.0, 0.02),
         box("floor", (-0.08, -0.08, -0.02), (0.08, 0.08, -0.01)),
-        ring("pin", pin, np.full(32, 0.002), -0.01, 0.03),
-        ring("seat", np.full(32, 0.018), np.full(32, 0.0102), -0.01, 0.0),
+        ring("pin", pin, np.full(24, 0.002), -0.01, 0.03),
+        ring("seat", np.full(24, 0.018), np.full(24, 0.0102), -0.01, 0.0),
         box("lintel", (0.035, -0.03, 0.0205), (0.07, 0.03, 0.04)),
     ]
     if stop:

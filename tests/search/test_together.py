@@ -496,7 +496,7 @@ def test_files_say_what_moves_at_once(name: str, request: pytest.FixtureRequest,
     plan, file = request.getfixturevalue(name), tmp_path / "plan.json"
     save_plan(plan, file, proofs=True)
     data = json.loads(file.read_text())
-    jsonschema.validate(data, plan_schema())
+    jsonschema.Draft202012Validator(plan_schema()).validate(data)
     again = load_plan(file)
     np.testing.assert_array_equal(again.states, plan.states)
     np.testing.assert_array_equal(again.actions, plan.actions)

@@ -27,7 +27,7 @@ HALF = [1, 2, 0, 2, 1, 2, 2]
 def plans_of(answer: dict[str, Any]) -> list[Plan]:
     """The plans in an answer, each as its published schema has it."""
     for plan in answer["plans"]:
-        jsonschema.validate(plan, plan_schema())
+        jsonschema.Draft202012Validator(plan_schema()).validate(plan)
     return [plan_from_dict(plan) for plan in answer["plans"]]
 
 

@@ -74,13 +74,16 @@ def test_no_text_of_the_package_has_a_number_with_an_exponent() -> None:
     root = Path(falsework.__file__).parent
     found = []
     for file in sorted(root.rglob("*.py")):
-        tree = ast.parse(file.read_text(encoding="utf-8"))
+        text = file.read_text(encoding="utf-8")
+        if not re.search(r"[eg]\}", text):
+            continue  # to parse all files takes long
+        tree = ast.parse(text)
         rounded = {
             id(value)
             for call in ast.walk(tree)
             if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "float"
-            for text in call.args
-            for value in ast.walk(text)
+            for argument in call.args
+            for value in ast.walk(argument)
         }
         found += [
             f"{file.relative_to(root)}:{value.lineno}"

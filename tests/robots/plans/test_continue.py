@@ -71,7 +71,7 @@ def carrying(plan: RobotPlan, step: int) -> tuple[list[np.ndarray], list[int | N
 def check(plan: RobotPlan, column: Assembly, cell: Cell) -> None:
     """Check motions and states, as written to a file and read again."""
     data = robot_plan_to_dict(plan)
-    jsonschema.validate(data, robot_plan_schema())
+    jsonschema.Draft202012Validator(robot_plan_schema()).validate(data)
     plan = robot_plan_from_dict(data)
     report = check_robot_plan(plan, column, cell)
     assert report.good, report.problems

@@ -203,7 +203,7 @@ def test_files_keep_it(plan: RobotPlan, tmp_path: Path) -> None:
     np.testing.assert_allclose(detour_of(read)[2], detour_of(plan)[2], atol=1e-11)
     assert [step.put_down is None for step in read.steps] == [True, False]
     jsonschema = pytest.importorskip("jsonschema")
-    jsonschema.validate(json.loads((tmp_path / "plan.json").read_text()), robot_plan_schema())
+    jsonschema.Draft202012Validator(robot_plan_schema()).validate(json.loads((tmp_path / "plan.json").read_text()))
 
 
 def test_files_that_were_tampered_with_are_refused(plan: RobotPlan) -> None:

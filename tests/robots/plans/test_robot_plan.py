@@ -136,11 +136,11 @@ def test_files_follow_the_schema(robot_plan: RobotPlan) -> None:
     data = robot_plan_to_dict(robot_plan)
     schema = robot_plan_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
-    jsonschema.validate(data, schema)
-    jsonschema.validate(data["plan"], plan_schema())
+    jsonschema.Draft202012Validator(schema).validate(data)
+    jsonschema.Draft202012Validator(plan_schema()).validate(data["plan"])
     data["steps"][0]["trajectories"][0]["kind"] = "jump"
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(data, schema)
+        jsonschema.Draft202012Validator(schema).validate(data)
 
 
 def test_cell_identity_depends_on_what_motions_depend_on(cell_of: Callable) -> None:

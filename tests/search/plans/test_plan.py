@@ -149,7 +149,7 @@ def test_files_follow_the_published_schema(plan: Plan, tmp_path: Path, proofs: b
     jsonschema.Draft202012Validator.check_schema(schema)
     path = tmp_path / "plan.json"
     save_plan(plan, path, proofs=proofs)
-    jsonschema.validate(json.loads(path.read_text()), schema)
+    jsonschema.Draft202012Validator(schema).validate(json.loads(path.read_text()))
 
 
 @pytest.mark.parametrize("direction", list(Direction))
@@ -278,7 +278,7 @@ def test_reads_strictly(data: dict[str, Any], tmp_path: Path, change: Any, messa
 def test_the_schema_is_as_strict(data: dict[str, Any], change: Any, message: str) -> None:
     change(data)
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(data, plan_schema())
+        jsonschema.Draft202012Validator(plan_schema()).validate(data)
 
 
 def test_fragments_are_rejected(plan: Plan, tmp_path: Path) -> None:
@@ -386,9 +386,9 @@ def changes(balanced: tuple[Assembly, Plan]) -> dict[str, Any]:
 
 def test_changes_of_forces_are_read_as_they_were(balanced: tuple[Assembly, Plan], changes: dict[str, Any]) -> None:
     vault, plan = balanced
-    jsonschema.validate(changes, plan_schema())
+    jsonschema.Draft202012Validator(plan_schema()).validate(changes)
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(changes | {"forces": {"points": 3}}, plan_schema())
+        jsonschema.Draft202012Validator(plan_schema()).validate(changes | {"forces": {"points": 3}})
     read = plan_from_dict(changes)
     assert same(read, plan)
     report = validate_plan(read, vault, EQUILIBRIUM)

@@ -200,7 +200,7 @@ def test_files_of_props(propped: Plan, tmp_path: Path) -> None:
     assert np.array_equal(read.states, propped.states)
     assert {step.action for step in read if step.robot is None} == {Action.INSERT, Action.REMOVE}  # of props
     jsonschema = pytest.importorskip("jsonschema")
-    jsonschema.validate(plan_to_dict(propped), plan_schema())
+    jsonschema.Draft202012Validator(plan_schema()).validate(plan_to_dict(propped))
 
 
 def test_damaged_files_of_props(propped: Plan) -> None:
