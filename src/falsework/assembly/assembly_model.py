@@ -11,7 +11,7 @@ from falsework.utils.models import FileModel, model_schema
 FORMAT = "falsework.assembly/1"
 MOST = 1e12
 """Largest load, or margin of one, in SI units: beyond all that can be built, and far from where numbers overflow."""
-MOST_FRICTION = 1e6
+MOST_FRICTION = 1e8
 """Largest coefficient of friction: with far larger ones verdicts depend on rounding."""
 
 Bounded = Annotated[float, Meta(ge=-MOST, le=MOST)]
