@@ -35,7 +35,7 @@ from falsework.viewer import Timeline
 
 CHROMIUM_FLAGS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox", "--hide-scrollbars"]
 # Without a graphics card the processor draws all but the scene sooner by itself than as one.
-CHROMIUM_FLAGS += ["--disable-gpu-rasterization", "--disable-gpu-compositing"]
+CHROMIUM_FLAGS += ["--disable-gpu-rasterization", "--disable-gpu-compositing", "--webgl-antialiasing-mode=none"]
 
 
 def chromium() -> str:
