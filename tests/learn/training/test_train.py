@@ -232,7 +232,7 @@ def test_no_loss_is_taken_at_test_states(name: str, goal_conditioned: bool, monk
     monkeypatch.setattr(module, "Trainer", keep)
     monkeypatch.setattr(Network, "forward", watch)
     policy = replace(SMALL.policy, goal_conditioned=goal_conditioned)
-    settings = replace(SMALL, phases=PHASES[name], policy=policy)
+    settings = replace(SMALL, phases=PHASES[name], policy=policy, steps=30, evaluations=3)
     train(arch, settings, folder=None, device="cpu")
     trainer = kept["trainer"]
     solved, data = trainer.solved, trainer.data
