@@ -119,6 +119,18 @@ def test_parts_are_placed_to_scale() -> None:
     np.testing.assert_allclose(there.center, apply(world, 0.5 * assembly.mass.center), atol=1e-12)
 
 
+def test_pieces_of_parts_are_those_of_the_tolerance_and_the_place_that_are_asked_for() -> None:
+    """Also where the same parts were placed otherwise before."""
+    assembly = load_structure("polycube")
+    for tolerance, scale in ((0.05, 1.0), (1e3, 1.0), (0.05, 0.5), (0.05, 1.0)):
+        for mesh, pieces in zip(
+            assembly.meshes, place_parts(assembly, Placement(scale=scale), tolerance=tolerance).pieces, strict=True
+        ):
+            assert len(pieces) == len(convex_pieces(mesh, tolerance))
+            assert volume(pieces) == pytest.approx(scale**3 * volume(convex_pieces(mesh, tolerance)))
+    assert any(len(convex_pieces(mesh)) > 1 for mesh in assembly.meshes)
+
+
 @pytest.fixture(scope="module")
 def arch():
     assembly = load_structure("arch")

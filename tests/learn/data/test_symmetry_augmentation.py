@@ -91,7 +91,11 @@ def test_same_seed_same_tasks(dome: Assembly, graph: StateGraph) -> None:
 def test_a_run_learns_from_images_and_never_from_test_states(dome: Assembly, monkeypatch: pytest.MonkeyPatch) -> None:
     """Tasks have states that its searches did not see; these, and what is learned from, are never test states."""
     settings = TrainSettings(
-        policy=PolicySettings("transformer", goal_conditioned=True), widths=(8, 8), steps=10, random_tries=2, evaluation_states=32
+        policy=PolicySettings("transformer", goal_conditioned=True),
+        widths=(8, 8),
+        steps=10,
+        random_tries=2,
+        evaluation_states=32,
     )
     found: list[GoalDataset] = []
 

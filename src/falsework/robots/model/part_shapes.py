@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,7 +166,7 @@ def place_parts(assembly: Assembly, placement: Placement = Placement(), *, toler
         for mesh in assembly.meshes
     )
     pieces = tuple(
-        move_pieces(world, tuple(scale * piece for piece in convex_pieces(mesh, tolerance))) for mesh in assembly.meshes
+        move_pieces(world, tuple(scale * piece for piece in _cover(mesh, tolerance))) for mesh in assembly.meshes
     )
     mass = placed_mass(assembly, placement)
     center = apply(world, scale * assembly.mass.center)
@@ -174,6 +175,18 @@ def place_parts(assembly: Assembly, placement: Placement = Placement(), *, toler
     groups = groups_of(assembly)
     gripped = {} if groups is None else groups.carried_faces
     return PartShapes(assembly.names, assembly.boundary, meshes, pieces, mass, center, world[:3, :3], gripped)
+
+
+def _cover(mesh: TriangleMesh, tolerance: float) -> Pieces:
+    """Return `convex_pieces` of a mesh, or those of the last call with this tolerance again."""
+    known = _covers.get(mesh)
+    if known is None or known[0] != tolerance:
+        known = _covers[mesh] = tolerance, convex_pieces(mesh, tolerance)
+    return known[1]
+
+
+_covers: WeakKeyDictionary[TriangleMesh, tuple[float, Pieces]] = WeakKeyDictionary()
+"""Tolerance and convex pieces of each mesh that was asked for last; plans and checks of one structure share them."""
 
 
 def placed_mass(assembly: Assembly, placement: Placement) -> Array:
