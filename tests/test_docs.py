@@ -44,7 +44,7 @@ def in_few_steps(words: list[str]) -> list[str]:
     """Return a command that takes long with few steps, parts, states or draws instead, a film small and short."""
     if words[1] == "evaluate":
         return with_value(words, "--states", "10")
-    if words[1] == "graph" or words[1:3] == ["plan", "vault"]:
+    if words[1] == "graph":
         return of_few_parts(words)
     if words[1] == "margins" and "--draws" in words:
         return with_value(words, "--draws", "5")
