@@ -21,7 +21,7 @@ from falsework.search.planner import Planner
 from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import SearchProgress, Stop
 from falsework.stability.contact.history import Change, History, Replay, ReplaySettings
-from falsework.stability.contact.varied_replay import FEW, MANY, AllVariations, variations
+from falsework.stability.contact.varied_replay import FEW, MANY, TRUE_FRICTION, AllVariations, variations
 from falsework.stability.judges import discrete_elements
 from falsework.stability.judges.judgement import Judgement
 from falsework.stability.verdict import Verdict, Verdicts
@@ -43,8 +43,11 @@ class RuleReplayer:
         varied: Set[tuple[int, ...]] = frozenset(),
         slow: Sequence[float] = (),
         slips: Set[tuple[int, ...]] = frozenset(),
+        true: Set[tuple[int, ...]] = frozenset(),
     ) -> None:
         self.falls = falls
+        self.true = true
+        """States in which the structure falls under the true friction alone."""
         self.slips = slips
         """States in which parts come to rest far from where they were."""
         self.slow = list(slow)
@@ -54,12 +57,15 @@ class RuleReplayer:
         self.replayed = self.iterations = 0
 
     def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> RuleReplayer:
+        if settings.reserve < self.settings.reserve:
+            return RuleReplayer(self.falls | self.true)
         return RuleReplayer(self.falls | self.varied if replay.first_step < ReplaySettings.first_step else self.falls)
 
     def also_under(self, changes: Sequence[Change]) -> None:
         """Fall in all states that are named once the change is tried at every step."""
         self.changes = tuple(changes)
-        self.falls |= self.varied if changes else set()
+        self.falls |= self.varied if set(changes) - {TRUE_FRICTION} else set()
+        self.falls |= self.true if TRUE_FRICTION in changes else set()
 
     def replay(self, states: Any, history: History | None = None, presses: Any = None) -> Replay:
         self.replayed += 1
@@ -90,12 +96,12 @@ class RuleReplayer:
         return after.moved
 
 
-def tower(rules: Any, falls: set[tuple[int, ...]]) -> tuple[Task, Any]:
-    """Four parts on the ground, each of which stands whatever else is there; two robots."""
-    oracle, _ = rules.random(3, 5)
-    oracle.supports = [[frozenset()] for _ in range(5)]
+def tower(rules: Any, falls: set[tuple[int, ...]], parts: int = 5) -> tuple[Task, Any]:
+    """Parts on the ground, which is one, each of which stands whatever else is there; two robots."""
+    oracle, _ = rules.random(3, parts)
+    oracle.supports = [[frozenset()] for _ in range(parts)]
     oracle.replayer = RuleReplayer(falls)
-    return Task.from_rules(rules.ground(5), 2), oracle
+    return Task.from_rules(rules.ground(parts), 2), oracle
 
 
 def middle_state(task: Task, oracle: Any, settings: PlannerSettings) -> tuple[int, ...]:
@@ -364,6 +370,35 @@ def test_a_search_goes_on_under_the_change_that_it_learned(rules: Any, direction
     assert middle not in set(map(tuple, result.routes[0].states.tolist()))
     assert planner.tests.replays[result.routes[0].states.tobytes()].varied
     assert list(oracle.replayer.changes) == variations(FEW)
+
+
+@pytest.mark.parametrize("direction", list(Direction))
+def test_a_search_goes_on_under_the_true_friction_where_a_plan_fell_under_it(rules: Any, direction: Direction) -> None:
+    """And under that alone; where the search replays its steps, no state is excluded."""
+    task, oracle = tower(rules, set())
+    settings = PlannerSettings(directions=(direction,))
+    middle = middle_state(task, oracle, settings)
+    oracle.replayer = RuleReplayer(set(), true={middle})
+    oracle.replayer.settings = StabilitySettings(reserve=1.1)
+    planner = Planner(task, oracle, settings)
+    result = planner.run()
+    assert result.found
+    assert middle not in set(map(tuple, result.routes[0].states.tolist()))
+    assert oracle.replayer.changes == (TRUE_FRICTION,)
+    assert len(planner.tests.forbidden) == (direction is Direction.DISASSEMBLY)  # which replays complete routes only
+
+
+def test_what_is_built_is_tested_under_the_true_friction_before_the_plan_is_complete(rules: Any) -> None:
+    task, oracle = tower(rules, set(), 30)
+    settings = PlannerSettings(directions=(Direction.ASSEMBLY,))
+    middle = middle_state(task, oracle, settings)
+    oracle.replayer = RuleReplayer(set(), true={middle})
+    oracle.replayer.settings = StabilitySettings(reserve=1.1)
+    planner = Planner(task, oracle, settings)
+    planner.run(stop=lambda: bool(oracle.replayer.changes))
+    assert oracle.replayer.changes == (TRUE_FRICTION,)
+    assert planner.tests.doubted is None  # no complete route was tested
+    assert planner.run().found
 
 
 def test_a_route_is_replayed_under_changes_from_where_it_differs_from_the_last(

@@ -15,7 +15,7 @@ from falsework.search.problem.result import barred_row
 from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings
 from falsework.stability.contact.newton import RESTS
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.contact.varied_replay import true_friction
+from falsework.stability.contact.varied_replay import TRUE_FRICTION, changed
 from falsework.stability.holds import Press
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.interruption import PIECE
@@ -188,7 +188,7 @@ class RequestReplayer(Replayer):
             done,
         )
         if stands and self.settings.reserve != 1.0:
-            plain = self.vary(*true_friction(self.settings)).replay_in_time(states, done)
+            plain = self.vary(*changed(TRUE_FRICTION, self.settings)).replay_in_time(states, done)
             found = replace(found, stands=plain.stands, steps=plain.steps)
         return found
 

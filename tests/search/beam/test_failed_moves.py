@@ -47,6 +47,20 @@ def test_the_last_verdict_counts() -> None:
     assert known.failed(keys).tolist() == [False, False]
 
 
+def test_a_place_in_which_a_part_failed_is_not_closed_before_it_is_there() -> None:
+    """Only where nothing around it changes any more: not beside a part that is held or missing itself."""
+    known = memory()
+    full = np.array([2, 1, 1, 1, 1, 1, 1, 0], dtype=np.uint8)
+    known.learn(known.keys(full[None], np.array([3])), np.array([False]))
+    closed, held, missing, elsewhere = (full.copy() for _ in range(4))
+    closed[3], held[3], held[4], missing[[3, 4]], elsewhere[5] = REMOVED, REMOVED, HELD, REMOVED, REMOVED
+    states = np.stack([closed, held, missing, elsewhere, full])
+    assert known.traps(states, np.array([2, 2, 2, 6, 2])).tolist() == [True, False, False, False, False]
+    assert not known.traps(closed[None], np.array([5]))[0]  # its neighbours are there
+    known.learn(known.keys(full[None], np.array([3])), np.array([True]))
+    assert not known.traps(closed[None], np.array([2]))[0]
+
+
 @pytest.mark.parametrize("direction", Direction)
 def test_impossible_stays_proven(rules: Any, direction: Direction) -> None:
     """An arch of six with one robot: moves that failed before are tried last, but they are tried."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import Mask, States
+from falsework.assembly.state import INSTALLED, REMOVED, Mask, States
 
 
 class FailedMoves:
@@ -49,6 +49,26 @@ class FailedMoves:
         values = np.take_along_axis(states, np.minimum(ring, states.shape[1] - 1), axis=1)
         own = self._moved[part, states[np.arange(len(part)), part]]
         return np.bitwise_xor.reduce(self._around[ring, values], axis=1) ^ own
+
+    def traps(self, states: States, part: NDArray[np.integer]) -> Mask:
+        """Return which moves close the surroundings of a missing part that failed in them. Shape (batch,).
+
+        Nothing around such a part changes any more, so it can no longer be placed.
+
+        Args:
+            states: after the moves, in the order of assembly, shape (batch, parts).
+            part: that moved, shape (batch,).
+        """
+        found = np.zeros(len(part), dtype=bool)
+        padded = np.concatenate([states, np.full((len(states), 1), INSTALLED, dtype=states.dtype)], axis=1)
+        row, place = np.nonzero(np.take_along_axis(padded, self._ring[part], axis=1) == REMOVED)
+        missing = self._ring[part[row], place]
+        closed = (np.take_along_axis(padded[row], self._ring[missing], axis=1) == INSTALLED).all(axis=1)
+        row, missing = row[closed], missing[closed]
+        filled = states[row]
+        filled[np.arange(len(row)), missing] = INSTALLED
+        found[row[self.failed(self.keys(filled, missing))]] = True
+        return found
 
     def failed(self, keys: NDArray[np.uint64]) -> Mask:
         """Return which moves failed when they were last tried. Shape (batch,)."""

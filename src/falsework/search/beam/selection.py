@@ -130,7 +130,7 @@ class Selector:
         return np.concatenate([fixed[: count // 2], rest[: count - count // 2]])
 
     def _verify_untried_first(self, waiting: Rows, wanted: int, paths: BeamPaths, *, waits: bool) -> tuple[Rows, Rows]:
-        """As `_verify_in_order`; moves that failed before are tried last.
+        """As `_verify_in_order`; moves that failed before, or after which a missing part would, are tried last.
 
         If it `waits`, they are tried again only from states in which no robot is free: with the same parts around it a
         part that slid once slides again, and until then something around it may still change. So do moves after which
@@ -139,8 +139,11 @@ class Selector:
         if self.failures is None or not len(waiting):
             return self._verify_in_order(waiting, wanted, paths, waits=waits)
         frontier = self.frontier
-        keys = self.failures.keys(frontier.states(waiting), frontier.part(waiting))
+        states, part = frontier.states(waiting), frontier.part(waiting)
+        keys = self.failures.keys(states, part)
         failed = self.failures.failed(keys)
+        if frontier.direction is Direction.ASSEMBLY:
+            failed |= self.failures.traps(states, part)
         again = np.flatnonzero(failed)
         if waits:
             again = again[~frontier.fixing[frontier.parent(waiting[again])].any(axis=1)]

@@ -10,8 +10,8 @@ from falsework.assembly.state import States
 from falsework.errors import InputError
 from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.plan_replay import PlanReplay
-from falsework.stability.contact.history import of_all
-from falsework.stability.contact.varied_replay import FEW, MANY, AllVariations, RouteReplay, true_friction
+from falsework.stability.contact.history import Presses, of_all
+from falsework.stability.contact.varied_replay import FEW, MANY, TRUE_FRICTION, AllVariations, RouteReplay, changed
 from falsework.stability.holds import HoldLoad
 
 if TYPE_CHECKING:
@@ -47,12 +47,44 @@ class Acceptance:
         if replayer is not None and replayer.varies and (robust or replayer.settings.reserve > 1.0):
             self.variations = AllVariations(replayer, MANY if robust else FEW)
         if replayer is not None:
-            self._plain = RouteReplay(replayer.vary(*true_friction(replayer.settings)))
+            self._plain = RouteReplay(replayer.vary(*changed(TRUE_FRICTION, replayer.settings)))
 
     @property
     def varies(self) -> bool:
         """Whether settings are changed."""
         return self.variations is not None
+
+    def fails_at(self, states: States, presses: Presses) -> int | None:
+        """Return the first state of a route, or of its beginning, that slides under the true friction, or tips.
+
+        Where one slides, the replayer tries steps under the true friction too from then on.
+
+        Args:
+            states: in assembly order, shape (steps + 1, parts); they come to rest with the reserve.
+            presses: of the steps that lead to each state.
+
+        Returns:
+            None if there is no such state. Then what robots bear is known.
+        """
+        assert self._plain is not None
+        plain, done = self._plain.replayer, self._plain.begin(states, presses)
+        loads = self._loads = self._loads[:done]
+        try:
+            for first, histories in self._plain.pieces(states):
+                some, known = states[first : first + len(histories)], done - first
+                row = plain.first_tipping(some, histories, known)
+                if row is not None:
+                    return row + first
+                loads += plain.loads(some[known:], histories[known:])
+                done = first + len(histories)
+        except DeadlineExceeded:
+            plain.replay(states, presses=presses)  # which notes that this route was not replayed to its end
+            raise
+        if done == len(states):
+            return None
+        if self.variations is not None:
+            self.variations.add(TRUE_FRICTION)
+        return done
 
     def tested(self, states: States, found: PlanReplay) -> PlanReplay:
         """Return the replay of a route with what robots bear; the one that fails if a state slides or tips.
@@ -63,26 +95,10 @@ class Acceptance:
         """
         if self._plain is None:
             return found
-        presses, plain, row = of_all(found.presses, len(states)), self._plain.replayer, None
-        done = self._plain.begin(states, presses)
-        loads = self._loads = self._loads[:done]
-        try:
-            for first, histories in self._plain.pieces(states):
-                some, known = states[first : first + len(histories)], done - first
-                row = plain.first_tipping(some, histories, known)
-                if row is not None:
-                    row += first
-                    break
-                loads += plain.loads(some[known:], histories[known:])
-                done = first + len(histories)
-        except DeadlineExceeded:
-            plain.replay(states, presses=presses)  # which notes that this route was not replayed to its end
-            raise
-        if row is None and done < len(states):
-            row = done
+        row = self.fails_at(states, of_all(found.presses, len(states)))
         if row is not None:
             return replace(found, stands=False, falls_at=row)
-        return replace(found, loads=tuple(loads))
+        return replace(found, loads=tuple(self._loads))
 
     def judged(self, states: States, found: PlanReplay, stop: Stop | None = None) -> PlanReplay:
         """Return the replay of a route that stands with how far discrete elements built it, if that is asked for.
@@ -123,17 +139,18 @@ class Acceptance:
             stood: called with each replay that stands, before settings are changed.
 
         Returns:
-            The last replay, and where the one that is known fell under a change; None if it did not.
+            The last replay, and where the one that is known fell under a change from which the replayer has learned;
+            None if it did not.
         """
         assert self._replayer is not None
         while True:
+            before = self._replayer.changes
             found = known or PlanReplay.from_replay(self._replayer.replay(states))
             found = self.tested(states, found) if found.stands else found
-            if not found.stands:
-                return found, None
-            stood(found)
-            row = None
-            if self.variations is not None:  # from a fall on, the replayer tries steps under changes too
-                row = self.variations.falls_at(states, of_all(found.presses, len(states)))
+            row = found.falls_at if self._replayer.changes != before else None
+            if found.stands:
+                stood(found)
+                if self.variations is not None:  # from a fall on, the replayer tries steps under changes too
+                    row = self.variations.falls_at(states, of_all(found.presses, len(states)))
             if row is None or known is not None:
                 return found, row

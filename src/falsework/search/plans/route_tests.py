@@ -68,14 +68,24 @@ class RouteTests:
         return () if self.replayer is None else self.replayer.changes
 
     def test_so_far(self, search: Search) -> None:
-        """Test what a search has built under changed settings; where that falls, have it go back, and learn them."""
+        """Test what a search has built under changed settings; where that falls, have it go back, and learn them.
+
+        The same holds for the true friction. A state that tips is excluded.
+        """
         variations = self._acceptance.variations
         if variations is None or (built := search.built()) is None:
             return
-        states, presses = built
+        (states, presses), known = built, self.changes
         row = variations.falls_at(states, presses)
-        if row is not None:
-            search.go_back(barred_state(states, row))
+        if row is None:
+            row = self._acceptance.fails_at(states, presses)
+        if row is None:
+            return
+        if self.changes != known:
+            search.go_back(states[row])
+        else:
+            self._exclude(states[row])
+            search.forbid(self.forbidden)
 
     def passes(self, route: Route, known: PlanReplay | None = None, stop: Stop | None = None) -> bool:
         """Return whether a route passes all tests; exclude the first state that fails.

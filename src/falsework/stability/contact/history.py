@@ -54,14 +54,16 @@ class Change:
     """Change of the settings of a replay, to which the result for a plan must be insensitive."""
 
     name: str
-    ratio: float
-    """Ratio of tangential to normal stiffness."""
+    ratio: float | None
+    """Ratio of tangential to normal stiffness; None for that of the settings."""
     hold_factor: float
     """Factor of the stiffness of holds, where they are not locked."""
-    press: int
-    """Error of all presses, an index of `inexact_presses`."""
+    press: int | None
+    """Error of all presses, an index of `inexact_presses`; None for none."""
     replay: ReplaySettings
     """Release, damping and friction in new contacts."""
+    reserve: float | None = None
+    """Factor of safety on friction; None for that of the settings."""
 
 
 @dataclass(frozen=True, eq=False)

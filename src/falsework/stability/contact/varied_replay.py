@@ -37,6 +37,10 @@ _FIRST_STEPS = ReplaySettings.first_step / 30, ReplaySettings.first_step * 30
 _HOLD_FACTORS = 1 / 3, 3.0
 
 
+TRUE_FRICTION = Change("true friction", None, 1.0, None, ReplaySettings(keeps_track=False), reserve=1.0)
+"""Settings without the reserve, of whose replays no certificates are made."""
+
+
 @dataclass(frozen=True)
 class Variation:
     """Replay under other settings, and the number of its stable steps."""
@@ -49,16 +53,15 @@ class Variation:
 def changed(change: Change, settings: StabilitySettings) -> tuple[StabilitySettings, ReplaySettings]:
     """Return settings with a change."""
     holds = replace(settings.holds, stiffness=change.hold_factor * settings.holds.stiffness)
-    return replace(settings, holds=holds, stiffness_ratio=change.ratio), change.replay
-
-
-def true_friction(settings: StabilitySettings) -> tuple[StabilitySettings, ReplaySettings]:
-    """Return settings without the reserve, of whose replays no certificates are made."""
-    return replace(settings, reserve=1.0), ReplaySettings(keeps_track=False)
+    ratio = settings.stiffness_ratio if change.ratio is None else change.ratio
+    reserve = settings.reserve if change.reserve is None else change.reserve
+    return replace(settings, holds=holds, stiffness_ratio=ratio, reserve=reserve), change.replay
 
 
 def inexact(change: Change, presses: Presses) -> Presses:
     """Return presses with the error of a change."""
+    if change.press is None:
+        return presses
     return [inexact_presses(some)[change.press] if some else () for some in presses]
 
 
@@ -316,6 +319,11 @@ class AllVariations:
                 return row
         return None
 
+    def add(self, change: Change) -> None:
+        """Have steps tried under one more change, if they are not yet."""
+        if change not in self._replayer.changes:
+            self._replayer.also_under((*self._replayer.changes, change))
+
     def learn(self, names: Collection[str]) -> None:
         """Have steps tried under the changes of some names."""
-        self._replayer.also_under([change for change in self._changes if change.name in names])
+        self._replayer.also_under([change for change in (TRUE_FRICTION, *self._changes) if change.name in names])
