@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 
@@ -108,6 +109,28 @@ def test_a_choice_that_led_to_a_dead_end_is_not_made_again(rules: Any) -> None:
     assert (rows.tolist(), actions.tolist()) == ([0], [8 + 7])
     beam.rewind(0, BeamSettings.from_width())
     assert beam.run(1).found
+
+
+def test_prefers_other_parts_after_each_dead_end(rules: Any) -> None:
+    """Before the first, the guide alone decides; each seed has preferences of its own."""
+    task, orders = Task.from_rules(rules.ground(8), 8), []
+
+    def even(states: Any, actions: Any, direction: Direction) -> Any:
+        """Score all parts alike."""
+        return np.zeros(actions.shape)
+
+    def scores(settings: BeamSettings) -> Any:
+        beam = BeamSearch(task, rules.blocks(8), settings, guide=even)
+        assert beam.step()
+        return beam.levels[-1].score
+
+    for seed, number in ((0, 0), (0, 1), (0, 2), (1, 1)):
+        settings = replace(BeamSettings.from_width(lookahead=4), seed=seed, number=number)
+        found = scores(settings)
+        np.testing.assert_array_equal(found, scores(settings))
+        assert (found > 0).any() == (number > 0)
+        orders.append(tuple(found.tolist()))
+    assert len(set(orders)) == len(orders)
 
 
 def test_forgets_the_states_used_longest_ago() -> None:

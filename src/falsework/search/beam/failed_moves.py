@@ -60,6 +60,7 @@ class FailedMoves:
             part: that moved, shape (batch,).
         """
         found = np.zeros(len(part), dtype=bool)
+        # Rings of parts with few neighbours are filled up with one more part, which is there.
         padded = np.concatenate([states, np.full((len(states), 1), INSTALLED, dtype=states.dtype)], axis=1)
         row, place = np.nonzero(np.take_along_axis(padded, self._ring[part], axis=1) == REMOVED)
         missing = self._ring[part[row], place]

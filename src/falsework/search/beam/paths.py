@@ -290,8 +290,11 @@ class BeamPaths:
             self._histories.forget(lambda at: at[0] > level)
 
     def built(self) -> tuple[States, Presses] | None:
-        """Return the path to the first state of the last level, see `PathHistories.built`."""
-        return None if self._histories is None else self._histories.built((len(self._levels) - 1, 0))
+        """Return what all paths to the last level have in common, see `PathHistories.built`."""
+        number, rows = len(self._levels) - 1, np.arange(len(self._levels[-1].parent))
+        while number and len(rows) > 1:
+            number, rows = number - 1, np.unique(self._levels[number].parent[rows])
+        return None if self._histories is None else self._histories.built((number, int(rows[0])))
 
     def summary(self) -> PlanReplay | None:
         """Return the replay of the path to the first state of the last level; None where it does not come to rest."""

@@ -43,7 +43,7 @@ class BeamSettings:
     commit: bool = False
     """With `lookahead`: drop states that keep more robots busy than the `width` states found stable."""
     number: int = 0
-    """Draws random numbers, together with the seed."""
+    """Draws random numbers, together with the seed; of dead ends so far."""
     seed: int = 0
     """Same seed, same machine, same result."""
     history_bytes: int = MEMORY
