@@ -152,7 +152,8 @@ LARGE = (
     _searched("vault:parts=1000", "vault of 989 parts", 2),
     _searched("vault:parts=4000", "vault of 3,998 parts", 2),
     _searched("pavilion-vault-387", "pavilion of 387 parts", 2),
-    _searched("armadillo-399", "Armadillo, a shell of 399 parts", 4),
+    _searched("armadillo-399-cra", "Armadillo, a shell of 399 parts, friction 0.84", 4),
+    _searched("armadillo-399", "Armadillo, friction 0.55", 4),
 )
 
 
