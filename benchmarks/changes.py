@@ -55,7 +55,7 @@ def random_changes(count: int, rng: np.random.Generator) -> list[Change]:
     extremes = variations(MANY)
     found = []
     for number in range(count):
-        ratio = _between(rng, [change.ratio for change in extremes])
+        ratio = _between(rng, [change.ratio for change in extremes if change.ratio is not None])
         factor = _between(rng, [change.hold_factor for change in extremes])
         increments = round(_between(rng, [change.replay.increments for change in extremes]))
         first_step = _between(rng, [change.replay.first_step for change in extremes])

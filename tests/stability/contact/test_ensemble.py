@@ -154,7 +154,7 @@ def test_changes_have_every_pair_of_extremes() -> None:
     changes = variations(MANY)
     assert len(set(changes)) == len({change.name for change in changes}) == MANY
 
-    def extremes(change: Change) -> tuple[float, ...]:
+    def extremes(change: Change) -> tuple[float | None, ...]:
         return change.ratio, change.replay.increments, change.replay.first_step, change.hold_factor
 
     assert len({extremes(change) for change in changes}) == 16
