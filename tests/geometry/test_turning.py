@@ -33,7 +33,8 @@ def mirrored(mesh: TriangleMesh) -> TriangleMesh:
     return TriangleMesh.from_arrays(mesh.name, mesh.vertices * (-1, 1, 1), mesh.faces[:, ::-1])
 
 
-@pytest.mark.parametrize(("leaves", "left_handed"), [("bolt", False), ("plate", True)])
+@pytest.mark.parametrize("leaves", ["bolt", "plate"])
+@pytest.mark.parametrize("left_handed", [False, True])
 def test_threads_of_either_hand_screw_apart(leaves: str, left_handed: bool) -> None:
     """The bolt out of its plate, or the plate, as a nut, down from the bolt."""
     meshes = [mirrored(mesh) if left_handed else mesh for mesh in bolt().meshes]

@@ -51,7 +51,7 @@ def write_view(plan: RobotPlan, placed: PlacedParts, write: Write) -> None:
     names = all_joint_names(plan)
     markers = _arm_markers(plan, placed.cell)
     shown, moved = set[int](), set[int]()
-    for now in np.arange(0.0, plan.makespan + 2.0 / RATE, 1.0 / RATE).tolist():  # up to a sample that shows the end
+    for now in np.arange(0.0, plan.makespan + 2.0 / RATE, 1.0 / RATE).tolist():  # the last sample shows the end
         values, frames, loads = [], list[tuple[str, Array]](), dict[int, Array]()
         for arm in activities_at(plan, starts, now):
             configuration = arm.at(np.array([now]))[0]

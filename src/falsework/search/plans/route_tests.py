@@ -73,7 +73,7 @@ class RouteTests:
         The same holds for the true friction. A state that tips is excluded.
         """
         variations = self._acceptance.variations
-        if variations is None or (built := search.built()) is None:
+        if variations is None or (built := search.built()) is None or len(built[0]) < 2:
             return
         (states, presses), known = built, self.changes
         row = variations.falls_at(states, presses)
@@ -81,10 +81,11 @@ class RouteTests:
             row = self._acceptance.fails_at(states, presses)
         if row is None:
             return
+        state = states[max(row, 1)]  # every path begins with the first
         if self.changes != known:
-            search.go_back(states[row])
+            search.go_back(state)
         else:
-            self._exclude(states[row])
+            self._exclude(state)
             search.forbid(self.forbidden)
 
     def passes(self, route: Route, known: PlanReplay | None = None, stop: Stop | None = None) -> bool:

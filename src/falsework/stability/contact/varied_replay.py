@@ -36,8 +36,9 @@ _INCREMENTS = 1, 16
 _FIRST_STEPS = ReplaySettings.first_step / 30, ReplaySettings.first_step * 30
 _HOLD_FACTORS = 1 / 3, 3.0
 
-
-TRUE_FRICTION = Change("true friction", None, 1.0, None, ReplaySettings(keeps_track=False), reserve=1.0)
+TRUE_FRICTION = Change(
+    "true friction", ratio=None, hold_factor=1.0, press=None, replay=ReplaySettings(keeps_track=False), reserve=1.0
+)
 """Settings without the reserve, of whose replays no certificates are made."""
 
 
@@ -315,14 +316,14 @@ class AllVariations:
             if fallen:
                 row, change = min(fallen, key=itemgetter(0))
                 first = self._changes.index(change) // FEW * FEW
-                self._replayer.also_under((*known, *self._changes[first : first + FEW]))
+                self.add(*self._changes[first : first + FEW])
                 return row
         return None
 
-    def add(self, change: Change) -> None:
-        """Have steps tried under one more change, if they are not yet."""
-        if change not in self._replayer.changes:
-            self._replayer.also_under((*self._replayer.changes, change))
+    def add(self, *changes: Change) -> None:
+        """Have steps tried under more changes."""
+        known = self._replayer.changes
+        self._replayer.also_under((*known, *(change for change in changes if change not in known)))
 
     def learn(self, names: Collection[str]) -> None:
         """Have steps tried under the changes of some names."""
