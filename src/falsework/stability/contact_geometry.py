@@ -52,6 +52,12 @@ class ContactGeometry(NamedTuple):
         batch = len(forces)
         return np.ascontiguousarray((self.wrench @ forces.reshape(batch, -1).T).T).reshape(batch, -1, 6)
 
+    def points_on(self, parts: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the contact points of some parts, ascending."""
+        some = np.zeros(len(self.gyration), dtype=bool)
+        some[parts] = True
+        return np.flatnonzero(some[self.part_a] | some[self.part_b])
+
     def wrenches_on(self, parts: NDArray[np.int64], forces: Array) -> Array:
         """Return the wrenches on some parts of forces at every contact point, shapes (some, 6) and (points, 3)."""
         # By hand: taking rows of a sparse array takes ten times as long as the product itself.
@@ -74,8 +80,8 @@ class ContactGeometry(NamedTuple):
             motion: as of `relative`.
         """
         values = self.motion.data.reshape(-1, 3, 12)[points]  # six of either part
-        columns = self.motion.indices.reshape(-1, 3, 12)[points]
-        return np.asarray((values * motion.reshape(len(motion), -1)[:, columns]).sum(axis=-1))
+        ends = np.concatenate([motion[:, self.part_a[points]], motion[:, self.part_b[points]]], axis=2)
+        return np.asarray((values @ ends.transpose(1, 2, 0)).transpose(2, 0, 1))
 
     def present(self, states: States) -> NDArray[np.bool_]:
         """Return the contact points with both parts present, shape (..., points)."""

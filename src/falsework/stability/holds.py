@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
+from itertools import accumulate
 from typing import Annotated, Any
 
 import numpy as np
@@ -210,7 +211,7 @@ def pack_presses(presses: Sequence[Sequence[Press]]) -> tuple[NDArray[np.int32],
         First entry of each state and one past the last, shape (states + 1,); parts, shape (presses,); wrenches, shape
         (presses, 6).
     """
-    start = np.cumsum([0, *map(len, presses)]).astype(np.int32)
+    start = np.array([0, *accumulate(map(len, presses))], dtype=np.int32)
     flat = [press for some in presses for press in some]
     parts = np.array([press.part for press in flat], dtype=np.int32)
     return start, parts, np.array([press.wrench for press in flat], dtype=np.float64).reshape(-1, 6)

@@ -98,7 +98,9 @@ class BuildVerifier:
         held = np.flatnonzero((state == HELD) & ~assembly.immovable)
         taken = held[before[held] != HELD]  # it came with its robot, or its robot takes it as it is
         if len(taken):
-            self._borne[taken] = -(law.geometry.wrenches_on(taken, law.forces(springs, strength)) + self._loads[taken])
+            at, passed = law.geometry.points_on(taken), np.zeros_like(springs)
+            passed[at] = law.forces(springs[at], strength.take(at))
+            self._borne[taken] = -(law.geometry.wrenches_on(taken, passed) + self._loads[taken])
         points = law.points_of(steps, there)
         springs[points], forces[points], whole = law.follow(springs[points], steps, points, strength.take(points), torn)
         moved = np.where(((before != REMOVED) & (state != REMOVED))[:, None], self._moved, 0.0) + steps.sum(axis=0)

@@ -77,7 +77,8 @@ class History:
     torn: NDArray[np.bool_]
     """Contact points whose tensile strength was exceeded, shape (points,)."""
     age: NDArray[np.int32]
-    """Steps for which both parts of each contact point have been present, shape (points,)."""
+    """Steps for which both parts of each contact point have been present, shape (points,), or (0,) where no joint
+    sets."""
     moved: float = 0.0
     """Largest movement of a part since it was placed, m."""
     part: int = -1

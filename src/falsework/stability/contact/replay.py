@@ -230,8 +230,7 @@ class Replayer:
 
     def _set_shares(self, ages: NDArray[np.int32]) -> Array:
         """Return shares of the strength that contact points have reached, shape (states, points) or (states, 0)."""
-        joints = self.assembly.joints
-        return np.zeros((len(ages), 0)) if joints is None or not joints.setting else joints.set_share(ages)
+        return np.zeros(ages.shape) if self.assembly.joints is None else self.assembly.joints.set_share(ages)
 
     def _replay_all(self, batch: States, history: History | None, presses: Presses) -> Replay:
         """Replay checked states with given presses; an ensemble does so under all of its settings."""
@@ -272,12 +271,17 @@ class Replayer:
         return Replay(result, moved, part, residual, self._size, histories, tuple(one.presses for one in histories))
 
     def _ages(self, states: States, age: NDArray[np.int32] | None) -> NDArray[np.int32]:
-        """Return for how many steps both parts of each contact point have been present, shape (states, points).
+        """Return for how many steps both parts of each contact point have been present.
 
         Args:
             states: in assembly order, shape (states, parts).
             age: age in the first of them; without it, the joints present there have set.
+
+        Returns:
+            Shape (states, points), or (states, 0) where no joint sets.
         """
+        if self.assembly.joints is None or not self.assembly.joints.setting:
+            return np.zeros((len(states), 0), np.int32)
         there = self.problem.geometry.present(states)
         ages = np.zeros(there.shape, np.int32)
         ages[0] = SET if age is None else age

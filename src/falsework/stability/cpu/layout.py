@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -55,8 +56,9 @@ class KernelArrays(NamedTuple):
     cone: int
 
 
+@lru_cache(maxsize=2)
 def build_structure(problem: Problem) -> KernelArrays:
-    """Lay out a problem for the kernel and eliminate its pattern once."""
+    """Lay out a problem for the kernel and eliminate its pattern once; a replay under other settings shares it."""
     pattern = eliminate(problem)
     pair_of_point = np.repeat(np.arange(problem.pairs), np.diff(problem.pair_start))
     stiffness = np.zeros((problem.pairs, 6, 6))

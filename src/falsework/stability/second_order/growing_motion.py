@@ -107,12 +107,11 @@ class SecondOrder:
             closed, gripped, lean = waiting.pop()
             trials += 1
             law = self._law(springs, closed, gripped, around)
-            if _is_positive(self._matrix(law, lean, around, free) + _diagonal((turning + NEUTRAL * self._own)[free])):
+            if _is_positive(self._matrix(law, turning + NEUTRAL * self._own, lean, around, free)):
                 continue
             own = _diagonal(self._own[free])
             dragged = self._dragged(springs, gripped, around)
-            stiffness = self._matrix(law if dragged is None else law + dragged, lean, around, free)
-            stiffness = stiffness + _diagonal(turning[free])
+            stiffness = self._matrix(law if dragged is None else law + dragged, turning, lean, around, free)
             least = _lowest(stiffness, own, symmetric=dragged is None)
             if least is None:
                 continue
@@ -160,18 +159,39 @@ class SecondOrder:
         law[slips, 1:, 0] = (friction * springs.normal[0, at])[slips, None] * springs.pull[0, at][slips]
         return law
 
-    def _matrix(self, law: Array, lean: csr_array | None, at: NDArray[np.int64], free: Mask) -> csc_array:
-        """Return the stiffness of contact points in the motions of free parts.
+    def _matrix(self, law: Array, own: Array, lean: csr_array | None, at: NDArray[np.int64], free: Mask) -> csc_array:
+        """Return the stiffness of contact points, and another one of each part, in the motions of free parts.
 
         Args:
             law: in their frames, shape (points around, 3, 3).
+            own: of each part, shape (parts, 6, 6).
             lean: stiffness of normal forces that turn with a surface, of all parts.
             at: points of parts that can move, shape (points around,).
             free: shape (parts,).
         """
-        moving, columns = np.flatnonzero(np.repeat(free, 6)), self._columns[at]
-        whole = self._rows(self._motion[at], columns).T @ self._rows(law @ self._motion[at], columns)
-        return (whole if lean is None else whole + lean).tocsc()[:, moving][moving]
+        from scipy.sparse import bsr_array
+
+        count = int(free.sum())
+        place = np.where(free, np.cumsum(free) - 1, count)  # what does not move has a place too, the last
+        ends = place[[self._geometry.part_a[at], self._geometry.part_b[at]]].T
+        first = np.flatnonzero(np.append(True, (ends[1:] != ends[:-1]).any(axis=1)))  # points of a pair are in a row
+        motion = self._motion[at]
+        pairs = np.add.reduceat(motion.transpose(0, 2, 1) @ (law @ motion), first)
+        blocks = np.zeros((count + 1, 6, 6))
+        blocks[:count] = own[free]
+        one, other = ends[first].T
+        np.add.at(blocks, one, pairs[:, :6, :6])
+        np.add.at(blocks, other, pairs[:, 6:, 6:])
+        row, column = np.concatenate([np.arange(count), one, other]), np.concatenate([np.arange(count), other, one])
+        some = np.flatnonzero((row < count) & (column < count))
+        some = some[np.lexsort((column[some], row[some]))]
+        values = np.concatenate([blocks[:count], pairs[:, :6, 6:], pairs[:, 6:, :6]])[some]
+        start = np.searchsorted(row[some], np.arange(count + 1))
+        whole = bsr_array((values, column[some], start), shape=(6 * count, 6 * count)).tocsc()
+        if lean is None:
+            return whole
+        moving = np.flatnonzero(np.repeat(free, 6))
+        return whole + lean.tocsc()[:, moving][moving]
 
     def _rows(self, entries: Array, columns: NDArray[np.integer]) -> csr_array:
         """Return a matrix in the motions of all parts by its rows, shapes (..., entries of a row)."""

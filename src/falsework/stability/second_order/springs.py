@@ -82,12 +82,14 @@ def springs_at(
     """
     geometry, stiffness = geometry_of(assembly.contacts, assembly.mass), normal_stiffness(assembly, claim.gravity)
     strength = strength or strength_of(assembly, claim.gravity, claim.reserve)
+    acts = geometry.acts(states) & ~strength.idle
+    at = np.flatnonzero(acts.any(axis=0))
+    acts, springs, stiffness, strength = acts[:, at], springs[:, at], stiffness[at], strength.take(at)
     normal, tangent = springs[..., 0], springs[..., 1:]
     whole = ~strength.tears | (normal >= -TEARS * strength.pull)
     forces, outside = into_cone(springs, strength, claim.cone)
-    acts = geometry.acts(states) & ~strength.idle
     forces = np.where((acts & whole)[:, :, None], forces, 0.0)
-    lighter = np.minimum(assembly.mass.mass[geometry.part_a], assembly.mass.mass[geometry.part_b])
+    lighter = np.minimum(assembly.mass.mass[geometry.part_a[at]], assembly.mass.mass[geometry.part_b[at]])
     closed = acts & whole & (normal + strength.pull > claim.tolerance * claim.gravity * lighter)
     slips = closed & (outside >= -ROUNDING * np.linalg.norm(springs, axis=2))
     size, trial = np.linalg.norm(forces[..., 1:], axis=2), np.linalg.norm(tangent, axis=2)
@@ -98,7 +100,15 @@ def springs_at(
     across = np.where(slips, np.minimum(share, 1.0 - ROUNDING), 1.0)
     firm = np.maximum(stiffness, forces[..., 0] / (SETTLEMENT * _size(assembly)))
     gap = -normal / stiffness
-    return Springs(forces, firm, claim.stiffness_ratio * firm, closed, acts & ~closed, gap, pull, across)
+    of_acting = Springs(forces, firm, claim.stiffness_ratio * firm, closed, acts & ~closed, gap, pull, across)
+    return Springs(*(_spread(values, at, len(geometry.part_a)) for values in of_acting))
+
+
+def _spread(values: NDArray, at: NDArray[np.int64], points: int) -> NDArray:
+    """Return values at some contact points, shape (batch, some, ...), as those of all, zero at the others."""
+    every = np.zeros((len(values), points, *values.shape[2:]), values.dtype)
+    every[:, at] = values
+    return every
 
 
 def closing_points(assembly: Assembly, springs: Springs, motion: Array, relative: Array) -> NDArray[np.bool_]:
