@@ -28,7 +28,7 @@ _size = lru_cache(maxsize=4)(structure_size)
 
 
 class Springs(NamedTuple):
-    """Contact points as springs at a displacement: how they answer small further motions."""
+    """Contact points as springs at a displacement: how they answer small further motions; zero where none acts."""
 
     forces: Array
     """Contact forces `(n, t1, t2)` in N, shape (batch, points, 3)."""
