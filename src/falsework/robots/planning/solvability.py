@@ -278,10 +278,17 @@ class SolvabilityCheck:
         def stop() -> bool:
             return beam.counters.asked >= verdicts or self._stop()
 
-        for _ in range(MOST_FALLS):
+        def found() -> Sequence[Route]:
             if self._forbidden:
                 beam.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
-            routes = beam.run(widest, stop=stop).unless_interrupted(stop).routes
+            return beam.run(widest, stop=stop).unless_interrupted(stop).routes
+
+        return self._standing(found)
+
+    def _standing(self, found: Callable[[], Sequence[Route]]) -> Sequence[Route]:
+        """Return routes that are found; where the replay of the first falls its state is forbidden, and it goes on."""
+        for _ in range(MOST_FALLS):
+            routes = found()
             row = self.falls(routes[0]) if routes else None
             if row is None:
                 return routes
@@ -294,11 +301,11 @@ class SolvabilityCheck:
 
         After every action the structure is stable, or the next best one is taken; none leads to a forbidden state.
         """
-        score = self._score
-        if score is None or self.task.steps == 0:
+        if self._score is None or self.task.steps == 0:
             return None
-        rows = 1 if rng is None else _VARIED_WIDTH
-        for _ in range(MOST_FALLS):
+        score, ends, rows = self._score, stop, 1 if rng is None else _VARIED_WIDTH
+
+        def found() -> Sequence[Route]:
             rollouts = follow_scores(
                 [self.task],
                 np.repeat(self.task.start[None], rows, axis=0),
@@ -307,15 +314,11 @@ class SolvabilityCheck:
                 rng=rng,
                 stable=self._allowed,
                 next_best=True,
-                stop=None if stop is None else lambda _: stop(),
+                stop=None if ends is None else lambda _: ends(),
             )
-            route = next((Route.from_states(rollout.states) for rollout in rollouts if rollout.reached), None)
-            row = None if route is None else self.falls(route)
-            if route is None or row is None:
-                return route
-            if self.forbid(route, row) is None:
-                break
-        return None
+            return [Route.from_states(rollout.states) for rollout in rollouts if rollout.reached][:1]
+
+        return next(iter(self._standing(found)), None)
 
     def _allowed(self, _: NDArray[np.int64], states: States, parents: States) -> Mask:
         """Return which states are stable and not forbidden; a forbidden one costs no verdict."""
