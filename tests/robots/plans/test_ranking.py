@@ -45,7 +45,9 @@ def test_a_rollout_may_fail(arch_oracle: StabilityOracle) -> None:
     alone = SolvabilityCheck(ARCH, Task.from_rules(ARCH.boundary, 1), arch_oracle, score=removals)
     for rng in (None, np.random.default_rng(0)):
         assert alone.roll_out(rng) is None
-    assert SolvabilityCheck(ARCH, TASK, arch_oracle, score=removals).roll_out(None, lambda: True) is None
+    stopped = SolvabilityCheck(ARCH, TASK, arch_oracle, score=removals)
+    stopped.prepare(lambda: True)
+    assert stopped.roll_out(None) is None
 
 
 def test_rows_step_together(arch_oracle: StabilityOracle) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,11 @@ from scipy.spatial import ConvexHull
 from falsework.errors import CellError, InputError
 from falsework.geometry.arrays import apply
 from falsework.geometry.mesh.bounds import check_growth
-from falsework.geometry.mesh.mesh import TriangleMesh, triangle_normals
+from falsework.geometry.mesh.mesh import TriangleMesh, joined_faces, triangle_normals
 from falsework.robots.model.shapes import Array, cylinder
 
+Color = tuple[float, float, float]
+"""Red, green, blue from 0 to 1."""
 _MESHES = (".stl", ".obj", ".dae", ".ply", ".off", ".glb", ".gltf")
 """Formats of meshes: archives among those that the library reads unpack to any size."""
 
@@ -44,7 +46,8 @@ def shape_mesh(file: Path, link: str, entry: Any) -> TriangleMesh:
     elif shape.sphere is not None:
         made = hull_mesh(_ball(shape.sphere.radius))
     else:
-        made = _read_mesh(file, shape.mesh)
+        pieces = [piece for piece, _ in _read_mesh(file, shape.mesh)]
+        made = TriangleMesh.from_arrays("", *joined_faces([p.vertices for p in pieces], [p.faces for p in pieces]))
     return replace(made, name=link, vertices=apply(pose, made.vertices))
 
 
@@ -66,50 +69,40 @@ def hull_mesh(points: Array) -> TriangleMesh:
     return TriangleMesh.from_arrays("", points, faces)
 
 
-def _read_mesh(file: Path, mesh: Any) -> TriangleMesh:
-    import trimesh
-
-    found, scale = _mesh_file(file, mesh)
-    try:
-        scene: Any = trimesh.load(found, force="scene")
-        _check_size(found, scene)
-        loaded: Any = trimesh.load(found, force="mesh")
-        points, faces = np.asarray(loaded.vertices, float), np.asarray(loaded.faces)
-        if len(points) < 4:
-            raise InputError("too few vertices")
-    except Exception as error:
-        raise CellError(f"{file}: mesh {found.name} cannot be read: {' '.join(str(error).split())}") from error
-    return _scaled(found, points, faces, scale)
-
-
-def colored_meshes(file: Path, link: str, entry: Any) -> list[tuple[TriangleMesh, tuple[float, float, float] | None]]:
+def colored_meshes(file: Path, link: str, entry: Any) -> list[tuple[TriangleMesh, Color | None]]:
     """Return the pieces of a visual shape in the frame of its link, and the colour that its mesh file has for each."""
     if entry.geometry.mesh is None:
         return [(shape_mesh(file, link, entry), None)]
+    pose = np.eye(4) if entry.origin is None else np.asarray(entry.origin, float)
+    pieces = _read_mesh(file, entry.geometry.mesh, _own_color)
+    return [(replace(mesh, name=link, vertices=apply(pose, mesh.vertices)), color) for mesh, color in pieces]
+
+
+def _read_mesh(
+    file: Path, mesh: Any, color_of: Callable[[Any], Color | None] = lambda _: None
+) -> list[tuple[TriangleMesh, Color | None]]:
+    """Return the pieces of a mesh file, each with a colour after its looks; CellError if it cannot be read."""
     import trimesh
 
-    found, scale = _mesh_file(file, entry.geometry.mesh)
-    pose = np.eye(4) if entry.origin is None else np.asarray(entry.origin, float)
-    made: list[tuple[TriangleMesh, tuple[float, float, float] | None]] = []
+    found, scale = _mesh_file(file, mesh)
+    made: list[tuple[TriangleMesh, Color | None]] = []
     try:
         scene: Any = trimesh.load(found, force="scene")
-        _check_size(found, scene)
-        for node in scene.graph.nodes_geometry:
-            at, name = scene.graph[node]
-            shape = scene.geometry[name]
-            if len(getattr(shape, "faces", ())) == 0:
-                continue
-            points = apply(np.asarray(at, float), np.asarray(shape.vertices, float))
-            whole = _scaled(found, points, np.asarray(shape.faces), scale)
-            made.append((replace(whole, name=link, vertices=apply(pose, whole.vertices)), _own_color(shape.visual)))
-        if not made:
-            raise InputError("it has no triangles")
+        nodes = [scene.graph[node] for node in scene.graph.nodes_geometry]
+        shapes = [(at, scene.geometry[name]) for at, name in nodes]
+        check_growth(found, sum(len(shape.vertices) + len(getattr(shape, "faces", ())) for _, shape in shapes))
+        for at, shape in shapes:
+            if len(getattr(shape, "faces", ())):
+                points = apply(np.asarray(at, float), np.asarray(shape.vertices, float))
+                made.append((_scaled(found, points, np.asarray(shape.faces), scale), color_of(shape.visual)))
+        if sum(len(piece.vertices) for piece, _ in made) < 4:
+            raise InputError("too few vertices")
     except Exception as error:
         raise CellError(f"{file}: mesh {found.name} cannot be read: {' '.join(str(error).split())}") from error
     return made
 
 
-def _own_color(visual: Any) -> tuple[float, float, float] | None:
+def _own_color(visual: Any) -> Color | None:
     """Return the colour of a shape of a mesh file; None where the file has none."""
     if visual is None or visual.kind is None:
         return None
@@ -128,11 +121,6 @@ def _mesh_file(file: Path, mesh: Any) -> tuple[Path, Array]:
     if found.suffix.lower() not in _MESHES:
         raise CellError(f"{file}: mesh {mesh.filename} is no {', '.join(_MESHES)}; convert it to one of these")
     return found, scale
-
-
-def _check_size(found: Path, scene: Any) -> None:
-    shapes = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
-    check_growth(found, sum(len(shape.vertices) + len(getattr(shape, "faces", ())) for shape in shapes))
 
 
 def _scaled(found: Path, points: Array, faces: NDArray[Any], scale: Array) -> TriangleMesh:

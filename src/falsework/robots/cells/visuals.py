@@ -15,14 +15,12 @@ from falsework.errors import CellError
 from falsework.geometry.arrays import apply
 from falsework.geometry.mesh.mesh import TriangleMesh, joined_faces
 from falsework.robots.cells.urdf import carrier_of, parse_urdf
-from falsework.robots.cells.urdf_meshes import colored_meshes, hull_mesh
+from falsework.robots.cells.urdf_meshes import Color, colored_meshes, hull_mesh
 from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.kinematics.forward import link_poses
 from falsework.robots.model.cell import CellRobot
 from falsework.robots.model.robot_model import RobotModel
 from falsework.robots.model.shapes import Array, Pieces
-
-Color = tuple[float, float, float]
 
 MOST_TRIANGLES = 12_000
 """Triangles of a visual mesh above which it is thinned out: pages send it to every browser."""

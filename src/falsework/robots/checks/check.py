@@ -29,7 +29,7 @@ from falsework.robots.plans.loads import load_of, loads_at, moved_aside, step_fa
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_forces import GripLoad, grip_loads, overloads, press_fault
 from falsework.robots.plans.robot_plan import RobotPlan
-from falsework.robots.plans.trajectory import OUTSIDE, check_limits
+from falsework.robots.plans.trajectory import JOINS, OUTSIDE, check_limits
 from falsework.search.plans.plan_report import PlanReport
 from falsework.search.problem.task import Direction
 from falsework.utils.quantity import counted, format_number
@@ -40,8 +40,6 @@ Progress = Callable[[int, int], None]
 _OVERLAP = 0.001
 """Allowed overlap of a part with its neighbours as it leaves or reaches its place, metres; where the structure's
 own meshes overlap by more at that place, this is doubled until they do not."""
-_SAME_JOINT = 1e-5
-"""Joint values that differ by no more are equal, rad or m."""
 _MAX_PROBLEMS = 20
 """Number of problems after which the check stops."""
 
@@ -234,7 +232,7 @@ class _Checker:
     def _joins(self, index: int, robot: int, here: Array, there: Array) -> None:
         far = float(np.abs(here - there).max())
         self.largest_join = max(self.largest_join, far)
-        if far > _SAME_JOINT:
+        if far > JOINS:
             self.say(index, robot, f"it jumps by {format_number(far, 4)} rad between two motions")
 
     def _collisions(self, index: int, order: int, robot: int, present: NDArray[np.bool_]) -> None:

@@ -33,14 +33,12 @@ from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.reachable_positions import ReachablePositions
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import Segment
-from falsework.robots.plans.trajectory import Trajectory
+from falsework.robots.plans.trajectory import JOINS, Trajectory
 
 NEAREST = 2e-4
 """Distance above which bodies can be proven to keep apart, metres."""
 _STEP = 0.01
 """Largest joint step between two samples of a motion, rad or m; ranges are halved between samples too."""
-_STILL = 1e-5
-"""Joint values that differ by no more are those of one rest, rad or m."""
 _ACCURACY = 1e-5
 """Bound on the error of a distance, metres; the tolerance of Coal's GJK is 1e-6."""
 
@@ -296,7 +294,7 @@ class _DelayChecker:
         on_way = [plan.steps[step].of(moving.robot)[order] for order in place_lines(plan, step, moving.robot)]
         still = [plan.keyframes[k].configurations[resting.robot] - resting.rest for k in frames]
         there = all(plan.aside(k).get(resting.robot) == load.part for k in frames)
-        return there and float(np.abs(still).max()) <= _STILL and any(moving.trajectory is leg for leg in on_way)
+        return there and float(np.abs(still).max()) <= JOINS and any(moving.trajectory is leg for leg in on_way)
 
     def structure(self, segment: Segment) -> None:
         """Check a motion against parts that it was not planned with."""

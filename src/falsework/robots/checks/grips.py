@@ -23,7 +23,6 @@ class GripChecker:
 
     def __init__(self, cell: Cell, judge: PinocchioCollisionChecker) -> None:
         self.cell, self.judge = cell, judge
-        self._known: dict[tuple[int, int, bytes, bytes], str] = {}
 
     def tool(self, robot: int, configuration: Array) -> Array:
         """Return the pose of a tool frame in the world, shape (4, 4)."""
@@ -31,12 +30,6 @@ class GripChecker:
 
     def fault(self, robot: int, configuration: Array, part: int, pose: Array | None = None) -> str:
         """Return why a robot does not grip a part that is at its place, or displaced by a pose; empty if it does."""
-        key = (robot, part, configuration.tobytes(), b"" if pose is None else pose.tobytes())
-        if key not in self._known:
-            self._known[key] = self._fault(robot, configuration, part, pose)
-        return self._known[key]
-
-    def _fault(self, robot: int, configuration: Array, part: int, pose: Array | None) -> str:
         name, gripper = self.judge.parts.names[part], self.cell.robots[robot].gripper
         far = self.judge.grip_distance(robot, configuration, part, pose)
         if far > gripper.grip_distance:

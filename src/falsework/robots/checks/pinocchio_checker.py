@@ -45,22 +45,18 @@ class CollisionBody:
     """Parts in place that it is not checked against."""
 
 
-@dataclass(frozen=True, eq=False)
 class PreparedQuery:
     """Prepared collision check: one robot moves, everything else is fixed."""
 
-    model: Any
-    data: Any
-    geometry: Any
-    found: Any
-    """Pinocchio's data; the collision manager points into it, so it must outlive the manager."""
-    manager: Any
-    names: tuple[str, ...]
-    values: Array
-    """Joint values of all robots; those of the moving one are filled in for each sample."""
-    slots: Sequence[slice]
-    """Places of the joint values of each robot."""
-    robot: int
+    def __init__(
+        self, checker: PinocchioCollisionChecker, robot: int, geometry: Any, names: Sequence[str], values: Array
+    ) -> None:
+        """Take the joint values of all robots; those of the moving one are filled in for each sample."""
+        self.robot, self.geometry, self.names, self.values = robot, geometry, names, values
+        pinocchio, self.model, self.slots = import_pinocchio()[0], checker.model, checker.slots
+        self.data, self.found = self.model.createData(), pinocchio.GeometryData(geometry)
+        # It points into what was found, which must outlive it.
+        self.manager = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.model, geometry, self.found)
 
     def hits(self, configuration: Array, others: Mapping[int, Array] | None = None) -> tuple[str, str] | None:
         """Return the names of the first two bodies that collide at joint values of the moving robot, or None.
@@ -178,11 +174,7 @@ class PinocchioCollisionChecker:
                     continue
                 geometry.addCollisionPair(self._pin.CollisionPair(a, b))
         values = np.concatenate([np.asarray(entry, float) for entry in configurations])
-        data = self.model.createData()
-        found = self._pin.GeometryData(geometry)
-        manager = self._pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.model, geometry, found)
-        names = tuple(body.name for body in bodies)
-        return PreparedQuery(self.model, data, geometry, found, manager, names, values, self.slots, robot)
+        return PreparedQuery(self, robot, geometry, [body.name for body in bodies], values)
 
     def obstructs(self, load: Load, present: NDArray[np.bool_]) -> str | None:
         """Return the name of a fixed body that a part put down collides with, the floor aside; None if it lies free."""

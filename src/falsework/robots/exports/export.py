@@ -14,7 +14,7 @@ from falsework.assembly.model import Assembly
 from falsework.errors import InputError, PlanError
 from falsework.robots.cells.cell_file import AnyCell, as_cell
 from falsework.robots.exports.bag_view import PlacedParts
-from falsework.robots.exports.controller import MAKERS, check_makers, controller_settings, program_notes
+from falsework.robots.exports.controller import MAKERS, Language, check_makers, controller_settings, program_notes
 from falsework.robots.exports.mcap_bag import write_bag
 from falsework.robots.exports.payloads import PartLoads, part_loads
 from falsework.robots.exports.programs import rapid_modules, ur_scripts
@@ -104,7 +104,7 @@ def export_plan(
         if fault := _limit_fault(plan, cell):
             raise PlanError(f"the robot plan cannot be exported for {cell.name}: {fault}; plan again")
     presses = _presses(plan, structure, cell, form)
-    language = next((language for language in MAKERS if language == form), None)
+    language = _language(form)
     if language is not None:
         if cell is None:
             raise PlanError(f"{form} programs have the loads and signals of a cell; give the cell of the plan")
@@ -172,14 +172,18 @@ def export_losses(plan: RobotPlan, form: str) -> list[str]:
 
 def export_notes(plan: RobotPlan, form: str, cell: Cell) -> list[str]:
     """Return what an export does not keep, or takes for granted, each in one line."""
-    language = next((language for language in MAKERS if language == form), None)
-    notes = export_losses(plan, form)
+    language, notes = _language(form), export_losses(plan, form)
     if language is not None:
         notes += program_notes(cell, language)
         for number, robot in enumerate(cell.robots):
             set_up = "; ".join(controller_settings(plan, cell, number, language))
             notes.append(f"set up the controller of {robot.name}: {set_up}")
     return notes
+
+
+def _language(form: str) -> Language | None:
+    """Return the language of a format of programs; None for another format."""
+    return next((language for language in MAKERS if language == form), None)
 
 
 def _needed(cell: AnyCell | None) -> Cell:

@@ -30,7 +30,7 @@ from falsework.robots.exports.ros2 import NANO, all_joint_names, duration, joint
 from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.shapes import inverse_pose
 from falsework.robots.plans.loads import Load, load_of, loads_at, moved_aside
-from falsework.robots.plans.robot_forces import TimedPress, flange_of
+from falsework.robots.plans.robot_forces import TimedPress
 from falsework.robots.plans.robot_plan import RobotPlan, RobotStep
 from falsework.robots.plans.temporal_graph import MotionNode
 from falsework.robots.plans.timeline import schedule_of
@@ -159,7 +159,8 @@ def write_bag(
             given = (load, placed) if grip == "close" else (None, None)  # a part that waits is taken or let go of
             scene(now, attached=_attached(plan, node.robot, load.part, now, *given))
     for press in presses:
-        name, wrench = plan.robots[press.robot].name, press.wrench_in(flange_of(press, plan))
+        record = plan.robots[press.robot]
+        name, wrench = record.name, press.wrench_in(press.tool @ inverse_pose(record.tool))
         for moment, values in ((press.start, wrench), (press.end, np.zeros(6))):
             force, torque = (dict(zip("xyz", part, strict=True)) for part in values.reshape(2, 3).tolist())
             message = {"header": _header(f"{name}_tool0", moment), "wrench": {"force": force, "torque": torque}}

@@ -282,19 +282,15 @@ def _free_approaches(bodies: Sequence[Pieces], gripper: Gripper, margin: float) 
     query = make_query(chain, moving, obstacles, rules)
     back = np.linalg.inv(gripper.tool)
 
-    def clear(poses: Array, approach: Array, distance: float) -> NDArray[np.bool_]:
-        at = poses[:, :3, 3] - distance * approach
-        hits = np.empty(len(poses), np.int64)
-        check_many(np.hstack([at, _turns(poses[:, :3, :3])]), query, hits)
-        return hits == CLEAR
-
     def test(grasps: Sequence[Grasp]) -> NDArray[np.bool_]:
         poses = np.array([grasp.tool for grasp in grasps]) @ back
         approach = np.array([grasp.approach for grasp in grasps])
-        good = np.ones(len(grasps), bool)
+        turns, left = _turns(poses[:, :3, :3]), np.arange(len(grasps))
         for distance in np.linspace(0.0, APPROACH_LENGTH, APPROACH_SAMPLES):
-            good[good] = clear(poses[good], approach[good], distance)
-        return good
+            hits = np.empty(len(left), np.int64)
+            check_many(np.hstack([(poses[:, :3, 3] - distance * approach)[left], turns[left]]), query, hits)
+            left = left[hits == CLEAR]
+        return np.isin(np.arange(len(grasps)), left)
 
     return test
 

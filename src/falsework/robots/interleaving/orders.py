@@ -236,11 +236,8 @@ class NextSteps:
         self.parts = self.graph.assembly.part_count
         self._replacements: dict[tuple[int, int], Unit | None] = {(unit.job, unit.robot): unit for unit in units}
         self._approaches: dict[tuple[Unit | None, Unit], list[Leg]] = {}
-        self._moves: dict[tuple[Unit | None, Unit], bool] = {}
-        """Whether the arm has a way to go from the end of a unit to the first line of another one."""
         self._refused: set[tuple[Unit, int, bytes]] = set()
         self._stable: dict[bytes, bool] = {}
-        self._rules: dict[tuple[bytes, Edge], bool] = {}
 
     def add_approach(self, last: Unit | None, unit: Unit) -> None:
         """Note that the first motion of a unit begins where another one ended."""
@@ -303,11 +300,8 @@ class NextSteps:
             goal = edge.segments[0].path[-1]
             lines = [variants for variants in groups if variants[0].segment.kind == "line"]
             groups = lines
-            way = partial.last[unit.robot], unit
-            if way not in self._moves:
-                self._moves[way] = bool(np.abs(goal - node.configurations[unit.robot]).max() > STANDSTILL)
-            if self._moves[way]:
-                groups = [self._approaches.setdefault(way, []), *lines]
+            if np.abs(goal - node.configurations[unit.robot]).max() > STANDSTILL:
+                groups = [self._approaches.setdefault((partial.last[unit.robot], unit), []), *lines]
         found = []
         for variants in groups:
             leg = next((leg for leg in variants if self._is_free(partial, unit, leg)), None)
@@ -325,13 +319,10 @@ class NextSteps:
 
     def _allowed(self, partial: Partial, edge: Edge) -> bool:
         """Return whether the rules allow an action, and nothing blocks the line on which a part is withdrawn."""
-        key, action, state = (partial.key, edge), edge.action, partial.node.state
-        if key not in self._rules:
-            releases = action < self.parts and state[action] == HELD
-            legal = releases or action in self.legal(state)
-            stays = action < self.parts
-            self._rules[key] = legal and (stays or self.graph.exits.allows(action - self.parts, state, edge.way))
-        return self._rules[key]
+        action, state = edge.action, partial.node.state
+        if action >= self.parts:
+            return action in self.legal(state) and self.graph.exits.allows(action - self.parts, state, edge.way)
+        return state[action] == HELD or action in self.legal(state)
 
     def _is_free(self, partial: Partial, unit: Unit, leg: Leg) -> bool:
         """Return whether a motion keeps clear of other robots at rest and of parts that it was not planned around."""

@@ -24,9 +24,8 @@ from falsework.robots.keyframes.joint_holds import JointHolds
 from falsework.robots.keyframes.joint_removals import JointRemovals
 from falsework.robots.keyframes.keyframes import DeadEnds, Edge, Node, PathSegment, accept_all, removed_by
 from falsework.robots.keyframes.putting_down import PuttingDown
-from falsework.robots.keyframes.reaching import Reaching
 from falsework.robots.keyframes.ways_in_turn import WaysInTurn
-from falsework.robots.keyframes.withdrawal import Withdrawal
+from falsework.robots.keyframes.withdrawal import Reaching, Withdrawal
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes, place_parts
 from falsework.robots.model.shapes import Array
@@ -130,11 +129,6 @@ class KeyframeGraph:
                         del left[robot, side]
                         yield edge
                         break
-
-    def leave(self, node: Node) -> Iterator[Edge]:
-        """Yield edges on which the first of two robots that hold a part leaves it to the other."""
-        assert node.handed is not None
-        return self._release(node, node.handed)
 
     def grips(self, robot: int, part: int, state: States) -> list[GraspConfiguration]:
         """Return all grasps of a part by a robot among the parts of a state; other robots are ignored."""

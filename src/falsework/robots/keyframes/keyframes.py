@@ -171,9 +171,8 @@ class Node:
             giver = self.holder(action)
             held[robot] = action if held[robot] is None else None
             given = (action, _grip(giver, self.configurations[giver]))
-            return Node(
-                self.state, tuple(configurations), tuple(held), self.changed | {given}, self.carried, self.waits
-            )
+            changed = self.changed | {given}
+            return replace(self, configurations=tuple(configurations), held=tuple(held), changed=changed)
         part, state = action % len(self.state), state_after(self.state, action)
         held[robot] = part if state[part] == HELD else None
         changed: frozenset[tuple[int, bytes]] = frozenset()

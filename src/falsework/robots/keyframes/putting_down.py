@@ -15,11 +15,11 @@ from falsework.robots.grasping.grasp import Grasp
 from falsework.robots.kernels.collision import distance_between
 from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
 from falsework.robots.keyframes.keyframes import PathSegment
-from falsework.robots.keyframes.reaching import Reaching
-from falsework.robots.keyframes.withdrawal import lifted
+from falsework.robots.keyframes.withdrawal import Reaching, lifted
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.kinematics.inverse import inverse
 from falsework.robots.model.shapes import Array, inverse_pose, least_turn, move_pieces
+from falsework.robots.model.shapes import pose as upright
 from falsework.robots.motion.collision_world import PUT_DOWN, Scene, grasp_contact
 
 _MOST_FACES = 6
@@ -196,9 +196,8 @@ class PuttingDown:
             np.argsort(pairs @ (1 / len(spots), 1 / max(len(turns), 1)), kind="stable")
         ].tolist():
             turn, yaw = turns[which]
-            cos, sin = np.cos(yaw), np.sin(yaw)
-            pose = np.eye(4)
-            pose[:3, :3] = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]) @ turn
+            pose = np.array(upright(yaw=yaw))
+            pose[:3, :3] = pose[:3, :3] @ turn
             pose[:2, 3] = spots[number] - (pose[:3, :3] @ center)[:2]
             pose[2, 3] = self.cell.floor - (self.parts.meshes[part].vertices @ pose[2, :3]).min()
             if self._is_free(part, pose, fixed):

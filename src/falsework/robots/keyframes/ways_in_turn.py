@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 
 import numpy as np
 
@@ -14,8 +15,7 @@ from falsework.geometry.paths.waiting import hands_free, lets_go
 from falsework.robots.keyframes.grasp_configurations import GraspConfigurations
 from falsework.robots.keyframes.joint_removals import CommonMotions, JointRemovals, Paths
 from falsework.robots.keyframes.keyframes import CarriedLoad, Edge, Node, PathSegment
-from falsework.robots.keyframes.reaching import Reaching
-from falsework.robots.keyframes.withdrawal import told
+from falsework.robots.keyframes.withdrawal import Reaching, told
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import Array, inverse_pose
 from falsework.robots.motion.collision_world import Contact, Scene, grasp_contact, withdrawal_contact
@@ -80,10 +80,7 @@ class WaysInTurn:
         """Yield the first edges of chains in which the parts of the last move leave; nodes name what follows."""
         robots, immovable = self._joint.cell.robot_count, self._grips.assembly.immovable
         course = _Course(way, node.state, hands_free(node.state, way[-1].parts, robots, immovable))
-        for number, chain in enumerate(self._chains(course, node, 0, [])):
-            yield _linked(chain)
-            if number + 1 == _MOST_CHAINS:
-                return
+        yield from map(_linked, islice(self._chains(course, node, 0, []), _MOST_CHAINS))
 
     def _chains(self, course: _Course, node: Node, number: int, paths: list[Paths]) -> Iterator[list[Edge]]:
         """Yield the edges from a move on; the paths are those of the moves before."""

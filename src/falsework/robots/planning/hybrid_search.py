@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -230,15 +231,18 @@ class HybridSearch:
         return int(np.searchsorted(np.cumsum([0, *acts]), first))
 
     def options(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
-        """Yield edges out of a keyframe in order of trial."""
+        """Yield edges out of a keyframe in order of trial, without those that lead to dead ends."""
+        return (edge for edge in self._edges(node, rng) if edge.node not in self.dead)
+
+    def _edges(self, node: Node, rng: np.random.Generator) -> Iterator[Edge]:
         if node.following:
-            yield from (edge for edge in node.following[:1] if edge.node not in self.dead)
+            yield node.following[0]
             return
-        if node.handed is not None:
-            yield from (edge for edge in self.graph.leave(node) if edge.node not in self.dead)
+        if node.handed is not None:  # the robot that held the part first leaves it to the other
+            yield from self.graph.edges(node, node.handed)
             return
         if node.carried:  # after parts that left at the same instant
-            yield from (edge for edge in self.graph.joint_removals.deliveries(node) if edge.node not in self.dead)
+            yield from self.graph.joint_removals.deliveries(node)
             return
         tried, verdicts, probes, worked = 0, 0, _SOLVABILITY_CHECKS * (1 + self.attempt), False
         for action in self.ranking.actions(node, self.attempt, rng):
@@ -258,12 +262,9 @@ class HybridSearch:
             self.counts["actions"] += 1
             found = 0
             self.graph.reasons.recent.clear()
-            for edge in self.graph.edges(node, action):
+            for edge in islice(self.graph.edges(node, action), _EDGES_PER_ACTION):
                 found += 1
-                if edge.node not in self.dead:
-                    yield edge
-                if found == _EDGES_PER_ACTION:
-                    break
+                yield edge
             worked |= found > 0
             if not found:
                 self.counts["rejected"] += 1
@@ -277,10 +278,10 @@ class HybridSearch:
                 return
             if node.can_release(part) and self.solvability.solvable(node.state, part):
                 self.counts["releases"] += 1
-                yield from (edge for edge in self.graph.edges(node, part) if edge.node not in self.dead)
+                yield from self.graph.edges(node, part)
             else:  # where the structure would not stand, another robot holds the part before this one leaves it
                 self.counts["hand_overs"] += 1
-                yield from (edge for edge in self.graph.take_over(node, part) if edge.node not in self.dead)
+                yield from self.graph.take_over(node, part)
 
     def _done(self, chain: Sequence[Edge]) -> int:
         """Return the steps of disassembly that a chain has done; a release takes one back."""

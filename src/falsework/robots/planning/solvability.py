@@ -142,10 +142,8 @@ class SolvabilityCheck:
         score: ActionScore | None = None,
         seed: int = 0,
         joint: JointHolds | None = None,
-        varied_verdicts: int = _VARIED_VERDICTS,
     ) -> None:
         """Know only the target to be solvable; by default the guide lets parts with much support go in first."""
-        self._varied_verdicts = varied_verdicts
         self.joint = joint
         self.oracle = oracle if joint is None else HoldingOracle(oracle, joint)
         self._acceptance = Acceptance(oracle.replayer)
@@ -173,7 +171,7 @@ class SolvabilityCheck:
         self._stop = stop or self._stop  # what is searched later ends with it too
         settings = PlannerSettings(width=_FIRST_BEAM_WIDTH, seed=self._seed)
         planner = Planner(replace(self.task, allow_regrasp=False), self.oracle, settings, guide=self._guide)
-        route = self.roll_out(None, stop) or self.roll_out(np.random.default_rng(self._seed), stop)
+        route = self.roll_out(None) or self.roll_out(np.random.default_rng(self._seed))
         if route is not None:
             planner.begin_with(route)
         result = planner.run(stop=stop).unless_interrupted(stop)  # replays the plans that it finds
@@ -192,8 +190,7 @@ class SolvabilityCheck:
     def perturb(self, seed: int) -> None:
         """Find another abstract plan to follow, with a perturbed guide score; the old one stays known."""
         rng = np.random.default_rng([self._seed, seed])
-        route = self.roll_out(rng, self._stop)
-        if route is not None:
+        if (route := self.roll_out(rng)) is not None:
             self.follow([route])
             return
 
@@ -203,7 +200,7 @@ class SolvabilityCheck:
 
         for direction in [*Direction][:: -1 if seed % 2 else 1]:
             beam = self._beam(self.task, direction, seed, disturbed)
-            if self.follow(self._search(beam, _VARIED_WIDTH, self._varied_verdicts)):
+            if self.follow(self._search(beam, _VARIED_WIDTH, _VARIED_VERDICTS)):
                 return
 
     def falls(self, route: Route) -> int | None:
@@ -238,7 +235,7 @@ class SolvabilityCheck:
         task = replace(self.task, start=state)
         for _ in range(MOST_FALLS):
             beam = self._beam(task, seed=self._seed)
-            routes = self._search(beam, _VARIED_WIDTH, self._varied_verdicts)
+            routes = self._search(beam, _VARIED_WIDTH, _VARIED_VERDICTS)
             if not routes or not any(self.joint.learn_from(route.states) for route in routes):
                 return self.follow(routes)
         return False
@@ -278,10 +275,17 @@ class SolvabilityCheck:
         def stop() -> bool:
             return beam.counters.asked >= verdicts or self._stop()
 
-        for _ in range(MOST_FALLS):
+        def found() -> Sequence[Route]:
             if self._forbidden:
                 beam.forbid(np.array([np.frombuffer(key, np.uint8) for key in sorted(self._forbidden)]))
-            routes = beam.run(widest, stop=stop).unless_interrupted(stop).routes
+            return beam.run(widest, stop=stop).unless_interrupted(stop).routes
+
+        return self._standing(found)
+
+    def _standing(self, found: Callable[[], Sequence[Route]]) -> Sequence[Route]:
+        """Return routes that are found; where the replay of the first falls its state is forbidden, and it goes on."""
+        for _ in range(MOST_FALLS):
+            routes = found()
             row = self.falls(routes[0]) if routes else None
             if row is None:
                 return routes
@@ -289,16 +293,16 @@ class SolvabilityCheck:
                 break
         return ()
 
-    def roll_out(self, rng: np.random.Generator | None, stop: Stop | None = None) -> Route | None:
+    def roll_out(self, rng: np.random.Generator | None) -> Route | None:
         """Roll out the action score to the target, greedily or sampled; None without a score or a complete rollout.
 
         After every action the structure is stable, or the next best one is taken; none leads to a forbidden state.
         """
-        score = self._score
-        if score is None or self.task.steps == 0:
+        if self._score is None or self.task.steps == 0:
             return None
-        rows = 1 if rng is None else _VARIED_WIDTH
-        for _ in range(MOST_FALLS):
+        score, rows = self._score, 1 if rng is None else _VARIED_WIDTH
+
+        def found() -> Sequence[Route]:
             rollouts = follow_scores(
                 [self.task],
                 np.repeat(self.task.start[None], rows, axis=0),
@@ -307,15 +311,11 @@ class SolvabilityCheck:
                 rng=rng,
                 stable=self._allowed,
                 next_best=True,
-                stop=None if stop is None else lambda _: stop(),
+                stop=lambda _: self._stop(),
             )
-            route = next((Route.from_states(rollout.states) for rollout in rollouts if rollout.reached), None)
-            row = None if route is None else self.falls(route)
-            if route is None or row is None:
-                return route
-            if self.forbid(route, row) is None:
-                break
-        return None
+            return [Route.from_states(rollout.states) for rollout in rollouts if rollout.reached][:1]
+
+        return next(iter(self._standing(found)), None)
 
     def _allowed(self, _: NDArray[np.int64], states: States, parents: States) -> Mask:
         """Return which states are stable and not forbidden; a forbidden one costs no verdict."""

@@ -16,7 +16,7 @@ from falsework.geometry.arrays import apply
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.cell_holds import CellScale
-from falsework.robots.model.shapes import Array, inverse_pose
+from falsework.robots.model.shapes import Array
 from falsework.robots.plans.plan_problem import PlanProblem
 from falsework.robots.plans.robot_plan import RobotPlan, acts
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
@@ -148,11 +148,6 @@ def timed_presses(plan: RobotPlan, assembly: Assembly, cell: Cell, graph: Tempor
                 )
             )
     return tuple(found)
-
-
-def flange_of(press: TimedPress, plan: RobotPlan) -> Array:
-    """Return the pose of the flange of the robot that presses, shape (4, 4)."""
-    return press.tool @ inverse_pose(plan.robots[press.robot].tool)
 
 
 @dataclass(frozen=True, eq=False)

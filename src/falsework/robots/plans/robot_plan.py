@@ -84,10 +84,6 @@ class Partner:
     trajectories: tuple[Trajectory, ...]
     """Each at the same times as that of the step."""
 
-    def reverse(self) -> Partner:
-        """Return the same in the other order."""
-        return replace(self, trajectories=_reversed(self.trajectories))
-
 
 @dataclass(frozen=True, eq=False)
 class RobotStep:
@@ -130,7 +126,7 @@ class RobotStep:
 
     def reverse(self) -> RobotStep:
         """Return the step in the other order."""
-        partners = tuple(partner.reverse() for partner in self.partners)
+        partners = tuple(Partner(one.robot, _reversed(one.trajectories)) for one in self.partners)
         return replace(self, trajectories=_reversed(self.trajectories), partners=partners)
 
 

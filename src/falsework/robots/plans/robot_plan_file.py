@@ -25,7 +25,7 @@ from falsework.robots.plans.robot_plan_model import (
 )
 from falsework.robots.plans.temporal_graph import TemporalPlanGraph
 from falsework.robots.plans.timeline import nodes_of
-from falsework.robots.plans.trajectory import Trajectory
+from falsework.robots.plans.trajectory import JOINS, Trajectory
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.problem.task import Direction
 from falsework.utils.json_file import check_format, read_json, write_json
@@ -36,9 +36,6 @@ SECOND_FORMAT = "falsework.robot-plan/2"
 
 DIGITS = 12
 """Decimals of joint values, velocities and times: fewer would show as acceleration where knots are 0.1 ms apart."""
-JOINS = 1e-5
-"""Joint values that differ by no more are equal, rad or m."""
-
 _TIMES = 1e-3
 """Times of a schedule that differ by no more are equal, seconds."""
 

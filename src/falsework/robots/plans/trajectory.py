@@ -21,6 +21,8 @@ LIMIT_EXCESS = 0.01
 """Share by which rounded knots may exceed a velocity or acceleration limit."""
 OUTSIDE = 1e-6
 """Amount by which a joint may exceed a position limit, rad or m."""
+JOINS = 1e-5
+"""Joint values that differ by no more are equal, rad or m."""
 _AT_REST = 1e-6
 """Speed below which a joint is at rest, rad/s or m/s."""
 _SAMPLED = 10.0

@@ -23,10 +23,8 @@ from falsework.robots.motion.collision_world import CollisionWorld
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.temporal_graph import Precedence
 from falsework.robots.plans.timeline import Segment, nodes_of, segments_of
+from falsework.robots.plans.trajectory import JOINS
 from falsework.robots.schedule.swept_bodies import SweptBodies
-
-_SAME = 1e-5
-"""Joint values that differ by no more are equal, rad or m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +44,8 @@ class Stretch:
     """Nominal seconds into the motion at which each cell ends, shape (cells,)."""
     swept: tuple[Swept, Swept]
     """Swept bodies in cells and in finer cells."""
-    line: bool
-    """Whether it keeps the margin of straight lines only."""
+    margin: float
+    """Distance that it keeps, metres."""
     phase: tuple[int, ...]
     """For each arm, twice the motions that it and this one have made as one by then, and one more during such one."""
     frames: frozenset[int]
@@ -61,8 +59,6 @@ class Itineraries:
         self.plan, self.world = plan, world
         self.nodes, self.events = nodes_of(plan)
         self.bodies = SweptBodies(world)
-        self._known: dict[object, tuple[tuple[Swept, Swept], Array]] = {}
-        self._conflicts: dict[tuple[int, int, float], NDArray[np.bool_]] = {}
         self._configurations = [
             np.array([frame.configurations[robot] for frame in plan.keyframes]) for robot in range(len(plan.robots))
         ]
@@ -87,26 +83,22 @@ class Itineraries:
             frames = segment.frames
             if not moves:
                 far = np.abs(self._configurations[robot] - segment.rest).max(axis=1)
-                frames |= set(np.flatnonzero(far <= _SAME).tolist())
+                frames |= set(np.flatnonzero(far <= JOINS).tolist())
             line = segment.trajectory is not None and segment.trajectory.kind == "line"
+            margin = self.world.cell.margins.line if line else self.world.cell.margins.free
             node = segment.begun if moves else None
             others = [] if node is None else [other for other in self.nodes[node].robots if other != robot]
             phase[others] += 1
-            yield Stretch(node, first, len(ends), after, before, ends, swept, line, tuple(phase.tolist()), frames)
+            yield Stretch(node, first, len(ends), after, before, ends, swept, margin, tuple(phase.tolist()), frames)
             phase[others] += 1
             first += len(ends)
 
     def _swept(self, segment: Segment) -> tuple[tuple[Swept, Swept], Array]:
         """Return the swept bodies of a motion or rest in cells and in finer cells, and when each cell ends."""
-        load = None if segment.load is None else segment.load.key
-        key = segment.trajectory or (segment.robot, segment.rest.tobytes(), load)
-        if key not in self._known:
-            if segment.trajectory is not None:
-                self._known[key] = self.bodies.moving(segment.robot, segment.trajectory, segment.load)
-            else:
-                found = self.bodies.resting(segment.robot, segment.rest, segment.load)
-                self._known[key] = (found, found), np.zeros(1)
-        return self._known[key]
+        if segment.trajectory is not None:
+            return self.bodies.moving(segment.robot, segment.trajectory, segment.load)
+        found = self.bodies.resting(segment.robot, segment.rest, segment.load)
+        return (found, found), np.zeros(1)
 
     def moved(self, event: int, node: int, *, leave: bool) -> Iterator[Swept]:
         """Yield the bodies of parts that leave their places, or where they wait, at an event, or come there.
@@ -122,13 +114,6 @@ class Itineraries:
         for part, pose in here:
             if part not in dict(there) and not (part in known and (known[part] == pose).all()):
                 yield self.bodies.standing(part, pose)
-
-    def conflicts(self, one: Stretch, other: Stretch, margin: float) -> NDArray[np.bool_]:
-        """Return which cells of two motions or rests are not proven to keep a distance, shape (cells, cells)."""
-        key = (id(one.swept[0]), id(other.swept[0]), margin)  # these live as long as the caches that have them
-        if key not in self._conflicts:
-            self._conflicts[key] = conflicts(one.swept, other.swept, margin)
-        return self._conflicts[key]
 
 
 @dataclass(frozen=True)
@@ -166,7 +151,7 @@ def _parts_in_the_way(rows: Itineraries, robot: int) -> list[Precedence]:
         for event in (*range(first, step), *range(step + 1, last)):
             mover, left = rows.events[event].node, event < step
             for place in rows.moved(event, stretch.node, leave=left) if robot not in rows.nodes[mover].robots else ():
-                hit = np.flatnonzero(conflicts(stretch.swept, (place, place), _margin_of(rows, stretch))[:, 0])
+                hit = np.flatnonzero(conflicts(stretch.swept, (place, place), stretch.margin)[:, 0])
                 if len(hit) and left:
                     found.append(Precedence(mover, 0.0, stretch.node, "part"))
                 elif len(hit):
@@ -207,15 +192,9 @@ def _conflict_table(rows: Itineraries, one: int, other: int) -> NDArray[np.bool_
                 continue
             if a.phase[other] != b.phase[one] or a.after >= b.before or b.after >= a.before or _is_proven(a, b):
                 continue
-            margin = min(_margin_of(rows, a), _margin_of(rows, b))
-            table[a.first : a.first + a.cells, b.first : b.first + b.cells] = rows.conflicts(a, b, margin)
+            margin = min(a.margin, b.margin)
+            table[a.first : a.first + a.cells, b.first : b.first + b.cells] = conflicts(a.swept, b.swept, margin)
     return table
-
-
-def _margin_of(rows: Itineraries, stretch: Stretch) -> float:
-    """Return the distance that a motion or rest keeps, metres."""
-    margins = rows.world.cell.margins
-    return margins.line if stretch.line else margins.free
 
 
 def _is_proven(one: Stretch, other: Stretch) -> bool:

@@ -106,8 +106,6 @@ def solve(
 def _needed(edges: Sequence[Precedence]) -> list[Precedence]:
     """Return only the latest precedence between each two nodes."""
     longest: dict[tuple[int, int], Precedence] = {}
-    for edge in edges:
-        kept = longest.get((edge.before, edge.after))
-        if kept is None or edge.offset > kept.offset:
-            longest[edge.before, edge.after] = edge
+    for edge in sorted(edges, key=lambda edge: -edge.offset):
+        longest.setdefault((edge.before, edge.after), edge)
     return [longest[key] for key in sorted(longest)]

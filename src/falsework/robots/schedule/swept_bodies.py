@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from falsework.robots.kernels.collision import Bodies, Chain
 from falsework.robots.kernels.coordination import SPLIT, Swept, still, sweep
 from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.shapes import Array, inverse_pose, move_pieces
 from falsework.robots.motion.collision_world import Attached, CollisionWorld
-from falsework.robots.plans.loads import Load, LoadKey
+from falsework.robots.plans.loads import Load
 from falsework.robots.plans.trajectory import Trajectory
 
 CELL = 0.05
@@ -21,8 +20,6 @@ class SweptBodies:
 
     def __init__(self, world: CollisionWorld) -> None:
         self.world = world
-        self._bodies: dict[tuple[int, LoadKey | None], tuple[Chain, Bodies]] = {}
-        self._standing: dict[tuple[int, bytes], Swept] = {}
 
     def moving(self, robot: int, trajectory: Trajectory, load: Load | None) -> tuple[tuple[Swept, Swept], Array]:
         """Return the bodies of a motion in cells and in finer cells, and the seconds at which each cell ends."""
@@ -43,23 +40,15 @@ class SweptBodies:
 
     def standing(self, part: int, pose: Array | None = None) -> Swept:
         """Return the body of a part in place, or displaced by a pose, shape (4, 4)."""
-        key = part, b"" if pose is None else pose.tobytes()
-        if key not in self._standing:
-            pieces = self.world.parts.pieces[part]
-            self._standing[key] = still(pieces if pose is None else move_pieces(pose, pieces))
-        return self._standing[key]
+        pieces = self.world.parts.pieces[part]
+        return still(pieces if pose is None else move_pieces(pose, pieces))
 
     def _swept(self, robot: int, values: Array, spread: Array, load: Load | None) -> Swept:
-        carried = None if load is None or load.lies else load
-        key = (robot, None if carried is None else carried.key)
-        if key not in self._bodies:
-            held = None
-            if carried is not None:
-                assert carried.grip is not None
-                back = inverse_pose(tool_pose(self.world.cell.robots[robot], carried.grip))
-                held = Attached(carried.part, back @ carried.pose)
-            self._bodies[key] = self.world.chains[robot], self.world.bodies(robot, held)[0]
-        made = sweep(values, spread, *self._bodies[key])
+        held = None
+        if load is not None and load.grip is not None:
+            back = inverse_pose(tool_pose(self.world.cell.robots[robot], load.grip))
+            held = Attached(load.part, back @ load.pose)
+        made = sweep(values, spread, self.world.chains[robot], self.world.bodies(robot, held)[0])
         if load is None or not load.lies:
             return made
         return _beside(made, still(move_pieces(load.pose, self.world.parts.pieces[load.part])))
