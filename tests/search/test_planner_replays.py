@@ -76,7 +76,7 @@ class RuleReplayer:
         none = History(np.zeros((1, 6)), np.zeros((1, 3)), np.zeros(1, bool), np.zeros(1, np.int32))
         zeros = np.zeros(len(states))
         part = zeros.astype(np.int32) - 1
-        return Replay(stands, zeros, part, zeros, 1.0, (none,) * reached, ((),) * reached)
+        return Replay(stands, zeros, part, zeros, (none,) * reached, ((),) * reached)
 
     def first_tipping(self, states: States, histories: Sequence[History], known: int = 0) -> int | None:
         return None

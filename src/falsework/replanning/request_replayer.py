@@ -146,7 +146,7 @@ class RequestReplayer(Replayer):
                 raise DeadlineExceeded
             result, histories = np.full(1, 0 if built.fell else RESTS), [] if built.fell else [built.history]
             ends = built.moved[-1:], built.part[-1:], built.residual[-1:]
-            return Replay(result, *ends, 0.0, tuple(filter(None, histories)))
+            return Replay(result, *ends, tuple(filter(None, histories)))
         if history is not None or len(sequence) < 2:
             return self._within_time(sequence, history, presses)
         if presses is not None and self._built is not None:
@@ -160,7 +160,7 @@ class RequestReplayer(Replayer):
             result[:] = RESTS
             result[barred_row(progress.reached - before, len(sequence)) or len(sequence) :] = 0
         arrays = progress.moved[before:], progress.part[before:], progress.residual[before:]
-        return Replay(result, *arrays, 0.0, presses=tuple(progress.presses[before:]))
+        return Replay(result, *arrays, presses=tuple(progress.presses[before:]))
 
     def replay_in_time(self, states: States, presses: Presses | None = None) -> Replayed:
         """Replay a sequence, or as much of it as the deadline allows; with a reserve, under the true friction too.

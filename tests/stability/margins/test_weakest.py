@@ -54,7 +54,6 @@ class Families:
             START,
             guess=lambda _: 1.0,
             cap=CAP,
-            floor=lambda _: 1e-4,
             time_limited=time_limited,
         ).search(self.confirm)
 

@@ -112,8 +112,6 @@ class Replay:
     """The part that moved most, -1 where none moved, or whose robot bears too much, shape (states,)."""
     residual: Array
     """Residual at rest, in the units of the tolerance, shape (states,)."""
-    size: float
-    """Diagonal of the structure, m."""
     histories: tuple[History, ...] = ()
     """Histories after each state that was reached."""
     presses: tuple[tuple[Press, ...], ...] = ()
@@ -151,4 +149,4 @@ def joined(parts: list[Replay], count: int) -> Replay:
             whole[begin:] = piece
         histories += replay.histories
     presses = tuple(history.presses for history in histories)
-    return Replay(stands, moved, most, residual, parts[0].size, tuple(histories), presses)
+    return Replay(stands, moved, most, residual, tuple(histories), presses)

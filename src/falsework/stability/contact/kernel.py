@@ -259,7 +259,7 @@ def rest_range(
 
 
 @njit(nogil=True, cache=True)
-def rest_under(law, state, loads, moved, options, displacement, warm, after, result):
+def rest_under(law, state, loads, moved, options, displacement, warm, result):
     """Search for the rest position of a state under each load; the law is that of `solve_contact_state`.
 
     The search ends with the first load under which none is found.
@@ -272,7 +272,6 @@ def rest_under(law, state, loads, moved, options, displacement, warm, after, res
             shape (points, 3) or (0, 3).
         displacement: in: guesses in m and rad where `warm`; out: displacements, shape (loads, parts, 6).
         warm: whether `displacement` holds guesses.
-        after: for each load, an earlier one whose displacement is the guess; -1 for its own.
         result: out: `RESTS`, `MOVES_AWAY` or `OPEN`, one entry per load.
 
     Returns:
@@ -308,8 +307,7 @@ def rest_under(law, state, loads, moved, options, displacement, warm, after, res
                 contact.displacement[:] = 0.0
                 steps, first_step = options.steps, options.first_step
             else:
-                guess = displacement[k if after[k] < 0 else after[k]]
-                read_displacement(law, work, guess, contact.displacement)
+                read_displacement(law, work, displacement[k], contact.displacement)
                 steps, first_step = options.warm_steps, options.warm_first_step
             result[k], _, _ = solve_statics(law, contact, pairs, steps, tolerance, first_step, mends, options.schedule)
             if result[k] == RESTS or options.steps == 0:

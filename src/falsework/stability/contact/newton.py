@@ -14,7 +14,7 @@ from falsework.stability.contact.hold_kernel import LOCKED, along_line, resist_a
 from falsework.stability.contact.law import contact_force, gauge
 from falsework.stability.contact.tangent import assemble_tangent
 from falsework.stability.cpu.elimination import lay_out_panels
-from falsework.stability.cpu.layout import FAST, add_force, add_pair_wrench, pair_velocity, point_velocity
+from falsework.stability.cpu.layout import FAST, add_force, add_pair_wrench, copy_rows, pair_velocity, point_velocity
 from falsework.stability.cpu.panels import RIDGE, factor_panels, solve_panels
 from falsework.stability.cpu.termination import largest_residual
 from falsework.stability.stiffness import SETTLEMENTS
@@ -175,10 +175,7 @@ def equilibrate(law, contact, pairs, steps, tolerance, first_step, schedule):
         if not factor_panels(structure.elimination.supernode, panels, symmetric):
             time *= _CUT
             continue
-        for j in range(len(free)):
-            if free[j]:
-                for r in range(6):
-                    step[j, r] = residual[j, r]
+        copy_rows(free, residual, step)
         solve_panels(panels, step, False)
         for j in range(len(free)):
             if free[j] and contact.across[j] == LOCKED:
@@ -213,10 +210,8 @@ def equilibrate(law, contact, pairs, steps, tolerance, first_step, schedule):
         else:
             time *= 2.0 * length
         before, size = size, next_size
-        for j in range(len(free)):
-            if free[j]:
-                for r in range(6):
-                    now[j, r], residual[j, r] = ahead[j, r], next_residual[j, r]
+        copy_rows(free, ahead, now)
+        copy_rows(free, next_residual, residual)
         for j in range(work.start[pairs]):
             for k in range(3):
                 contact.trial[j, k] = contact.next_trial[j, k]

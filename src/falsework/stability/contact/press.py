@@ -243,6 +243,3 @@ def _curved(response: Array, force: Array, friction: Array, stick: Array) -> Arr
     first = np.where(surface, (along - friction * response[:, 0]) / np.sqrt(1 + friction**2), response[:, 0])
     second = np.where(~surface & (beyond > 0), along, 0.0)
     return np.stack([first, second, across * np.sqrt(beyond)], axis=1)
-
-
-__all__ = ["PressPlanner"]

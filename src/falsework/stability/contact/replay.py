@@ -36,7 +36,7 @@ from falsework.stability.problem import build_problem
 from falsework.stability.second_order.growing_motion import SecondOrder
 from falsework.stability.second_order.springs import springs_at
 from falsework.stability.settings import StabilitySettings
-from falsework.stability.stiffness import movement_of, structure_size
+from falsework.stability.stiffness import movement_of
 from falsework.utils.interruption import check_interruption, pieces
 
 Array = NDArray[np.float64]
@@ -81,7 +81,6 @@ class Replayer:
         self.options = ContactOptions(settings.tolerance, numerics.contact_steps, numerics.warm_steps, first, later)
         self._noise = self._draw_noise(replay)
         self._iterations = 0
-        self._size = structure_size(assembly)
 
     @property
     def iterations(self) -> int:
@@ -268,7 +267,7 @@ class Replayer:
         tracks = track if keeps_track else repeat(None)
         rows = zip(displacement, springs, torn, age, moved.tolist(), part.tolist(), done, tracks, strict=False)
         histories = tuple(History(*row) for row in islice(rows, reached))
-        return Replay(result, moved, part, residual, self._size, histories, tuple(one.presses for one in histories))
+        return Replay(result, moved, part, residual, histories, tuple(one.presses for one in histories))
 
     def _ages(self, states: States, age: NDArray[np.int32] | None) -> NDArray[np.int32]:
         """Return for how many steps both parts of each contact point have been present.

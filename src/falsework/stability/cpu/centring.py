@@ -21,7 +21,7 @@ import numpy as np
 
 from falsework.stability.cpu.elimination import lay_out_panels
 from falsework.stability.cpu.interior_point import add_point_matrix, strains
-from falsework.stability.cpu.layout import FAST, add_wrench, dot
+from falsework.stability.cpu.layout import FAST, add_wrench, copy_rows, dot
 from falsework.stability.cpu.panels import RIDGE, add_pair_matrix, clear_panels, factor_panels, solve_panels
 from falsework.stability.cpu.termination import MARGIN, STABLE, UNDECIDED, check_primal
 from falsework.utils.kernels import njit
@@ -79,7 +79,7 @@ def _assemble(structure, work, pairs, level, first):
     strains.
     """
     basis, start, z, mu, scale = work.basis, work.start, work.z, work.friction, work.force_scale
-    free, rhs = work.free, work.rhs
+    rhs = work.rhs
     multiplier, metric, pull = work.weights, work.weight_steps, work.slacks
     points, total = start[pairs], 0.0
     for j in range(points):
@@ -116,10 +116,7 @@ def _assemble(structure, work, pairs, level, first):
         pull[j, 2] = -(w02 * g0 + w12 * g1 + w22 * g2)
         total += w00 + w11 + w22
     clear_panels(work.panels, RIDGE * total / points, points > 0)
-    for j in range(len(free)):
-        if free[j]:
-            for i in range(6):
-                rhs[j, i] = work.residual[j, i]
+    copy_rows(work.free, work.residual, rhs)
     local, left = np.empty((6, 6)), np.empty((6, 6))
     for p in range(pairs):
         local[:] = 0.0

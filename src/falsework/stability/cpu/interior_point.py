@@ -26,10 +26,10 @@ from falsework.stability.cpu.layout import (
     add_force,
     add_pair_wrench,
     add_wrenches,
+    copy_rows,
     dot,
     pair_velocity,
     point_velocity,
-    set_load,
 )
 from falsework.stability.cpu.panels import add_pair_matrix, clear_panels, factor_panels, solve_panels
 from falsework.stability.cpu.termination import MARGIN, UNDECIDED, UNSTABLE, judge
@@ -184,7 +184,7 @@ def _assemble(structure, work, pairs, octagon, mu, r, target, matrix):
     if matrix:
         clear_panels(panels, 1.0, matrix)
     strains(structure, work, pairs, r)
-    set_load(work, rhs)
+    copy_rows(work.free, work.load, rhs)
     for j in range(len(free)):
         if free[j]:
             for i in range(6):
@@ -244,9 +244,7 @@ def _newton(structure, work, pairs, octagon, mu, r, target, refines):
         The largest feasible step length.
     """
     free, ahead, rhs, symmetric = work.free, work.residual, work.rhs, pairs >= 0
-    for j in range(len(free)):
-        for i in range(6):
-            ahead[j, i] = r[j, i]
+    copy_rows(free, r, ahead)
     before = np.inf
     while True:
         solve_panels(work.panels, rhs, symmetric)
@@ -258,7 +256,7 @@ def _newton(structure, work, pairs, octagon, mu, r, target, refines):
         if not refines:
             break
         _write_forces(work, work.start[pairs], octagon, mu, 1.0)
-        set_load(work, rhs)
+        copy_rows(work.free, work.load, rhs)
         add_wrenches(structure, work, pairs, work.z, rhs)
         for j in range(len(free)):
             if free[j]:
@@ -317,7 +315,7 @@ def run_interior(structure, work, pairs, options):
     size = 8 if octagon else 3
     r, free, ahead, proof = work.velocity, work.free, work.residual, work.proof
     weights, slacks, dx, ds, products = work.weights, work.slacks, work.weight_steps, work.slack_steps, work.products
-    set_load(work, r)
+    copy_rows(work.free, work.load, r)
     add_wrenches(structure, work, pairs, work.z, r)
     if points == 0:
         verdict, residual, _ = judge(structure, work, pairs, r, options, options.resolution)
@@ -358,12 +356,8 @@ def run_interior(structure, work, pairs, options):
             return verdict, residual, iteration
         if least > proven:
             proven = least
-            for j in range(len(free)):
-                for i in range(6):
-                    proof[j, i] = r[j, i]
+            copy_rows(free, r, proof)
     if proven > (1.0 + MARGIN) * options.resolution:
-        for j in range(len(free)):
-            for i in range(6):
-                r[j, i] = proof[j, i]
+        copy_rows(free, proof, r)
         return UNSTABLE, proven, options.interior_steps
     return UNDECIDED, residual, options.interior_steps

@@ -18,12 +18,12 @@ from falsework.stability.cpu.layout import (
     add_force,
     add_pair_wrench,
     add_wrenches,
+    copy_rows,
     load_forces,
     make_scratch,
     pair_velocity,
     point_velocity,
     restrict,
-    set_load,
     store_forces,
     write_motion,
 )
@@ -64,7 +64,7 @@ def try_bonded(structure, work, pairs, options):
         return UNDECIDED, np.nan
     for j in range(start[pairs]):
         z[j, 0], z[j, 1], z[j, 2] = pull[j], 0.0, 0.0
-    set_load(work, w)
+    copy_rows(work.free, work.load, w)
     add_wrenches(structure, work, pairs, z, w)
     solve_panels(work.panels, w, True)
     transfer_a, transfer_b = structure.transfer_a, structure.transfer_b
@@ -89,15 +89,12 @@ def run_admm(structure, work, pairs, options):
         z[j, 0], z[j, 1], z[j, 2] = project_joint(cone, u[j, 0], u[j, 1], u[j, 2], mu[j], stick[j])
         for r in range(3):
             v[j, r] = 2.0 * z[j, r] - u[j, r]
-    set_load(work, rhs)
+    copy_rows(work.free, work.load, rhs)
     add_wrenches(structure, work, pairs, v, rhs)
     for iteration in range(1, options.iterations + 1):
-        for j in range(len(free)):
-            if free[j]:
-                for r in range(6):
-                    w[j, r] = rhs[j, r]
+        copy_rows(free, rhs, w)
         solve_panels(work.panels, w, True)
-        set_load(work, rhs)
+        copy_rows(work.free, work.load, rhs)
         for p in range(pairs):
             q, a, b = pair[p], slot_a[p], slot_b[p]
             s0, s1, s2, s3, s4, s5 = pair_velocity(transfer_a, transfer_b, q, a, b, w)

@@ -317,13 +317,12 @@ def add_force(basis, j, f0, f1, f2, a0, a1, a2, a3, a4, a5):
 
 
 @njit(fastmath=FAST, cache=True)
-def set_load(work, out):
-    """Write the whitened weight, loads and tensile strength on the parts that can move to `out`."""
-    free, load = work.free, work.load
+def copy_rows(free, rows, out):
+    """Copy motions or wrenches of the parts that can move, shape (n, 6), to `out`."""
     for j in range(len(free)):
         if free[j]:
             for r in range(6):
-                out[j, r] = load[j, r]
+                out[j, r] = rows[j, r]
 
 
 @njit(cache=True)

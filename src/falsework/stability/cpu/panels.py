@@ -261,12 +261,12 @@ def solve_panels(panels, x, symmetric):
             for r in range(6):
                 y[6 * m + r] = x[member[begin + m], r] if m < own[s] else 0.0
         for i in range(own[s]):
-            at, columns = panel[s] + 6 * i * (wide + 1), 6 * (members - i - 1)
+            k, at, columns = 6 * i, panel[s] + 6 * i * (wide + 1), 6 * (members - i - 1)
+            rows, t0, t1, t2, t3, t4, t5 = lower, y[k], y[k + 1], y[k + 2], y[k + 3], y[k + 4], y[k + 5]
             if symmetric:
-                t0, t1, t2, t3, t4, t5 = _pivot_product(upper, at, wide, y, 6 * i)
-                _subtract_rows(upper, at + 6, wide, t0, t1, t2, t3, t4, t5, y, 6 * i + 6, columns)
-            else:
-                _spread(lower, at + 6, wide, y, 6 * i, columns)
+                rows = upper
+                t0, t1, t2, t3, t4, t5 = _pivot_product(upper, at, wide, y, k)
+            _subtract_rows(rows, at + 6, wide, t0, t1, t2, t3, t4, t5, y, k + 6, columns)
         for m in range(members if own[s] else 0):
             for r in range(6):
                 if m < own[s]:
@@ -316,12 +316,6 @@ def _subtract_rows(panel, place, width, y0, y1, y2, y3, y4, y5, y, start, column
             + panel[p4 + j] * y4
             + panel[p5 + j] * y5
         )
-
-
-@njit(fastmath=True)
-def _spread(lower, place, width, y, i, columns):
-    """Subtract a block row, transposed, times six entries of `y` from those that follow."""
-    _subtract_rows(lower, place, width, y[i], y[i + 1], y[i + 2], y[i + 3], y[i + 4], y[i + 5], y, i + 6, columns)
 
 
 @njit(fastmath=True)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from falsework.stability.cpu.cones import support
-from falsework.stability.cpu.layout import FAST, add_wrenches, pair_velocity, point_velocity, set_load
+from falsework.stability.cpu.layout import FAST, add_wrenches, copy_rows, pair_velocity, point_velocity
 from falsework.utils.kernels import njit
 
 STABLE, UNSTABLE, UNDECIDED = 1, -1, 0
@@ -61,7 +61,7 @@ def check_primal(structure, work, pairs, forces, options, residual):
 
     The whitened residual is written to `residual`.
     """
-    set_load(work, residual)
+    copy_rows(work.free, work.load, residual)
     add_wrenches(structure, work, pairs, forces, residual)
     pressed = 0.0
     for j in range(work.start[pairs]):

@@ -77,4 +77,4 @@ class MarginClaims:
                 yield finder.tilt_load(row, value)
             else:
                 share = LARGEST_SHARE if value is None else value
-                yield share * finder.weights[:, None] * np.pad(finder.directions[row], (0, 3))
+                yield share * finder.sideways[row]

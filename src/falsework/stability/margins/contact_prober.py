@@ -131,7 +131,6 @@ class ContactProber(Prober):
             options,
             displacement,
             warm,
-            np.full(count, -1),
             result,
         )
         if some_idle(self.assembly, conditions[0].friction) and self._springs is None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -56,6 +56,8 @@ class MarginFinder:
         self.weights = prober.settings.gravity * prober.assembly.mass.mass
         angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
         self.directions = np.stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)], axis=1)
+        self.sideways = self.weights[None, :, None] * np.pad(self.directions, ((0, 0), (0, 3)))[:, None, :]
+        """Weights of all parts along each direction, N, shape (directions, parts, 6)."""
 
     @cached_property
     def pushes(self) -> Pushes:
@@ -82,20 +84,17 @@ class MarginFinder:
         check_deadline(deadline)
         batch = as_states(states, self._assembly.boundary)
         assert self.pushes is not None  # computed once, before copies and threads share it
-        if deadline is not None:
-            limited = copy(self)
-            limited.prober = self.prober.until(time.perf_counter() + deadline)
-            return limited._all(batch, kinds, histories)
-        return self._all(batch, kinds, histories)
+        limited = self if deadline is None else self._with(self.prober.until(time.perf_counter() + deadline))
+        return limited._all(batch, kinds, histories)
 
-    def _as_built(self, history: History) -> MarginFinder:
-        """Return a finder of the margins of a state with the history of its contacts."""
+    def _with(self, prober: Prober) -> MarginFinder:
+        """Return a finder that shares all but the prober."""
         finder = copy(self)
-        finder.prober = self.prober.as_built(history)
+        finder.prober = prober
         return finder
 
     def _all(self, batch: States, kinds: Sequence[str], histories: Sequence[History]) -> list[StateMargins]:
-        finders = [self._as_built(history) for history in histories] or [self] * len(batch)
+        finders = [self._with(self.prober.as_built(history)) for history in histories] or [self] * len(batch)
 
         def begin(finder: MarginFinder, state: States) -> Answer:
             prober = finder.prober.until(np.inf)
@@ -177,18 +176,15 @@ class MarginFinder:
     def _sideways(self, state: States, start: Answer, kinds: Sequence[str], near: Near) -> dict[str, Bound]:
         """Return the largest tilt and the largest horizontal acceleration in the worst direction, where requested."""
         order = sorted(range(DIRECTIONS), key=lambda row: (row % 9 != 0) + (row % 3 != 0))
-        loads = self.weights[None, :, None] * np.pad(self.directions, ((0, 0), (0, 3)))[:, None, :]
-        guess = max(self._assembly.friction, 0.1)
+        guess, loads = max(self._assembly.friction, 0.1), self.sideways
         row, bracket = self._weakest(state, start, loads, order, lambda _: guess, LARGEST_SHARE, near=near)
-        direction = triple(self.directions[row])
         found: dict[str, Bound] = {}
         if "horizontal" in kinds:
-            found["horizontal"] = self._bound(
-                state, bracket, self._times(start.condition, loads[row]), direction=direction
-            )
-        if "tilt" in kinds and not self.prober.scales:
-            found["tilt"] = self._tilt(state, start, order)
-        elif "tilt" in kinds:
+            times = self._times(start.condition, loads[row])
+            found["horizontal"] = self._bound(state, bracket, times, direction=triple(self.directions[row]))
+        if "tilt" not in kinds:
+            return found
+        if self.prober.scales:
             # Weight with a horizontal acceleration `a g` is the weight on ground tilted by atan(a), times a factor;
             # forces, displacements and velocities that prove one prove the other after scaling by that factor.
             tilted = Bracket(
@@ -199,7 +195,14 @@ class MarginFinder:
                 bracket.monotone,
                 bracket.finished,
             )
-            found["tilt"] = self._bound(state, tilted, self._tilts(start.condition, row), direction=direction)
+        else:  # other loads keep their direction
+            angle, cap = float(np.arctan(guess)), float(np.arctan(LARGEST_SHARE))
+            under = partial(self._tilted_condition, start.condition)
+            weakest = weakest_load(self.prober, state, start, under, order, guess=lambda _: angle, cap=cap)
+            assert weakest is not None  # there are directions
+            row, tilted = weakest
+        tilts = partial(self._tilted_condition, start.condition, row)
+        found["tilt"] = self._bound(state, tilted, tilts, direction=triple(self.directions[row]))
         return found
 
     def tilt_load(self, row: int, angle: float) -> Array:
@@ -216,23 +219,6 @@ class MarginFinder:
             forces=None if answer.forces is None else factor * answer.forces,
             displacement=None if answer.displacement is None else factor * answer.displacement,
         )
-
-    def _tilt(self, state: States, start: Answer, order: Sequence[int]) -> Bound:
-        """Return the largest tilt where other loads keep their direction."""
-        guess, cap = (float(np.arctan(share)) for share in (max(self._assembly.friction, 0.1), LARGEST_SHARE))
-        found = weakest_load(
-            self.prober,
-            state,
-            start,
-            lambda row, angle: self._tilts(start.condition, row)(angle),
-            order,
-            guess=lambda _: guess,
-            cap=cap,
-        )
-        assert found is not None  # there are directions
-        row, bracket = found
-        direction = triple(self.directions[row])
-        return self._bound(state, bracket, self._tilts(start.condition, row), direction=direction)
 
     def _weakest(
         self,
@@ -262,8 +248,8 @@ class MarginFinder:
     def _polygon(self, state: States, start: Answer) -> Array:
         guess, limits = max(self._assembly.friction, 0.1), np.full(DIRECTIONS, np.inf)
         for row in range(DIRECTIONS):
-            load = self.weights[:, None] * np.pad(self.directions[row], (0, 3))
-            _, bracket = self._weakest(state, start, load[None], [0], lambda _, guess=guess: guess, LARGEST_SHARE)
+            load = self.sideways[row : row + 1]
+            _, bracket = self._weakest(state, start, load, [0], lambda _, guess=guess: guess, LARGEST_SHARE)
             if not bracket.finished:
                 raise OutOfTime
             if bracket.outside is not None:
@@ -325,8 +311,8 @@ class MarginFinder:
     def _times(condition: Condition, load: Array) -> Callable[[float], Condition]:
         return lambda value: Condition(condition.friction, value * load)
 
-    def _tilts(self, condition: Condition, row: int) -> Callable[[float], Condition]:
-        return lambda angle: Condition(condition.friction, self.tilt_load(row, angle))
+    def _tilted_condition(self, condition: Condition, row: int, angle: float) -> Condition:
+        return Condition(condition.friction, self.tilt_load(row, angle))
 
     def _bound(
         self,

@@ -39,7 +39,6 @@ class Weakest:
         guess: Callable[[int], float],
         cap: float,
         low: float = 0.0,
-        floor: Callable[[int], float],
         time_limited: bool = False,
         cut: Callable[[int, Answer], float] | None = None,
         near: float | None = None,
@@ -53,7 +52,6 @@ class Weakest:
             guess: value of a family to try first.
             cap: value beyond which there is no bound.
             low: value at which all are known to be stable.
-            floor: absolute width at which the bracket of a family is narrow enough.
             time_limited: whether the time is limited, so that what all families bear is found first, if roughly.
             cut: as for `Interval`, of each family.
             near: bound of the first family in a nearby state.
@@ -65,7 +63,7 @@ class Weakest:
                 guess=guess(row),
                 cap=cap,
                 low=low,
-                floor=floor(row),
+                floor=FLOOR * guess(row),
                 cut=None if cut is None else partial(cut, row),
             )
             for row in families
@@ -247,7 +245,6 @@ def weakest_load(
         guess=guess,
         cap=cap,
         low=low,
-        floor=lambda row: FLOOR * guess(row),
         time_limited=prober.limited,
         cut=None if loads is None else lambda row, failed: prober.cut(state, failed, loads[row]),
         near=value if order and names[order[0]] == weak else None,
