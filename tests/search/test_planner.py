@@ -28,7 +28,6 @@ from falsework.search.margins.demands import MarginOracle
 from falsework.search.planner import Planner
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.problem.oracle import CountingOracle
-from falsework.search.problem.result import insertion_steps
 from falsework.search.strategies import EDGES, REGRASP, Portfolio, Turn
 
 
@@ -54,7 +53,7 @@ def test_missing_parts_come_as_late_as_they_can(rules: Any, seed: int) -> None:
     assert result.found
     found = tuple(map(tuple, result.routes[0].states.tolist()))
     assert found in set(routes)
-    assert insertions(found, missing) == insertion_steps(result.routes[0], task) == planner.postponed == best
+    assert insertions(found, missing) == result.routes[0].insertion_steps(task) == planner.postponed == best
 
 
 def test_a_missing_part_of_a_tower_is_needed_in_its_place(rules: Any) -> None:

@@ -20,7 +20,7 @@ _HALVINGS = 8
 
 def refuse_weak_end(oracle: MarginOracle, task: Task, output: Output) -> bool:
     """Report a start or target of an assembly that does not keep the required margins: then there is no plan."""
-    from falsework.search.problem.result import end_subject
+    from falsework.search.problem.ends import end_subject
 
     for name, state in (("target", task.start), ("start", task.target)):
         broken = oracle.broken(state)

@@ -144,6 +144,7 @@ class MakePlan(Command):
         from falsework.search.margins.demands import Demands, MarginOracle
         from falsework.search.maximise import maximise_margin
         from falsework.search.problem.deadline import Deadline
+        from falsework.search.problem.ends import judged_as_built
         from falsework.stability.oracle import StabilityOracle
 
         self._refuse_pairs()
@@ -164,7 +165,8 @@ class MakePlan(Command):
         stability = self.holds.settings(self.criterion, self.cone, self.solver)
         plain = replace(stability, reserve=1.0)
         oracle = MarginOracle(assembly, stability, demands) if demands else StabilityOracle(assembly, stability)
-        if refuse_unstable(assembly, StabilityOracle(assembly, plain), task, output, building=True):
+        as_built = judged_as_built(oracle, settings.directions) and self.maximise_margin is None
+        if refuse_unstable(assembly, StabilityOracle(assembly, plain), task, output, building=True, as_built=as_built):
             return Exit.NO
         demanding = oracle if isinstance(oracle, MarginOracle) else None
         guide = policy_guide(self.guide, assembly, task.judged_by(oracle))

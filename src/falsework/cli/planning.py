@@ -315,20 +315,27 @@ def writable_plan(path: Path) -> None:
 
 
 def refuse_unstable(
-    assembly: Assembly, oracle: StabilityOracle, task: Task, output: Output, *, building: bool = False
+    assembly: Assembly,
+    oracle: StabilityOracle,
+    task: Task,
+    output: Output,
+    *,
+    building: bool = False,
+    as_built: bool = False,
 ) -> bool:
     """Report a start or target state that is not stable, since then there is no plan.
 
     Args:
         building: whether the user's start is the target of the task.
+        as_built: whether only a proof that the start of the task cannot stand counts, see `judged_as_built`.
     """
     from falsework.cli.velocity_text import describe, motions_at
-    from falsework.search.problem.result import end_subject
+    from falsework.search.problem.ends import end_subject
 
     names = ("target", "start") if building else ("start", "target")
     for name, state in zip(names, (task.start, task.target), strict=True):
         verdicts = oracle.verdicts(state, require_certificate=True)
-        if verdicts.stable[0]:
+        if verdicts.stable[0] or (as_built and state is task.start and not verdicts.unstable[0]):
             continue
         subject = end_subject(task, state, name)
         moving = motions_at(assembly, verdicts, 0)

@@ -20,7 +20,7 @@ from falsework.replanning.session_oracle import SessionOracle
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan
 from falsework.search.problem.deadline import Deadline
-from falsework.search.problem.result import Outcome, Route, SearchResult, insertion_steps
+from falsework.search.problem.result import Outcome, Route, SearchResult
 from falsework.search.problem.task import Direction, Task
 from falsework.search.together.moves import graph_with_sets
 from falsework.stability.verdict import Verdicts
@@ -135,7 +135,7 @@ class ReplanSession:
             self.decided_by = by
         known = {route.states.tobytes() for route in self.routes}
         routes = [*self.routes, *(route for route in routes if route.states.tobytes() not in known)]
-        self.routes = sorted(routes, key=lambda route: insertion_steps(route, self.task), reverse=True)
+        self.routes = sorted(routes, key=lambda route: route.insertion_steps(self.task), reverse=True)
         self.outcome = Outcome.FOUND
 
     def stands(self, route: Route, by: Stage = Stage.SEARCH) -> bool:

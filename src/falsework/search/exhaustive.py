@@ -8,8 +8,9 @@ from functools import cached_property
 from falsework.errors import InputError
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
+from falsework.search.problem.ends import unstable_end
 from falsework.search.problem.oracle import Oracle
-from falsework.search.problem.result import Outcome, Progress, SearchResult, Stop, unstable_end
+from falsework.search.problem.result import Outcome, Progress, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
 from falsework.search.problem.task import Direction, Task
 

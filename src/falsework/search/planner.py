@@ -13,19 +13,10 @@ from numpy.typing import NDArray
 from falsework.errors import InputError
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.plans.route_tests import RouteTests
+from falsework.search.problem.ends import judged_as_built, unstable_end
 from falsework.search.problem.guide import Guide, NoveltyGuide, SupportGuide
 from falsework.search.problem.oracle import Oracle
-from falsework.search.problem.result import (
-    Outcome,
-    Progress,
-    Route,
-    SearchCounters,
-    SearchProgress,
-    SearchResult,
-    Stop,
-    insertion_steps,
-    unstable_end,
-)
+from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
 from falsework.search.problem.search import Search
 from falsework.search.problem.task import Direction, Task
 from falsework.search.settings import PlannerSettings
@@ -35,7 +26,6 @@ from falsework.utils.archive import read_archive, write_archive
 from falsework.utils.files.damage import blamed_on
 
 FORMAT = "falsework.planner/15"
-
 MOST_FALLS = 64
 """Routes of one search, or plans with motions, whose replay may fail before it is given up."""
 _NUMBERS = "_round", "_turn", "_rank", "_high", "_trial_reached", "_falls"
@@ -77,7 +67,8 @@ class Planner:
         """Plans found so far; the first keeps missing parts out longest."""
         self.states = np.empty((0, task.part_count), dtype=np.uint8)
         """States found by the searches for alternative plans, shape (count, parts)."""
-        self._oracle, self._wide, self._falls = oracle, wide, 0
+        self._oracle, self._wide, self._falls, self._doubt = oracle, wide, 0, ""
+        """What the start does from rest, where it may stand only as it is built."""
         self.tests = RouteTests(oracle, settings, task.part_count)
         """Of complete routes, with their replays and the one that falls last."""
         self._guide, self._edge_guide = guide, None
@@ -115,7 +106,7 @@ class Planner:
     @property
     def postponed(self) -> tuple[int, ...]:
         """Steps of assembly before the first, second, ... missing part is inserted, in the plan found so far."""
-        return insertion_steps(self.routes[0], self.task) if self.routes else self._trial
+        return self.routes[0].insertion_steps(self.task) if self.routes else self._trial
 
     def begin_with(self, route: Route) -> None:
         """Start from a known route instead of searching for one; only later missing parts and alternatives are left.
@@ -148,8 +139,11 @@ class Planner:
 
         interrupted = False
         try:
-            if (unstable := unstable_end(self.task, self._oracle)) is not None:
-                return unstable
+            as_built = judged_as_built(self._oracle, self.settings.directions)
+            if (failed := unstable_end(self.task, self._oracle)) is not None:
+                if not as_built or unstable_end(self.task, self._oracle, as_built=True) is not None:
+                    return failed
+                self._doubt = f"{failed.notes[0]} from rest"
             for route in self.routes if self.tests.slow else ():  # given, or of a search that was resumed
                 if route.states.tobytes() not in self.tests.replays:
                     self.tests.passes(route, stop=stop)
@@ -273,6 +267,9 @@ class Planner:
             self._failed(result)
         if self._turn >= len(self._left):
             self._round, self._turn = self._round + 1, 0
+        if self._round >= portfolio.rounds:
+            self._failure = max(self._last.values(), key=lambda result: result.reached)
+            self._finish()
         return False
 
     def _drop_beams(self) -> None:
@@ -344,7 +341,8 @@ class Planner:
         edges = self._edge_guide is not None
         found = Portfolio.from_settings(self.settings, self._stage, self.task, edges=edges, wide=self._wide)
         beams = self._stage != "alternatives" and not (self.regrasps or self.together)
-        return found.assembly_first() if beams and self.tests.replayer is not None else found
+        found = found.assembly_first() if beams and self.tests.replayer is not None else found
+        return found.doubted() if self._doubt and self._stage == "plan" else found
 
     def _finish(self) -> None:
         self._drop_beams()
@@ -392,6 +390,8 @@ class Planner:
         best = max(ended, key=lambda result: result.reached, default=None)
         if best is None:  # interrupted before the first search began
             best = BeamSearch(self.task, self._oracle).result(interrupted=True)
+        if self._doubt and best.outcome is Outcome.NOT_FOUND:
+            best = replace(best, limit=self._doubt)
         return replace(best, counters=counters, seconds=self._seconds, interrupted=interrupted)
 
 

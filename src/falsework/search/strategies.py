@@ -37,7 +37,8 @@ _LEAD = 2
 """Times the work of the strategy that has worked least at which the turn of another is over; checked on a structure of
 399 parts with three and four robots, and on perturbed shells of 37 and 53 parts that the second strategy solves."""
 
-
+_DOUBTED_ROUNDS = 2
+"""Rounds of turns for a start that does not come to rest by itself: mostly it does not as it is built either."""
 _PIECES = 64
 """Pieces of searches for ways out in the first turn of a strategy; each further turn has twice as many."""
 
@@ -99,6 +100,8 @@ class Portfolio:
     patience: float = np.inf
     """Verdicts of the first turn of each that new levels do not make up for, over the width of beams to begin with;
     each further turn has twice as many."""
+    rounds: float = np.inf
+    """Rounds of turns after which the search gives up."""
 
     def is_over(self, round: int, turn: Turn, work: int = 0, least: float = np.inf) -> bool:
         """Return whether the turn of a strategy is over.
@@ -123,6 +126,10 @@ class Portfolio:
         first = tuple(name for name in self.names if direction_of(name) is Direction.ASSEMBLY)
         later = tuple(name for name in self.names if name not in first)
         return replace(self, names=first, later=later) if first else self
+
+    def doubted(self) -> Portfolio:
+        """Return the strategies where the start does not come to rest by itself: those that build it, for some time."""
+        return replace(self, later=(), rounds=_DOUBTED_ROUNDS)
 
     @classmethod
     def from_settings(

@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.assembly.state import HELD, REMOVED, States, complete_state, state_of_key
+from falsework.assembly.state import HELD, REMOVED, States, state_of_key
 from falsework.errors import NotFoundError
-from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Direction, Task
-from falsework.stability.verdict import Verdict
 from falsework.utils.quantity import counted
 
 T = TypeVar("T")
@@ -138,15 +136,14 @@ class Route:
         before = gone.sum(axis=1)[np.maximum(gone.argmax(axis=0) - 1, 0)]
         return np.where(gone[-1], before, -1)
 
+    def insertion_steps(self, task: Task) -> tuple[int, ...]:
+        """Return the steps of assembly before the first, second, ... missing part of a task is inserted. Ascending.
 
-def insertion_steps(route: Route, task: Task) -> tuple[int, ...]:
-    """Return the steps of assembly of a route before the first, second, ... missing part is inserted. Ascending.
-
-    A step that inserts several parts counts as `Task.steps_done` counts it, and as if the missing one came last.
-    """
-    states = route.states[::-1]
-    after = (states[:, list(task.missing)] != REMOVED).argmax(axis=0)
-    return tuple(sorted((task.steps - task.steps_done(states[after]) - 1).tolist()))
+        A step that inserts several parts counts as `Task.steps_done` counts it, and as if the missing one came last.
+        """
+        states = self.states[::-1]
+        after = (states[:, list(task.missing)] != REMOVED).argmax(axis=0)
+        return tuple(sorted((task.steps - task.steps_done(states[after]) - 1).tolist()))
 
 
 def barred_row(row: int, count: int) -> int | None:
@@ -302,38 +299,3 @@ def progress_text(reached: int, steps: int, *, backwards: bool) -> str:
     if backwards:
         return f"from the end of the assembly, the search came back to step {steps - reached} of {steps}"
     return f"from the beginning, the search reached step {reached} of {steps}"
-
-
-def end_subject(task: Task, state: States, name: str) -> str:
-    """Return what a message calls an end of a task: the complete structure, or else by its name."""
-    return "complete structure" if np.array_equal(state, complete_state(task.boundary)) else f"{name} state"
-
-
-def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
-    """Return the failed search if the start or the target of a task is not stable, else None."""
-    ends = np.stack([task.start, task.target])
-    oracle.verdicts(ends, require_certificate=True)  # asks whether they tip, which is known from then on
-    verdicts = oracle.verdicts(ends)
-    if verdicts.stable.all():
-        verdicts.verdict[~oracle.keeps(ends)] = Verdict.SLIDES
-    if verdicts.stable.all():
-        return None
-    row = int(np.argmin(verdicts.stable))
-    subject = end_subject(task, ends[row], ("start", "target")[row])
-    proved, moves = bool(verdicts.unstable[row]), bool((verdicts.slides | verdicts.tips)[row])
-    words = verdicts.kinds[row].words
-    return SearchResult(
-        outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
-        routes=(),
-        direction=(Direction.DISASSEMBLY, Direction.ASSEMBLY)[row],
-        steps=task.steps,
-        reached=0,
-        deepest=ends[:0],
-        rejected=ends[row : row + 1],
-        counters=SearchCounters(asked=2, rejected=int((~verdicts.stable).sum())),
-        seconds=0.0,
-        limit="" if proved else f"the {subject} {words}",
-        undecided=int(verdicts.undecided[row]),
-        sliding=int(moves),
-        notes=(f"the {subject} {words}",),
-    )

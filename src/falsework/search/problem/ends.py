@@ -1,0 +1,62 @@
+"""Ends of a task: whether they stand, which a search takes for granted."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+
+from falsework.assembly.state import States, complete_state
+from falsework.search.problem.oracle import Oracle
+from falsework.search.problem.result import Outcome, SearchCounters, SearchResult
+from falsework.search.problem.task import Direction, Task
+from falsework.stability.verdict import Verdict
+
+
+def end_subject(task: Task, state: States, name: str) -> str:
+    """Return what a message calls an end of a task: the complete structure, or else by its name."""
+    return "complete structure" if np.array_equal(state, complete_state(task.boundary)) else f"{name} state"
+
+
+def judged_as_built(oracle: Oracle, directions: Collection[Direction]) -> bool:
+    """Return whether a search in some directions judges states as they are built, so that the start may slide from rest.
+
+    What slides, tips or is undecided from rest, with all loads at once, may stand once it is reached step by step.
+    """
+    return oracle.replayer is not None and Direction.ASSEMBLY in directions
+
+
+def unstable_end(task: Task, oracle: Oracle, *, as_built: bool = False) -> SearchResult | None:
+    """Return the failed search if the start or the target of a task is not stable, else None.
+
+    Args:
+        as_built: whether the start is judged as it is built; then only a proof that it cannot stand counts.
+    """
+    ends = np.stack([task.start, task.target])
+    oracle.verdicts(ends, require_certificate=True)  # asks whether they tip, which is known from then on
+    verdicts = oracle.verdicts(ends)
+    if as_built and not verdicts.unstable[0]:
+        verdicts.verdict[0] = Verdict.STABLE
+    if verdicts.stable.all():
+        verdicts.verdict[~oracle.keeps(ends)] = Verdict.SLIDES
+    if verdicts.stable.all():
+        return None
+    row = int(np.argmin(verdicts.stable))
+    subject = end_subject(task, ends[row], ("start", "target")[row])
+    proved, moves = bool(verdicts.unstable[row]), bool((verdicts.slides | verdicts.tips)[row])
+    words = verdicts.kinds[row].words
+    return SearchResult(
+        outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
+        routes=(),
+        direction=(Direction.DISASSEMBLY, Direction.ASSEMBLY)[row],
+        steps=task.steps,
+        reached=0,
+        deepest=ends[:0],
+        rejected=ends[row : row + 1],
+        counters=SearchCounters(asked=2, rejected=int((~verdicts.stable).sum())),
+        seconds=0.0,
+        limit="" if proved else f"the {subject} {words}",
+        undecided=int(verdicts.undecided[row]),
+        sliding=int(moves),
+        notes=(f"the {subject} {words}",),
+    )

@@ -1,0 +1,70 @@
+"""Ends of a task: a structure that slides from rest may stand as it is built."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from falsework import (
+    Assembly,
+    Direction,
+    Outcome,
+    PlannerSettings,
+    StabilityOracle,
+    StabilitySettings,
+    find_plans,
+    load_structure,
+    min_robots,
+)
+from falsework.search.problem.ends import unstable_end
+from falsework.search.problem.task import Task
+from falsework.stability.contact.replay import Replayer
+
+CONTACT = StabilitySettings("contact")
+
+
+@pytest.fixture(scope="module")
+def vault() -> Assembly:
+    return replace(load_structure("vault:parts=30"), friction=0.45)
+
+
+def test_a_vault_that_slides_from_rest_is_planned_as_it_is_built(vault: Assembly) -> None:
+    oracle = StabilityOracle(vault, CONTACT)
+    planning = find_plans(vault, oracle=oracle)
+    (plan,) = planning.plans
+    assert oracle.verdicts(plan.states[-1]).slides.all()
+    assert plan.replay is not None and plan.replay.stands
+    assert Replayer(vault, CONTACT).replay(plan.states, presses=plan.presses_before).good
+    assert (plan.states[-1] == np.where(vault.boundary, 2, 1)).all()
+
+
+def test_robots_are_enough_for_a_vault_that_slides_from_rest(vault: Assembly) -> None:
+    answer = min_robots(vault, oracle=StabilityOracle(vault, CONTACT))
+    assert answer.value == answer.bound == 2
+
+
+@pytest.mark.parametrize(
+    ("friction", "directions", "told"),
+    [
+        (0.32, (Direction.ASSEMBLY, Direction.DISASSEMBLY), "the complete structure slides from rest"),
+        (0.45, (Direction.DISASSEMBLY,), "the complete structure slides"),
+    ],
+)
+def test_without_a_way_to_build_it_the_search_gives_up(
+    vault: Assembly, friction: float, directions: tuple[Direction, ...], told: str
+) -> None:
+    weak = replace(vault, friction=friction)
+    planning = find_plans(weak, oracle=StabilityOracle(weak, CONTACT), settings=PlannerSettings(directions=directions))
+    assert planning.outcome is Outcome.NOT_FOUND
+    assert planning.result.limit == told
+    assert not planning.result.interrupted
+
+
+def test_what_is_proven_unstable_is_not_built(vault: Assembly) -> None:
+    weak = replace(vault, friction=0.1)
+    task, oracle = Task.from_rules(weak.boundary), StabilityOracle(weak, CONTACT)
+    failed = unstable_end(task, oracle, as_built=True)
+    assert failed is not None
+    assert failed.outcome is Outcome.PROVED_IMPOSSIBLE
