@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from falsework.assembly.load import as_assembly, load_structure
+from falsework.assembly.load import as_assembly, load_options, load_structure
 from falsework.assembly.model import Assembly
 from falsework.errors import ExportWarning, InputError
 from falsework.files import load_own
@@ -17,6 +17,7 @@ from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.utils.files.formats import EXPORTERS, check_ending, exporter_by_suffix, formats, write_format
+from falsework.utils.models import check_options
 
 
 def format_of(path: Path | str) -> str:
@@ -83,6 +84,7 @@ def export(
     Raises:
         InputError: no such format, one that cannot show the subject, or a place that cannot be written.
     """
+    check_options(export, options, load_options())
     file, given = subject if isinstance(subject, (str, Path)) else None, structure
     if isinstance(subject, (str, Path)):
         subject, structure = read_exportable(subject, structure, **options)

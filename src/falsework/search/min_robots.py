@@ -25,6 +25,7 @@ from falsework.search.task_rules import TaskRules
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import or_notebook
+from falsework.utils.models import check_options
 from falsework.utils.quantity import listed
 
 EFFORT = 60.0
@@ -136,6 +137,7 @@ def min_robots(
     Raises:
         InputError: a deadline of zero or less, or rules that the structure cannot keep.
     """
+    check_options(min_robots, rules, TaskRules.__annotations__)
     clock, assembly = Deadline(deadline), as_assembly(assembly)
     progress = or_notebook(progress, "searching")
     first = oracle or StabilityOracle(assembly, stability)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from falsework.errors import MeshError
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.surface import PartSurface, content_of, joined, warn_of
+from falsework.utils.files.input_file import read_content
 from falsework.utils.json_text import parse_json
 from falsework.utils.quantity import is_number, listed
 
@@ -288,7 +289,7 @@ class _Reader:
                 beside = self._beside(uri)
                 if beside is None:
                     self._fail(f"its data are in {uri[:80]!r}, which is no file beside it", "export it as .glb")
-                self._buffers[index] = beside.read_bytes()
+                self._buffers[index] = read_content(beside)
         return self._buffers[index]
 
     def _beside(self, uri: str) -> Path | None:

@@ -16,6 +16,7 @@ from falsework.geometry.mesh.bodies import merge_equal, separate_solids
 from falsework.geometry.mesh.edges import is_closed
 from falsework.geometry.mesh.mesh import joined_faces
 from falsework.geometry.mesh.repair import closes
+from falsework.utils.files.input_file import read_content
 from falsework.utils.quantity import listed
 
 _UNIT = re.compile(
@@ -81,7 +82,7 @@ def stated_unit(comments: str) -> str:
 def content_of(file: Path) -> bytes:
     """Return the bytes of a file of meshes; MeshError if it cannot be read."""
     try:
-        return file.read_bytes()
+        return read_content(file)
     except OSError as error:
         raise MeshError(f"cannot read {file}: {error.strerror}") from error
 

@@ -30,6 +30,7 @@ from falsework.robots.cells.urdf_review import CellWarning
 from falsework.robots.cells.validate import check_cell
 from falsework.robots.model.cell import Cell, Gripper, Obstacle, Placement
 from falsework.robots.model.shapes import Array, block, cylinder
+from falsework.utils.files.input_file import read_text
 
 AnyCell = Cell | str | Path
 """Cell as it is, or what `load_cell` takes."""
@@ -81,7 +82,7 @@ def _text_of(name: str | Path) -> tuple[str, str, Path]:
         raise InputError(f"there is no cell file {path}; `falsework cell new` writes one")
     if path.suffix.lower() == ".toml" or path.is_file():
         try:
-            return path.read_text(encoding="utf-8"), str(path), path.parent
+            return read_text(path), str(path), path.parent
         except (OSError, UnicodeDecodeError) as error:
             reason = getattr(error, "strerror", None) or "it is not text"
             raise CellError(f"cell file {path} cannot be read: {reason}") from error
