@@ -40,6 +40,11 @@ def test_the_name_says_the_format(name: str, begins: bytes, plan_file: Path, tmp
     [
         ("glb", "out.pdf", "out.pdf has the ending of pdf, but glb is written; give a name that ends in .glb"),
         ("glb", "out.gltf", "out.gltf has the ending of gltf, but glb is written"),
+        (
+            "compas-dem",
+            "out.glb",
+            "out.glb has the ending of glb, but compas-dem is written; give a name that ends in .json",
+        ),
         ("folder", "out.glb", "out.glb has the ending of glb, but folder is written; give a name without an ending"),
     ],
 )

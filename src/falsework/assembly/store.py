@@ -26,7 +26,7 @@ from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.obj import obj_text
 from falsework.geometry.mesh.surface import warn_of
-from falsework.utils.files.formats import Exporter
+from falsework.utils.files.formats import FOLDER, Exporter
 from falsework.utils.files.input_file import read_text
 from falsework.utils.json_text import parse_json
 from falsework.utils.models import read_model
@@ -226,4 +226,4 @@ def _write_folder(assembly: Assembly, path: str | Path, _: None) -> None:
     save_assembly(assembly, path)
 
 
-EXPORTER = Exporter(_write_folder, complete=True)
+EXPORTER = Exporter(_write_folder, (FOLDER,), complete=True)
