@@ -259,7 +259,7 @@ def replan(
         return answer
     again = ask(StabilityOracle(assembly, replace(stability, reserve=1.0)), left)
     best = again if again.found or not answer.found else answer
-    return replace(best, seconds=answer.seconds + again.seconds)
+    return replace(best, seconds=answer.seconds + again.seconds, unreserved=answer.reason)
 
 
 def _subject(subject: AnyStructure | Plan, structure: AnyStructure | None) -> tuple[Plan | None, Assembly]:

@@ -140,7 +140,9 @@ def find_plans(
         first.replayer = first.replayer.vary()  # under the settings proper alone
         found = attempt(first, FIRST_SHARE, found)
     if not over(found):
+        why = found.reason
         found = attempt(StabilityOracle(assembly, replace(stability, reserve=1.0)), 0.0, found)
+        found = replace(found, unreserved=why)
     return found
 
 

@@ -64,6 +64,7 @@ class MinRobots(Result[int]):
     """Whether the keyboard ended the search."""
     deadline_passed: bool = False
     """Whether the deadline, or without one the limit of verdicts, ended the search."""
+    unreserved: str = ""
 
     @property
     def outcome(self) -> Outcome:
@@ -148,7 +149,8 @@ def min_robots(
     if answer.value is not None or not again or answer.interrupted or clock.passed:
         return answer
     weaker = StabilityOracle(assembly, replace(stability, reserve=1.0))
-    return _Query(assembly, weaker, settings, clock, effort, progress, forces, rules).answer()
+    found = _Query(assembly, weaker, settings, clock, effort, progress, forces, rules).answer()
+    return replace(found, unreserved=answer.reason)
 
 
 class _Query:

@@ -62,6 +62,10 @@ class Result(Generic[T]):
         def reason(self) -> str:
             """Why there is no value, in words; empty where there is one."""
 
+        @property
+        def unreserved(self) -> str:
+            """Reason of the search with the reserve that was asked for, where the value is of one without it."""
+
     def __repr__(self) -> str:
         return (
             f"<{type(self).__name__}: {self.outcome.value}, {self.reason if self.value is None else repr(self.value)}>"
@@ -321,7 +325,7 @@ def unstable_end(task: Task, oracle: Oracle) -> SearchResult | None:
     row = int(np.argmin(verdicts.stable))
     subject = end_subject(task, ends[row], ("start", "target")[row])
     proved, moves = bool(verdicts.unstable[row]), bool((verdicts.slides | verdicts.tips)[row])
-    words = verdicts.kinds[row].words
+    words = verdicts.kinds[row].words + (oracle.settings.under if oracle.settings is not None else "")
     return SearchResult(
         outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
         routes=(),
