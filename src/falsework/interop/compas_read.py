@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from falsework.assembly.draft import Block, Draft
 from falsework.errors import InputError
-from falsework.geometry.arrays import apply
+from falsework.geometry.arrays import apply, points_of
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.surface import warn_of, warn_of_curves
 from falsework.interop.compas_shapes import CURVED, inner, shape_mesh
@@ -297,10 +297,10 @@ class _Reader:
             self._curved += [f"{shape} {name}".rstrip()] * (shape in CURVED)
         else:
             self._fail(f"block {name or '?'} is a {data.get('dtype')}, not a mesh", "convert it to a mesh")
-        vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
-        if not np.isfinite(vertices).all():
-            self._fail(f"block {name or '?'} has a coordinate that is not a number")
-        vertices = apply(place, vertices)
+        try:
+            vertices = apply(place, points_of(points))
+        except (TypeError, ValueError):
+            self._fail(f"block {name or '?'} has a corner that is not three numbers")
         if np.linalg.det(place[:3, :3]) < 0:
             faces = [face[::-1] for face in faces]
         for entry in ("density", "friction"):

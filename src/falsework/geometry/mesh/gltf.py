@@ -270,8 +270,9 @@ class _Reader:
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
         buffer = self._buffer(view["buffer"])
         size = (count - 1) * stride + width * dtype.itemsize if count else 0
-        if min(start, count, size) < 0 or start + size > len(buffer):
-            raise ValueError("values beyond the end of the buffer")
+        within = accessor.get("byteOffset", 0) + size <= view["byteLength"]
+        if min(start, count, size) < 0 or start + size > len(buffer) or not within:
+            raise ValueError("values beyond the end of their view or of the buffer")
         values = np.ndarray((count, width), dtype, buffer, start, (stride, dtype.itemsize)).astype(np.float64)
         if accessor.get("normalized") and dtype.kind != "f":
             values = np.maximum(values / np.iinfo(dtype).max, -1.0)

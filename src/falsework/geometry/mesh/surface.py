@@ -185,8 +185,9 @@ def separated(file: Path, surfaces: Sequence[PartSurface]) -> list[PartSurface]:
 def distinct_names(file: Path, names: Sequence[str]) -> list[str]:
     """Return a different name for each part: its own, with a number behind it if others have it too.
 
-    Parts without a name are called by their numbers. Names that several parts have are warned of.
+    Parts without a name, or with a blank one, are called by their numbers. Names that several parts have are warned of.
     """
+    names = [name if name.strip() else "" for name in names]
     taken = {name for name in names if name}
     labels: dict[str, list[str]] = {}
     found: dict[str, None] = {}
