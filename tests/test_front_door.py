@@ -245,8 +245,6 @@ def test_replan_takes_the_fields_of_a_request(arch: Assembly, plan: fw.Plan) -> 
     answer = fw.replan(arch, plan.states[4], robots=3)
     np.testing.assert_array_equal(answer.plans[0].states[-1], plan.states[4])
     assert answer.plans[0].robots == 3
-    with pytest.raises(TypeError, match="robot"):
-        fw.replan(arch, plan.states[4], robot=3)
 
 
 def test_one_function_reads_every_structure(arch: Assembly, tmp_path: Path) -> None:
@@ -448,6 +446,17 @@ def test_results_print_as_one_line(arch: Assembly, plan: fw.Plan) -> None:
             "loads are of 3 parts, but there are",
         ),
         (lambda arch, plan: UNTYPED.Assembly.from_meshes([5], boundary=[0]), "a part is a int; make it a TriangleMesh"),
+        (
+            lambda arch, plan: fw.Assembly.from_meshes([replace(mesh, name=" ") for mesh in arch.meshes], boundary=[0]),
+            "the name of part 0 is ' '; give a text that is not blank",
+        ),
+        (
+            lambda arch, plan: UNTYPED.picture(plan, None, arch, frames=float("nan")),
+            "frames is nan; give a whole number",
+        ),
+        (lambda arch, plan: UNTYPED.animate(plan, "a.gif", arch, width=300.5), "width is 300.5; give a whole number"),
+        (lambda arch, plan: UNTYPED.doctor(None), "NoneType names no structure or file; give a name or a path"),
+        (lambda arch, plan: UNTYPED.load(None), "NoneType names no structure or file; give a name or a path"),
         (lambda arch, plan: UNTYPED.save([plan], "plan.json"), "list has no file; save an assembly, a plan"),
         (lambda arch, plan: UNTYPED.check(plan, arch), "Assembly is no plan; give the structure first"),
         (lambda arch, plan: UNTYPED.sheet(plan, arch), "Assembly is no plan; give the structure first"),
@@ -455,6 +464,51 @@ def test_results_print_as_one_line(arch: Assembly, plan: fw.Plan) -> None:
     ],
 )
 def test_wrong_types_get_one_line(arch: Assembly, plan: fw.Plan, call: Callable[..., Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        call(arch, plan)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (
+            lambda arch, plan: UNTYPED.load_structure("arch", frcition=0.5),
+            "load_structure: the option frcition is not known; did you mean",
+        ),
+        (
+            lambda arch, plan: UNTYPED.doctor("tests", bondary=[0]),
+            "doctor: the option bondary is not known; did you mean",
+        ),
+        (
+            lambda arch, plan: UNTYPED.picture(plan, None, arch, frame=3),
+            "picture: the option frame is not known; did you mean",
+        ),
+        (
+            lambda arch, plan: UNTYPED.animate(plan, "a.gif", arch, second=3),
+            "animate: the option second is not known; did you mean",
+        ),
+        (lambda arch, plan: UNTYPED.view(plan, arch, prot=80), "view: the option prot is not known; did you mean"),
+        (
+            lambda arch, plan: UNTYPED.open_file("arch", robot=2),
+            "open_file: the option robot is not known; did you mean",
+        ),
+        (
+            lambda arch, plan: UNTYPED.export(arch, "a.glb", fromat="glb"),
+            "export: the option fromat is not known; did you mean",
+        ),
+        (
+            lambda arch, plan: UNTYPED.min_robots(arch, mising=[2]),
+            "min_robots: the option mising is not known; did you mean",
+        ),
+        (
+            lambda arch, plan: UNTYPED.replan(plan, step=1, structure=arch, deadlin=9),
+            "replan: the option deadlin is not known; did you mean",
+        ),
+    ],
+)
+def test_a_misspelt_option_names_the_one_meant(
+    arch: Assembly, plan: fw.Plan, call: Callable[..., Any], words: str
+) -> None:
     with pytest.raises(InputError, match=words):
         call(arch, plan)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from falsework.assembly.load import load_structure
+from falsework.assembly.load import load_structure, name_of
 from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.robots.cells.cell_file import load_cell
@@ -33,7 +33,7 @@ def load(path: Path | str, **options: Any) -> Assembly | Plan | RobotPlan | Stat
         InputError: no such file, a damaged one, or one of another kind; or options for what is no structure.
         DependencyError: a run without torch.
     """
-    found = load_own(path)
+    found = load_own(name_of(path))
     if found is None:
         return load_structure(path, **options)
     if options:

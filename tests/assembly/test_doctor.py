@@ -491,5 +491,5 @@ def test_a_folder_whose_unit_nothing_says_is_not_read_in_silence(
 
 
 def test_an_empty_path_is_not_the_present_folder() -> None:
-    with pytest.raises(InputError, match="there is no folder or file"):
+    with pytest.raises(InputError, match="the structure has no name"):
         doctor("")

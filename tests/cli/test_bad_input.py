@@ -52,8 +52,9 @@ def test_no_name_at_all(refused: Callable[..., None]) -> None:
 
 
 def test_an_empty_path_is_not_the_present_folder(falsework: Run) -> None:
-    expect(falsework("doctor", ""), 2, "path is empty; name a file or folder")
-    expect(falsework("plan", "arch:blocks=3", "--out", ""), 2, "out is empty; name a file or folder")
+    expect(falsework("doctor", ""), 2, "PATH is empty; name a file or folder")
+    expect(falsework("plan", ".", "--out", ""), 2, "--out is empty; name a file or folder")
+    expect(falsework("plan", ".", "--out="), 2, "--out is empty; name a file or folder")
 
 
 def test_no_such_built_in(refused: Callable[..., None]) -> None:

@@ -155,10 +155,15 @@ def test_a_replay_says_under_which_settings_it_succeeds(
     assert "the replay succeeds, and under " in done.out
     cases = [Variation("damping 0.1", good=True, falls_at=None), Variation("stiffness 2", good=False, falls_at=3)]
     monkeypatch.setattr(varied_replay, "replay_varied", lambda *_, **__: cases)
-    done = falsework("check", planned, "--replay")
+    unclaimed = planned.with_name("unclaimed.json")
+    unclaimed.write_text(planned.read_text().replace('"varied": true', '"varied": false'))
+    done = falsework("check", unclaimed, "--replay")
     assert done.code == 0
     assert "succeeds under the given settings only, and fails under 1 of 2 changes of them" in done.out
     assert "marginal: its replay fails under stiffness 2 (fails after step 3 (" in done.error
+    done = falsework("check", planned, "--replay")
+    assert done.code == 1
+    assert "says of its replay that it succeeds under changed settings too, which is not so" in done.error
 
 
 def test_a_file_that_will_be_replaced_is_announced(falsework: Run, planned: Path) -> None:

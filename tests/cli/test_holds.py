@@ -102,13 +102,14 @@ def test_replan_presses(falsework: Run, tmp_path: Path, order: str) -> None:
 
 @pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
 def test_the_reserve_that_no_plan_keeps(falsework: Run, tmp_path: Path, criterion: str) -> None:
-    """The best plan is delivered with what it keeps, and the exit code says so, whatever the criterion and command."""
+    """The best plan is delivered with what it keeps and why, and the exit code says so, whatever asks for it."""
     under = ("--criterion", criterion)
     for command in (("plan",), ("plan", "--robots", "auto"), ("replan",)):
         out = tmp_path / f"{len(command)}-{command[0]}.json"
         done = falsework(command[0], "arch:blocks=5", *command[1:], "--reserve", 5, *under, "--out", out)
         assert done.code == 1
-        assert "no plan was found with the reserve of 5; this one keeps 1" in done.error
+        assert "no plan was found with the reserve of 5: the " in done.error
+        assert "stable with friction divided by 5; this one keeps 1" in done.error
         assert json.loads(out.read_text())["stability"]["reserve"] == 1.0
         assert falsework("check", out, *under).code == 0
         asked = falsework("check", out, "--reserve", 1.2, *under)

@@ -129,6 +129,7 @@ def test_placement_errors_cost_some_draws(falsework: Run, tmp_path: Path, write_
         (("--placement", "-1mm"), "not above zero"),
         (("--placement", ""), "'' is no length"),
         (("--states", ""), "an item is empty"),
+        (("--draws", "-1"), "--draws and --seed are of placement errors; give --placement too"),
         (("--placement", "1mm", "--draws", "0"), "the number of draws is 0; give at least 1"),
         (("--settlement", "--criterion", "equilibrium"), "equilibrium has no displacements"),
         (("--deadline", "0"), "a deadline of 0 s leaves no time"),

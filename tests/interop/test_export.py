@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from falsework import load_structure
+from falsework import Assembly, export, load_structure
 from falsework.cli.main import main
 
 
@@ -40,6 +41,11 @@ def test_the_name_says_the_format(name: str, begins: bytes, plan_file: Path, tmp
     [
         ("glb", "out.pdf", "out.pdf has the ending of pdf, but glb is written; give a name that ends in .glb"),
         ("glb", "out.gltf", "out.gltf has the ending of gltf, but glb is written"),
+        (
+            "compas-dem",
+            "out.glb",
+            "out.glb has the ending of glb, but compas-dem is written; give a name that ends in .json",
+        ),
         ("folder", "out.glb", "out.glb has the ending of glb, but folder is written; give a name without an ending"),
     ],
 )
@@ -120,3 +126,12 @@ def test_joints_and_loads_are_left_out_with_a_warning(
     assert "have no joints: those of tower are left out" in capsys.readouterr().err
     assert run("export", "arch", "--load", "3=0,0,-10", "--out", tmp_path / name) == 0
     assert "have no loads: those of arch are left out" in capsys.readouterr().err
+
+
+def test_names_of_several_lines_are_no_statements_of_a_folder(tmp_path: Path) -> None:
+    arch = load_structure("arch:blocks=3")
+    meshes = [replace(mesh, name=f"{mesh.name}\nv 0 0 0") for mesh in arch.meshes]
+    named = Assembly.from_meshes(meshes, boundary=arch.boundary)
+    export(named, tmp_path / "folder")
+    read = load_structure(tmp_path / "folder")
+    assert (read.names, read.identity) == (named.names, named.identity)

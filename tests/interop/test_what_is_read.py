@@ -315,6 +315,19 @@ def _(folder: Path) -> Case:
     return Case(path, ("brick",), "2 open surfaces called brick were joined into one part", volumes(1))
 
 
+@case("STL", "a byte order mark, and newlines of any system")
+def _(folder: Path) -> Case:
+    path = stl(folder / "a.stl", ("a", [LOW]), ("b", [HIGH]))
+    path.write_bytes(path.read_text().replace("\n", "\r").encode("utf-8-sig"))
+    return Case(path, ("a", "b"), check=volumes(1, 1))
+
+
+@case("STL", "a binary file of another length than it says")
+def _(folder: Path) -> Case:
+    (folder / "a.stl").write_bytes(b"solid binary".ljust(80) + struct.pack("<I", 12) + bytes(50 * 11))
+    return Case(folder / "a.stl", says="neither text that begins with 'solid' nor as long as its number of facets says")
+
+
 @case("STL", "text that is damaged")
 def _(folder: Path) -> Case:
     path = stl(folder / "a.stl", ("a", [LOW]))
@@ -341,6 +354,13 @@ def ply(path: Path, *boxes: Box, header: str = "", face: str = "", tail: str = "
 @case("PLY", "touching blocks")
 def _(folder: Path) -> Case:
     return Case(ply(folder / "a.ply", LOW, HIGH, SIDE), ("0", "1", "2"), check=volumes(1, 1, 0.6))
+
+
+@case("PLY", "a byte order mark, and newlines of any system")
+def _(folder: Path) -> Case:
+    path = ply(folder / "a.ply", LOW, HIGH)
+    path.write_bytes(path.read_text().replace("\n", "\r").encode("utf-8-sig"))
+    return Case(path, ("0", "1"), check=volumes(1, 1))
 
 
 @case("PLY", "concave polygons")
@@ -566,6 +586,20 @@ def _(folder: Path) -> Case:
 def _(folder: Path) -> Case:
     path = stack().write(folder / "a.glb", asset={"version": "2.0", "minVersion": "2.1"})
     return Case(path, says=r"its version of glTF is 2\.1, not 2\.0")
+
+
+@case("glTF", "values beyond the end of their view")
+def _(folder: Path) -> Case:
+    gltf = stack()
+    gltf.json["bufferViews"][gltf.json["accessors"][gltf.points]["bufferView"]]["byteLength"] -= 12
+    return Case(gltf.write(folder / "a.glb"), says="values beyond the end of their view or of the buffer")
+
+
+@case("glTF", "blank names")
+def _(folder: Path) -> Case:
+    gltf = stack()
+    gltf.json["nodes"][1]["name"] = " "
+    return Case(gltf.write(folder / "a.glb"), ("z", "1"))
 
 
 @case("glTF", "rotations and matrices that are none")
@@ -890,6 +924,19 @@ def _(folder: Path) -> Case:
     box = shape("Box", (0.5, 0.5, 1.5), xsize=1, ysize=1, zsize=1)
     box["data"]["frame"] |= {"xaxis": [2, 0, 0], "yaxis": [1, 3, 0]}
     return Case(compas(folder, mesh(LOW), box), ("0", "1"), check=volumes(1, 1))
+
+
+@case("COMPAS", "corners that are not three numbers")
+def _(folder: Path) -> Case:
+    wrong = [mesh(HIGH) for _ in range(3)]
+    for one, value in zip(wrong, ("1", True, float("nan")), strict=True):
+        one["data"]["vertex"]["3"]["x"] = value
+    flat = {"vertices": [[0, 0], [1, 0], [0, 1]] * 2, "faces": [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]]}
+    others = [*wrong, {"dtype": "compas.geometry/Polyhedron", "data": flat}]
+    for other in others[:-1]:  # the last one is read by the test
+        with pytest.raises(InputError, match="a corner that is not three numbers"):
+            load_structure(compas(folder, mesh(LOW), other))
+    return Case(compas(folder, mesh(LOW), others[-1]), says="a corner that is not three numbers")
 
 
 @case("COMPAS", "a transformation beside a shape")

@@ -25,7 +25,7 @@ from falsework.assembly.findings import (
     upright_finding,
 )
 from falsework.assembly.interfaces import InterfaceComparison, compare_interfaces, interface_contacts
-from falsework.assembly.load import LOAD_OPTIONS, check_meshes_path, described_options, read_draft
+from falsework.assembly.load import LOAD_OPTIONS, check_given, check_meshes_path, described_options, read_draft
 from falsework.assembly.model import Assembly
 from falsework.assembly.store import described_draft, read_description
 from falsework.errors import AssemblyError, InputError, MeshError, ReadWarning
@@ -150,11 +150,10 @@ def doctor(
     Raises:
         InputError: no such path, or an unknown unit.
     """
-    if not path or not Path(path).exists():  # an empty name would be the present folder
+    path = Path(check_given(doctor, path, options))
+    if not path.exists():
         raise InputError(f"there is no folder or file {path}, and built-in structures need no doctor; give meshes")
-    path = Path(path)
-    if unit is not None:
-        unit_length(unit)
+    unit_length(unit or "m")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:

@@ -17,6 +17,7 @@ from falsework.assembly.loads import GRAVITY, Loads
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
 from falsework.assembly.part_numbers import boundary_ids
 from falsework.errors import AssemblyError, InputError, MeshError
+from falsework.geometry.arrays import points_of
 from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.read import read_surfaces, unit_length
@@ -101,7 +102,7 @@ class Draft:
         for interface in interfaces:
             one, two = (number_of.get(key, -1) for key in interface["keys"])
             try:
-                points = np.array(interface["points"], dtype=float).reshape(-1, 3) * scale
+                points = points_of(interface["points"]) * scale
             except (TypeError, ValueError):
                 raise AssemblyError(
                     f"{path}: corners of the interface between {interface['keys'][0]} and {interface['keys'][1]} are "

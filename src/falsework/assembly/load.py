@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from falsework.errors import InputError, ReadWarning
 from falsework.utils.files.damage import blamed_on
 from falsework.utils.files.formats import FOLDER, READERS, Reader, formats, reader_of
+from falsework.utils.models import check_options
 
 if TYPE_CHECKING:
     from falsework.assembly.draft import Draft
@@ -57,13 +59,11 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     from falsework.assembly import library
     from falsework.assembly.fasteners import furnish
 
+    text = check_given(load_structure, structure, options)
     if (groups := options.pop("groups", None)) is not None:
         from falsework.assembly.groups import join_parts
 
         return join_parts(load_structure(structure, **options), groups)
-    text = str(structure)
-    if not text.strip():
-        raise InputError("the structure has no name; give that of a built-in one, or a path")
     given = {key: value for key, value in options.items() if value is not None}
     if not means_built_in(structure):
         path = Path(text)
@@ -88,6 +88,32 @@ def load_structure(structure: str | Path, **options: Any) -> Assembly:
     if given:
         assembly = assembly.replace(**given)
     return _not_all_fixed(furnish(assembly.with_ground() if ground else assembly, **acting))
+
+
+def load_options() -> tuple[str, ...]:
+    """Return the names of the options of `load_structure`."""
+    from falsework.assembly.store import load_assembly
+
+    return "groups", "interfaces", *(load_assembly.__kwdefaults__ or ())
+
+
+def name_of(given: object) -> str:
+    """Return the text of a name or path.
+
+    Raises:
+        InputError: it is blank, which would be the present folder, or neither a text nor a path.
+    """
+    if not isinstance(given, (str, Path)):
+        raise InputError(f"{type(given).__name__} names no structure or file; give a name or a path")
+    if not str(given).strip():
+        raise InputError("the structure has no name; give that of a built-in one, or a path")
+    return str(given)
+
+
+def check_given(taker: Callable[..., Any], structure: object, options: dict[str, Any]) -> str:
+    """Return the text of a name or path; raise for options of a function that `load_structure` does not take either."""
+    check_options(taker, options, load_options())
+    return name_of(structure)
 
 
 def means_built_in(structure: str | Path) -> bool:
@@ -137,6 +163,7 @@ def as_assembly(structure: AnyStructure, **options: Any) -> Assembly:
     """
     from falsework.assembly.model import Assembly
 
+    check_options(load_structure, options, load_options())
     if isinstance(structure, Assembly):
         return structure
     if isinstance(structure, (str, Path)):

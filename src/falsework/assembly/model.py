@@ -93,8 +93,8 @@ class Assembly(Displayed):
             settle: largest motion with which parts settle into their clearance first, metres; none if not given or 0.
 
         Raises:
-            AssemblyError: no parts, no boundary or ids out of range, density or friction out of range, parts that
-                pass through each other, a part that touches nothing, or parts that cannot settle.
+            AssemblyError: no parts, blank names, no boundary or ids out of range, density or friction out of range,
+                parts that pass through each other, a part that touches nothing, or parts that cannot settle.
             MeshError: a part whose volume is not positive.
         """
         parts = tuple(meshes)
@@ -106,6 +106,9 @@ class Assembly(Displayed):
             )
         if not parts:
             raise AssemblyError("an assembly needs at least one part")
+        for number, part in enumerate(parts):
+            if not (isinstance(part.name, str) and part.name.strip()):
+                raise AssemblyError(f"the name of part {number} is {part.name!r}; give a text that is not blank")
         friction = _friction(friction)
         densities = _density(density, len(parts))
         fixed = _boundary(boundary, parts)

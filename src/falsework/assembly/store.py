@@ -26,7 +26,8 @@ from falsework.errors import AssemblyError, InputError
 from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.obj import obj_text
 from falsework.geometry.mesh.surface import warn_of
-from falsework.utils.files.formats import Exporter
+from falsework.utils.files.formats import FOLDER, Exporter
+from falsework.utils.files.input_file import read_text
 from falsework.utils.json_text import parse_json
 from falsework.utils.models import read_model
 from falsework.utils.quantity import format_quantity, listed
@@ -198,7 +199,7 @@ def read_description(source: Path) -> dict[str, Any]:
     described: dict[str, Any] = {}
     if file.is_file():
         try:
-            described = parse_json(file.read_text(encoding="utf-8-sig"))
+            described = parse_json(read_text(file))
         except (OSError, ValueError) as error:
             raise AssemblyError(f"cannot read {file}: {error}; write it again") from error
         if not isinstance(described, dict):
@@ -225,4 +226,4 @@ def _write_folder(assembly: Assembly, path: str | Path, _: None) -> None:
     save_assembly(assembly, path)
 
 
-EXPORTER = Exporter(_write_folder, complete=True)
+EXPORTER = Exporter(_write_folder, (FOLDER,), complete=True)

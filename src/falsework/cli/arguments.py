@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from falsework.assembly.part_numbers import alike, part_id, part_range
 from falsework.errors import InputError, PlanError, StateError
+from falsework.utils.files.input_file import read_text
 from falsework.utils.json_text import parse_json
 from falsework.utils.quantity import parse_quantity
 
@@ -25,12 +26,30 @@ if TYPE_CHECKING:
     from falsework.stability.verdict import Criterion
 
 
-def check_paths(command: Any, words: Sequence[str]) -> Any:
-    """Return a command with its fields, unless one is a path that was given empty, which is the present folder else."""
-    empty = [name for name, value in vars(command).items() if value == Path()] if "" in words else []
-    if empty and "." not in words:
-        raise InputError(f"{empty[0]} is empty; name a file or folder")
-    return command
+def conventions() -> dict[str, Any]:
+    """Return what `tyro.cli` is told for all commands: how fields become options, and that no path is empty."""
+    import tyro
+    from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
+
+    def read(words: list[str]) -> Path:
+        if not words[0]:  # `Path("")` would be the present folder
+            raise ValueError("is empty; name a file or folder")
+        return Path(words[0])
+
+    registry = ConstructorRegistry()
+
+    @registry.primitive_rule
+    def path_rule(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+        if info.type is not Path:
+            return None
+        return PrimitiveConstructorSpec(
+            1, "PATH", read, lambda value: isinstance(value, Path), lambda path: [str(path)]
+        )
+
+    # Help texts are docstrings: in search of comments tyro would tokenize each class, for half of the time of parsing.
+    known = tyro.conf
+    config = known.FlagCreatePairsOff, known.DisallowNone, known.OmitArgPrefixes, known.HelptextFromCommentsOff
+    return {"config": config, "registry": registry}
 
 
 def split_parts(text: str, option: str) -> list[str]:
@@ -126,7 +145,7 @@ def read_states(path: Path) -> Any:
     try:
         if path.suffix.lower() == ".npy":
             return read_array(path)
-        content = parse_json(path.read_text(encoding="utf-8"))
+        content = parse_json(read_text(path))
     except Exception as error:  # NumPy fails in many ways on a damaged file
         raise StateError(f"{path} cannot be read; give a JSON list of states or a .npy array") from error
     if not isinstance(content, list):

@@ -22,7 +22,7 @@ from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from falsework import __version__
-from falsework.cli.arguments import check_paths
+from falsework.cli.arguments import conventions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import Output, write_line
 from falsework.errors import FalseworkError
@@ -136,6 +136,7 @@ _PLAIN_WORDS: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
     (r"error parsing (\S+): could not convert string to float: ('.*?')", r"\1 is \2; give a number"),
     (r"error parsing (\S+): invalid literal for int\(\) with base 10: ('.*?')", r"\1 is \2; give a whole number"),
     (r"missing value for argument '(--\S+)'\. Expected 1 values", r"\1 has no value; give one"),
+    (r"error parsing (\S+): (?=is empty)", r"\1 "),
     (r"unrecognized options: (?=[^-])", "too many values: "),
     (r"unrecognized options: -[^;]*", _without_values),
     (r"missing value for argument '(\w+)\S*'\. Expected 1 values", _missing),
@@ -189,7 +190,7 @@ def _parse(arguments: list[str]) -> Command | None:
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            return check_paths(tyro.cli(kind, prog=program, description=about, args=rest, config=_markers()), rest)
+            return tyro.cli(kind, prog=program, description=about, args=rest, **conventions())
     except SystemExit as exit_request:
         if exit_request.code in (None, 0):
             if named is not None and not {*_HELP}.isdisjoint(rest):
@@ -223,7 +224,7 @@ def _structure_options() -> str:
     _prepare(LoadOptions, "everything")
     text = io.StringIO()
     with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
-        tyro.cli(LoadOptions, prog="falsework", args=["--help"], config=_markers())
+        tyro.cli(LoadOptions, prog="falsework", args=["--help"], **conventions())
     lines = [line.strip("│").rstrip() for line in text.getvalue().splitlines()]
     first = next(number for number, line in enumerate(lines) if re.match(r" *--[a-z]", line))
     return "\n".join(line for line in lines[first:] if line and not line.startswith("╰")) + "\n"
@@ -241,14 +242,6 @@ def _no_subcommand(arguments: list[str]) -> str:
     meant = f"perhaps you meant: {', '.join(near)}; " if near else ""
     words = [word for word in arguments[: 2 if arguments[0] in _GROUPS else 1] if not word.startswith("-")]
     return f"there is no subcommand {' '.join(words)!r}; {meant}for all, run falsework --help"
-
-
-def _markers() -> tuple[Any, ...]:
-    import tyro
-
-    # Help texts are docstrings: in search of comments tyro would tokenize each class, for half of the time of parsing.
-    known = tyro.conf
-    return known.FlagCreatePairsOff, known.DisallowNone, known.OmitArgPrefixes, known.HelptextFromCommentsOff
 
 
 def _prepare(kind: Any, shown: _Shown) -> None:
@@ -329,7 +322,8 @@ def _overview() -> str:
 
 def _help_text(kind: type[Command]) -> str:
     text = "\n".join(line.strip() for line in (kind.__doc__ or "").strip().splitlines())
-    return "\n".join([text, "", f"Example{'s' * (len(kind.examples) > 1)}:", *(f"  {line}" for line in kind.examples)])
+    heading = "Examples:" if len(kind.examples) > 1 else "Example:"
+    return "\n".join([text, "", heading, *(f"  {line}" for line in kind.examples)])
 
 
 def _one_line(box: str) -> str:

@@ -63,9 +63,9 @@ class FindMargins(Command):
     """Time for the margins of each state. Margins that are not found by then have what has been proven so far."""
     placement: Annotated[str | None, arg(metavar="LENGTHS", help_behavior_hint=UNSET)] = None
     """Placement errors, such as 1mm,2mm, at which to count the stable draws, with contacts found anew. Slow."""
-    draws: int = 1000
+    draws: Annotated[int | None, arg(help_behavior_hint="(default: 1000)")] = None
     """Random draws for each placement error."""
-    seed: int = 0
+    seed: Annotated[int | None, arg(help_behavior_hint="(default: 0)")] = None
     """Random seed of the draws."""
     steps: bool = False
     """Print all steps of a plan, not the weakest alone."""
@@ -81,6 +81,8 @@ class FindMargins(Command):
         from falsework.utils.quantity import parse_quantity
 
         limits = self._limits()
+        if self.placement is None and self._drawing():
+            raise InputError("--draws and --seed are of placement errors; give --placement too, or leave them out")
         asked = [] if self.placement is None else self.placement.split(",")
         errors = [parse_quantity(text, "length", "--placement") for text in asked]
         assembly, chosen = self.structure.load_states(self.states, output)
@@ -138,6 +140,11 @@ class FindMargins(Command):
         if overloaded:
             output.outcome("overloaded")
         return Exit.DONE if all(margins.stands for margins in found) and not overloaded else Exit.NO
+
+    def _drawing(self) -> dict[str, int]:
+        """Return the options of random draws that are given."""
+        given = {"draws": self.draws, "seed": self.seed}
+        return {name: value for name, value in given.items() if value is not None}
 
     def _limits(self) -> tuple[float, float] | None:
         from falsework.utils.quantity import parse_quantity
@@ -201,8 +208,7 @@ class FindMargins(Command):
                 states,
                 errors,
                 lambda moved, batch: StabilityOracle(moved, settings).verdicts(batch).stable,
-                draws=self.draws,
-                seed=self.seed,
                 progress=progress,
+                **self._drawing(),
             )
         return curve.shares.T.tolist()

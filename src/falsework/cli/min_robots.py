@@ -47,7 +47,7 @@ def report(answer: MinRobots, reserve: float, output: Output, *, judged: bool) -
         return Exit.INTERRUPTED
     if answer.deadline_passed and not answer.proven:
         output.note("the search ended before a plan or a proof was found; --deadline gives it more time")
-    lacking = [] if answer.plan is None else lacks_of(answer.plan, reserve, judged=judged)
+    lacking = [] if answer.plan is None else lacks_of(answer.plan, reserve, answer.unreserved, judged=judged)
     if lacking:
         output.outcome("weaker")
         output.note(lacking[0])

@@ -212,7 +212,7 @@ class MakePlan(Command):
             if result.interrupted:
                 output.note(f"{cut}; {saved}")
             first = planning.plans[0]
-            lacking = lacks_of(first, stability.reserve, robust=self.robust, judged=self.judge)
+            lacking = lacks_of(first, stability.reserve, planning.unreserved, robust=self.robust, judged=self.judge)
             for lack in lacking:
                 output.note(f"falsework: {lack}")
             if lacking:

@@ -157,21 +157,26 @@ def untried_changes(plan: Plan) -> str:
     )
 
 
-def lacks_reserve(plan: Plan, asked: float) -> str:
-    """Return the remark on a plan that keeps less reserve than was asked; empty if it keeps it."""
-    kept = plan.claim.reserve
-    return f"no plan was found with the reserve of {asked:g}; this one keeps {kept:g}" if kept < asked else ""
+def lacks_reserve(plan: Plan, asked: float, why: str) -> str:
+    """Return the remark on a plan that keeps less reserve than was asked; empty if it keeps it.
+
+    Args:
+        why: no plan with the reserve was found; empty if that is not known.
+    """
+    kept, because = plan.claim.reserve, f": {why}" if why else ""
+    return f"no plan was found with the reserve of {asked:g}{because}; this one keeps {kept:g}" if kept < asked else ""
 
 
-def lacks_of(plan: Plan, reserve: float, *, robust: bool = False, judged: bool) -> list[str]:
+def lacks_of(plan: Plan, reserve: float, why: str, *, robust: bool = False, judged: bool) -> list[str]:
     """Return the remarks on a plan that is weaker than was asked; a reserve asks for changed settings too.
 
     Args:
         reserve: that was asked for.
+        why: as for `lacks_reserve`.
         robust: whether the plan was to stand under changed settings in any case.
         judged: whether the judge was to accept it.
     """
-    found = [lacks_reserve(plan, reserve)]
+    found = [lacks_reserve(plan, reserve, why)]
     if (robust or plan.claim.reserve > 1) and plan.replay is not None and not plan.replay.varied:
         found.append(
             "the plan was not shown to stand under each small change of settings; falsework check --replay names those "

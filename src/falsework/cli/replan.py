@@ -172,7 +172,7 @@ class MakeReplan(Command):
             output.say(f"compared with {self.compare or self.structure.spec}: {changes.text}")
         for text in () if plan is None else _not_asked(plan):
             output.note(f"falsework: {text}")
-        remarks = [answer.open_replay, lacks_reserve(answer.plans[0], stability.reserve)]
+        remarks = [answer.open_replay, lacks_reserve(answer.plans[0], stability.reserve, answer.unreserved)]
         for remark in filter(None, remarks):
             output.note(f"falsework: {remark}")
         return output.outcome("weaker") if any(remarks) else Exit.DONE

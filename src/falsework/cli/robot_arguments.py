@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from falsework.cli.arguments import parse_parts, parse_state
 from falsework.errors import InputError
+from falsework.utils.files.input_file import read_text
 from falsework.utils.json_text import parse_json
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ def _by_robot(text: str, option: str) -> dict[str, Any]:
 
 def _json_file(text: str, option: str) -> Any:
     try:
-        return parse_json(Path(text).read_text(encoding="utf-8"))
+        return parse_json(read_text(text))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, ValueError):
         raise InputError(f"{option} {text}: no JSON file; give one, or values such as left=0,0,0,0,0,0") from None
 

@@ -225,7 +225,8 @@ class PlanRobots(Command):
             return done
         if text := press_text(found.plan, scale.force):
             output.say(text)
-        lost, heavy = lacks_reserve(found.plan, stability.reserve), overloads_of(found, assembly, cell)
+        lost = lacks_reserve(found.plan, stability.reserve, result.unreserved)
+        heavy = overloads_of(found, assembly, cell)
         if heavy:
             output.record({"overloads": [problem_record(problem) for problem in heavy]})
         for text in (*([lost] if lost else []), *heavy):

@@ -25,6 +25,7 @@ from falsework.geometry.contact.interfaces import Contacts
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.surface import warn_of
 from falsework.utils.files.formats import Reader
+from falsework.utils.files.input_file import read_text
 from falsework.utils.quantity import listed
 
 Array = NDArray[np.float64]
@@ -263,7 +264,7 @@ def _read(path: Path) -> list[Brick]:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8-sig", errors="replace")
+        return read_text(path, errors="replace")
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
 

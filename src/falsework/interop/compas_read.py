@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from falsework.assembly.draft import Block, Draft
 from falsework.errors import InputError
-from falsework.geometry.arrays import apply
+from falsework.geometry.arrays import apply, points_of
 from falsework.geometry.mesh.read import unit_length
 from falsework.geometry.mesh.surface import warn_of, warn_of_curves
 from falsework.interop.compas_shapes import CURVED, inner, shape_mesh
 from falsework.utils.files.formats import Reader
+from falsework.utils.files.input_file import read_text
 from falsework.utils.json_text import parse_json
 from falsework.utils.quantity import is_number, listed
 
@@ -95,7 +96,7 @@ class _Reader:
         if data is None and self._path.stat().st_size > LARGEST_FILE:
             self._fail(f"it is larger than {LARGEST_FILE // 2**20} MiB", "write fewer or coarser meshes")
         try:
-            found = list(self._find(parse_json(self._path.read_text(encoding="utf-8")) if data is None else data))
+            found = list(self._find(parse_json(read_text(self._path)) if data is None else data))
         except UnicodeDecodeError:
             self._fail("it is not text")
         except (ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError) as error:
@@ -296,10 +297,10 @@ class _Reader:
             self._curved += [f"{shape} {name}".rstrip()] * (shape in CURVED)
         else:
             self._fail(f"block {name or '?'} is a {data.get('dtype')}, not a mesh", "convert it to a mesh")
-        vertices = np.array(points, dtype=np.float64).reshape(-1, 3)
-        if not np.isfinite(vertices).all():
-            self._fail(f"block {name or '?'} has a coordinate that is not a number")
-        vertices = apply(place, vertices)
+        try:
+            vertices = apply(place, points_of(points))
+        except (TypeError, ValueError):
+            self._fail(f"block {name or '?'} has a corner that is not three numbers")
         if np.linalg.det(place[:3, :3]) < 0:
             faces = [face[::-1] for face in faces]
         for entry in ("density", "friction"):

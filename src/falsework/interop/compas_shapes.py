@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from falsework.geometry.arrays import points_of
+from falsework.utils.quantity import is_number
+
 CURVED = ("Cylinder", "Cone", "Sphere", "Capsule", "Torus")
 """Shapes of revolution about the z axis of their frame."""
 _STEPS = 72
@@ -27,6 +30,8 @@ def shape_mesh(shape: str, content: dict[str, Any]) -> tuple[NDArray[np.float64]
     from trimesh import creation
 
     size = {name: float(content[name]) for name in _SIZES if name in content}
+    if not all(is_number(content[name]) for name in size):
+        raise ValueError("a size is not a number")
     if shape == "Box":
         mesh = creation.box((size["xsize"], size["ysize"], size["zsize"]))
     elif shape == "Cylinder":
@@ -48,9 +53,9 @@ def shape_mesh(shape: str, content: dict[str, Any]) -> tuple[NDArray[np.float64]
 def _in_frame(points: NDArray[np.float64], content: dict[str, Any]) -> NDArray[np.float64]:
     """Return points of the frame of a shape in space, shape (points, 3)."""
     frame = inner(content["frame"])
-    x, y = (np.array(frame[axis], dtype=float) for axis in ("xaxis", "yaxis"))
+    x, y, origin = points_of(frame[name] for name in ("xaxis", "yaxis", "point"))
     z = np.cross(x, y)
     x, z = (axis / np.linalg.norm(axis) for axis in (x, z))  # as COMPAS does, whatever the axes in the file
     if not np.isfinite([x, z]).all():
         raise ValueError("a frame has no axes")
-    return points @ np.stack([x, np.cross(z, x), z]) + np.array(frame["point"], dtype=float)
+    return points @ np.stack([x, np.cross(z, x), z]) + origin

@@ -169,11 +169,11 @@ def _frame(origin: np.ndarray, xaxis: np.ndarray, yaxis: np.ndarray) -> dict[str
     return {"dtype": "compas.geometry/Frame", "data": content, "inheritance": []}
 
 
-def _exporter(kind: CompasKind, suffixes: tuple[str, ...] = ()) -> Exporter:
+def _exporter(kind: CompasKind) -> Exporter:
     def text(assembly: Assembly) -> str:
         return json.dumps(to_compas(assembly, kind), ensure_ascii=False, allow_nan=False) + "\n"
 
-    return Exporter(writer_of(text), suffixes, contacts=kind == "assembly")
+    return Exporter(writer_of(text), (".json",), contacts=kind == "assembly")
 
 
-MESHES, ASSEMBLY, DEM = _exporter("meshes", (".json",)), _exporter("assembly"), _exporter("dem")
+MESHES, ASSEMBLY, DEM = _exporter("meshes"), _exporter("assembly"), _exporter("dem")

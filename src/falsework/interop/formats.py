@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from falsework.assembly.load import as_assembly, load_structure
+from falsework.assembly.load import as_assembly, load_options, load_structure
 from falsework.assembly.model import Assembly
 from falsework.errors import ExportWarning, InputError
 from falsework.files import load_own
@@ -16,15 +16,17 @@ from falsework.robots.exports.export import export_losses, export_plan, structur
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_source import structure_of_plan
-from falsework.utils.files.formats import EXPORTERS, check_ending, exporter_by_suffix, formats, write_format
+from falsework.utils.files.formats import EXPORTERS, FOLDER, check_ending, exporter_by_suffix, formats, write_format
+from falsework.utils.models import check_options
 
 
 def format_of(path: Path | str) -> str:
     """Return the format that the name of a file stands for; a name without an ending is a folder."""
     found, suffix = exporter_by_suffix(path), Path(path).suffix.lower()
     if found is None and suffix[1:2].isalpha() and not Path(path).is_dir():
-        known = ", ".join(ending for exporter in formats(EXPORTERS).values() for ending in exporter.suffixes)
-        raise InputError(f"no export format ends in {suffix}; write {known}, or a folder, whose name has no ending")
+        known = dict.fromkeys(ending for exporter in formats(EXPORTERS).values() for ending in exporter.suffixes)
+        endings = ", ".join(ending for ending in known if ending != FOLDER)
+        raise InputError(f"no export format ends in {suffix}; write {endings}, or a folder, whose name has no ending")
     return found or "folder"
 
 
@@ -83,6 +85,7 @@ def export(
     Raises:
         InputError: no such format, one that cannot show the subject, or a place that cannot be written.
     """
+    check_options(export, options, load_options())
     file, given = subject if isinstance(subject, (str, Path)) else None, structure
     if isinstance(subject, (str, Path)):
         subject, structure = read_exportable(subject, structure, **options)
@@ -91,12 +94,11 @@ def export(
         if cell is None and file is not None:
             cell = subject.cell_place(file)
         chosen = format or ("html" if Path(path).suffix.lower() == ".html" else "ros2-json")
-        if format is None and chosen != "html":
-            check_ending(path, "folder")
         if chosen == "html":
             shown = structure_of_plan(subject.plan, file, given, **options)
             write_format(shown, path, chosen, subject, cell=cell, **view)
             return
+        check_ending(path, f"a folder of {chosen}")
         needed, lacking = structure_for_export(subject, chosen, file, given, **options)
         export_plan(subject, path, chosen, structure=needed, cell=cell)
         for lost in lacking + export_losses(subject, chosen):

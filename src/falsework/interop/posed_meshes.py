@@ -20,6 +20,7 @@ from falsework.assembly.draft import Draft
 from falsework.errors import InputError
 from falsework.geometry.mesh.surface import warn_of
 from falsework.utils.files.formats import FOLDER, Reader
+from falsework.utils.files.input_file import read_text
 from falsework.utils.json_text import parse_json
 from falsework.utils.quantity import is_number, listed
 
@@ -95,7 +96,7 @@ def _pose(file: Path, name: str, state: Any) -> tuple[NDArray[np.float64], NDArr
 def _object(file: Path) -> dict[str, Any]:
     """Return the entries of a JSON object; none if the file has another content, or is not there."""
     try:
-        content = parse_json(file.read_text(encoding="utf-8-sig"))
+        content = parse_json(read_text(file))
     except (OSError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}

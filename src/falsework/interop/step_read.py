@@ -16,6 +16,7 @@ from falsework.errors import InputError
 from falsework.geometry.mesh.surface import warn_of, warn_of_curves
 from falsework.utils.child_process import read_apart
 from falsework.utils.files.formats import Reader
+from falsework.utils.files.input_file import read_content
 from falsework.utils.lazy import importing
 
 _MILLIMETRE = 1e-3
@@ -75,7 +76,7 @@ def _read(path: Path) -> Draft:
     for kind, within, what in ((TopAbs_FACE, TopAbs_SOLID, "surfaces"), (TopAbs_EDGE, TopAbs_FACE, "curves")):
         if count := sum(1 for _ in _shapes_in(shape, kind, within)):
             warn_of(path, f"{what} that bound no solid were left out: {count}")
-    hidden = len(re.findall(rb"=\s*INVISIBILITY\s*\(", path.read_bytes()))
+    hidden = len(re.findall(rb"=\s*INVISIBILITY\s*\(", read_content(path)))
     if hidden:
         warn_of(path, f"it hides objects ({hidden} lists), which were read as well; leave them out of the export")
     warn_of_curves(path, [blocks[number].name or str(number) for number in curved])

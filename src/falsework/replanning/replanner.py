@@ -38,6 +38,7 @@ from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.guide import Guide, SupportGuide
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
+from falsework.utils.models import check_options
 
 _END = object()
 Finished = Callable[[int, ReplanResult], None]
@@ -90,6 +91,7 @@ class Replanner:
         Raises:
             InputError: the request makes no sense for this structure; the message says what to do.
         """
+        check_options(self.replan, options, Request.__dataclass_fields__)
         return self.replan_many([Request(state, **options)])[0]
 
     def replan_many(self, requests: Sequence[Request], *, finished: Finished | None = None) -> list[ReplanResult]:
@@ -230,6 +232,7 @@ def replan(
         InputError: the request makes no sense for this structure; the message says what to do.
         DependencyError: a policy without torch.
     """
+    check_options(replan, options, Request.__dataclass_fields__)
     plan, assembly = _subject(subject, structure)
     if since:
         if plan is None or step is None:
@@ -256,7 +259,7 @@ def replan(
         return answer
     again = ask(StabilityOracle(assembly, replace(stability, reserve=1.0)), left)
     best = again if again.found or not answer.found else answer
-    return replace(best, seconds=answer.seconds + again.seconds)
+    return replace(best, seconds=answer.seconds + again.seconds, unreserved=answer.reason)
 
 
 def _subject(subject: AnyStructure | Plan, structure: AnyStructure | None) -> tuple[Plan | None, Assembly]:

@@ -79,6 +79,7 @@ class ReplanResult(Result[Plan], Displayed):
     """How the last search ended, if there was one."""
     built: int = 0
     """Steps that are done, with which the plans begin; those from now on have the numbers after it."""
+    unreserved: str = ""
 
     @property
     def value(self) -> Plan | None:

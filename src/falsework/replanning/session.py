@@ -207,8 +207,7 @@ class ReplanSession:
             name = "state" if (row == 0) == (self.direction is Direction.DISASSEMBLY) else "target"
             self._unstable = ends[row][None]
             words = "is not stable" if proved else verdicts.kinds[row].words
-            reserve = self.context.prover.oracle.settings.reserve
-            self._why = f"the {name} {words}" + (f" with friction divided by {reserve:g}" if reserve > 1 else "")
+            self._why = f"the {name} {words}{self.context.prover.oracle.settings.under}"
             if proved:
                 self.outcome, self.decided_by = Outcome.PROVED_IMPOSSIBLE, Stage.RULES
             self.infeasible = True

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, Unpack, get_args
 
@@ -44,6 +43,7 @@ from falsework.search.together.posed_states import PosedStates
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import or_notebook
+from falsework.utils.models import check_options
 
 _SAVE_EVERY = 30.0
 """Seconds between two checkpoints."""
@@ -112,10 +112,7 @@ def find_plans(
     named = [*rules, *(["robots"] if robots is not None else [])]
     if task is not None and named:
         raise InputError(f"a task and {', '.join(named)} were given; put them into the task, or leave the task out")
-    odd = next((name for name in rules if name not in TaskRules.__annotations__), None)
-    if odd is not None:
-        meant = get_close_matches(odd, ["robots", "stability", "settings", "deadline", *TaskRules.__annotations__], n=1)
-        raise InputError(f"find_plans takes no {odd!r}" + (f"; did you mean {meant[0]!r}?" if meant else ""))
+    check_options(find_plans, rules, TaskRules.__annotations__)
     if backend not in get_args(Backend):
         raise InputError(f"there is no backend {backend!r}; give {' or '.join(get_args(Backend))}")
     assembly, clock = as_assembly(assembly), Deadline(deadline)
@@ -143,7 +140,9 @@ def find_plans(
         first.replayer = first.replayer.vary()  # under the settings proper alone
         found = attempt(first, FIRST_SHARE, found)
     if not over(found):
+        why = found.reason
         found = attempt(StabilityOracle(assembly, replace(stability, reserve=1.0)), 0.0, found)
+        found = replace(found, unreserved=why)
     return found
 
 

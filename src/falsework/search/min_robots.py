@@ -26,6 +26,7 @@ from falsework.search.task_rules import TaskRules
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.utils.display.notebook import or_notebook
+from falsework.utils.models import check_options
 from falsework.utils.quantity import listed
 
 EFFORT = 60.0
@@ -64,6 +65,7 @@ class MinRobots(Result[int]):
     """Whether the keyboard ended the search."""
     deadline_passed: bool = False
     """Whether the deadline, or without one the limit of verdicts, ended the search."""
+    unreserved: str = ""
 
     @property
     def outcome(self) -> Outcome:
@@ -137,6 +139,7 @@ def min_robots(
     Raises:
         InputError: a deadline of zero or less, or rules that the structure cannot keep.
     """
+    check_options(min_robots, rules, TaskRules.__annotations__)
     clock, assembly = Deadline(deadline), as_assembly(assembly)
     progress = or_notebook(progress, "searching")
     first = oracle or StabilityOracle(assembly, stability)
@@ -147,7 +150,8 @@ def min_robots(
     if answer.value is not None or not again or answer.interrupted or clock.passed:
         return answer
     weaker = StabilityOracle(assembly, replace(stability, reserve=1.0))
-    return _Query(assembly, weaker, settings, clock, effort, progress, forces, rules).answer()
+    found = _Query(assembly, weaker, settings, clock, effort, progress, forces, rules).answer()
+    return replace(found, unreserved=answer.reason)
 
 
 class _Query:

@@ -143,7 +143,7 @@ class Planner:
             if (failed := unstable_end(self.task, self._oracle)) is not None:
                 if not as_built or unstable_end(self.task, self._oracle, as_built=True) is not None:
                     return failed
-                self._doubt = f"{failed.notes[0]} from rest"
+                self._doubt = f"from rest {failed.notes[0]}"
             for route in self.routes if self.tests.slow else ():  # given, or of a search that was resumed
                 if route.states.tobytes() not in self.tests.replays:
                     self.tests.passes(route, stop=stop)

@@ -25,6 +25,7 @@ class Planning(Result[Plan], Displayed):
     """Without a plan whose replay succeeds: the one whose replay gets farthest, with the step at which it fails."""
     deadline_passed: bool = False
     """Whether the deadline ended the search; `result` and `plans` are the best that it had by then."""
+    unreserved: str = ""
 
     @property
     def value(self) -> Plan | None:

@@ -12,9 +12,9 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.errors import InputError, StateError
 from falsework.replanning.named_state import named_state
-from falsework.search.plans.plan_model import PlanFile
+from falsework.search.plans.plan_model import HoldStiffness, NotNegative, PlanFile, Positive
 from falsework.service.settings import LONGEST_DEADLINE, ServiceSettings
-from falsework.stability.holds import LEAST_STIFFNESS, HoldMode, HoldSettings
+from falsework.stability.holds import HoldMode, HoldSettings
 from falsework.stability.verdict import Criterion
 from falsework.utils.json_text import parse_json
 from falsework.utils.models import FileModel, model_schemas, read_model
@@ -28,7 +28,6 @@ MOST_RESERVE = 100.0
 MOST_FRAMES, NARROWEST, WIDEST = 24, 80, 1600
 """States of a contact sheet, and pixels across each."""
 
-Number = Annotated[float, Meta(ge=0)]
 PartName = Count | Annotated[str, Meta(max_length=1000)]
 Parts = Annotated[list[PartName], Meta(extra_json_schema={"uniqueItems": True})]
 
@@ -36,11 +35,11 @@ Parts = Annotated[list[PartName], Meta(extra_json_schema={"uniqueItems": True})]
 class Holds(FileModel, frozen=True):
     """What robots that hold parts can do, as in plan files; under the criterion contact."""
 
-    stiffness: Annotated[float, Meta(ge=LEAST_STIFFNESS)] | None = None
+    stiffness: HoldStiffness | None = None
     """Of a hold, N/m; null, the default, for robots that keep the pose of a part."""
-    force: Number | UnsetType | None = UNSET
+    force: NotNegative | UnsetType | None = UNSET
     """Largest force on a held part, N; by default fifty weights of the heaviest part, null for no limit."""
-    moment: Annotated[float, Meta(gt=0)] | UnsetType | None = UNSET
+    moment: Positive | UnsetType | None = UNSET
     """Largest moment about the centre of mass of a held part, N m; by default twice the force times the largest radius
     of gyration, null for no limit."""
     mode: HoldMode = HoldSettings().mode
@@ -149,7 +148,7 @@ class ReplayRecord(FileModel, frozen=True):
     """Steps of assembly that were replayed and came to rest."""
     of: Count
     """Steps of the plan."""
-    moved_mm: Number
+    moved_mm: NotNegative
     """Largest movement of a part."""
 
 
@@ -169,7 +168,7 @@ class ReplanAnswer(FileModel, frozen=True):
     """Actions to the target."""
     reached: Count
     """Actions of the longest stable path found."""
-    seconds: Number
+    seconds: NotNegative
     deadline_passed: bool
     """More time might give a plan, or a better one."""
     reason: str
@@ -179,7 +178,7 @@ class ReplanAnswer(FileModel, frozen=True):
     plans: list[PlanFile]
     replays: list[ReplayRecord]
     """One for each plan under the criterion contact. Changes of settings are not tried."""
-    distances: list[list[Number]]
+    distances: list[list[NotNegative]]
 
 
 class VerdictRecord(FileModel, frozen=True):
@@ -212,7 +211,7 @@ class PartRecord(FileModel, frozen=True):
     part: Count
     name: str
     boundary: bool
-    mass: Number
+    mass: NotNegative
     center: Annotated[list[float], Meta(min_length=3, max_length=3)]
 
 
@@ -221,7 +220,7 @@ class StructureRecord(FileModel, frozen=True):
 
     name: str
     identity: str
-    friction: Number
+    friction: NotNegative
     contacts: Count
     policy: bool
     """Whether a trained policy proposes actions."""

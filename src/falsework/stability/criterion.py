@@ -44,6 +44,11 @@ class StabilityBounds:
         """Residual at which verdicts are decided, a share of gravity."""
         return _RESOLUTION * self.tolerance
 
+    @property
+    def under(self) -> str:
+        """The friction of verdicts, in words to put after them; empty where it is the true one."""
+        return f" with friction divided by {self.reserve:g}" if self.reserve != 1.0 else ""
+
 
 @dataclass(frozen=True)
 class StabilityCriterion(StabilityBounds):

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from falsework.errors import PlanError
+from falsework.utils.files.input_file import read_text
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
 
@@ -38,7 +39,7 @@ def read_json(path: Path | str, kind: str = "JSON file", remedy: str = "write it
         remedy: what to do about a damaged file.
     """
     try:
-        return parse_json(Path(path).read_text(encoding="utf-8"))
+        return parse_json(read_text(path))
     except FileNotFoundError:
         raise PlanError(f"there is no {kind} {path}") from None
     except IsADirectoryError:

@@ -139,6 +139,19 @@ def unknown_key(key: str, known: Iterable[str]) -> str:
     return f"is not known; did you mean {near[0]}?" if near else f"is not known; known are {', '.join(known)}"
 
 
+def check_options(taker: Callable[..., Any], given: Iterable[str], passed_on: Iterable[str]) -> None:
+    """Raise for an option that a function does not take.
+
+    Args:
+        given: names of the options that the function collects.
+        passed_on: those that it passes on, beside its own options.
+    """
+    known = {*passed_on, *(taker.__kwdefaults__ or ())}
+    odd = next((name for name in given if name not in known), None)
+    if odd is not None:
+        raise InputError(f"{taker.__name__}: the option {odd} {unknown_key(odd, known)}")
+
+
 def shown(value: Any) -> str:
     """Return a value of a file as messages repeat it: short, and without control characters."""
     text = ascii(value)

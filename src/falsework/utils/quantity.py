@@ -147,12 +147,18 @@ def check_positive(settings: object, *names: str) -> None:
             raise InputError(f"{name} is {value}; give a positive number")
 
 
+def check_whole(**numbers: object) -> None:
+    """Raise unless some numbers, which are given by their names, are whole."""
+    for name, value in numbers.items():
+        if not is_whole(value):
+            raise InputError(f"{name} is {value!r}; give a whole number")
+
+
 def check_counts(settings: object, *names: str) -> None:
     """Raise unless some numbers among settings are whole and at least 1."""
     for name in names:
         value = getattr(settings, name)
-        if not is_whole(value):
-            raise InputError(f"{name} is {value!r}; give a whole number")
+        check_whole(**{name: value})
         if value < 1:
             raise InputError(f"{name} is {value}; give at least 1")
 

@@ -17,7 +17,8 @@ from falsework.errors import InputError
 from falsework.stability.margins.nearness import nearness_to_limit
 from falsework.stability.verdict import Criterion
 from falsework.utils.display.notebook import in_notebook
-from falsework.utils.quantity import check_deadline, counted
+from falsework.utils.models import check_options
+from falsework.utils.quantity import check_deadline, check_whole, counted
 from falsework.viewer.arrows import Arrows, arrows_of_step
 from falsework.viewer.page.viewer_state import ViewerState
 from falsework.viewer.pictures.contact_sheet import (
@@ -34,7 +35,7 @@ from falsework.viewer.pictures.render import Camera
 from falsework.viewer.pictures.video import frame_places, frame_times, write_film
 from falsework.viewer.proof import StateProof
 from falsework.viewer.timeline import interesting
-from falsework.viewer.viewable import Showable, Viewable, open_file, viewable_of
+from falsework.viewer.viewable import Showable, Viewable, open_file, viewable_of, viewable_options
 
 if TYPE_CHECKING:
     from falsework.learn.networks.policy import Policy
@@ -84,6 +85,7 @@ def view(
     from falsework.viewer.page.page import Page
     from falsework.viewer.web.served_page import serve
 
+    check_options(view, options, viewable_options())
     check_view(robots, host, port, deadline)
     options = {"robots": robots, **options}
     is_file = isinstance(subject, (str, Path))
@@ -158,6 +160,7 @@ def picture(
             cannot be written.
         DependencyError: Pillow or matplotlib is not installed, or torch for a policy.
     """
+    check_options(picture, options, viewable_options())
     if path is not None:
         check_suffix(path, ".png", ".svg")
     kind: Kind = "svg" if path is not None and Path(path).suffix.lower() == ".svg" else "png"
@@ -243,6 +246,7 @@ def _nearness(shown: Viewable, place: int, criterion: Criterion) -> NDArray[np.f
 
 def check_sizes(width: int, frames: int, columns: int) -> None:
     """Refuse sizes of a picture before anything is loaded."""
+    check_whole(width=width, frames=frames, columns=columns)
     if not (width == 0 or 80 <= width <= 8000):
         raise InputError(f"a picture {width} pixels across cannot be drawn; give 80 to 8000")
     if frames < 1 or columns < 1:
@@ -285,6 +289,7 @@ def animate(
         InputError: nothing to animate, another kind of file, invalid sizes, or a file that cannot be written.
         DependencyError: Pillow or imageio-ffmpeg is not installed.
     """
+    check_options(animate, options, viewable_options())
     check_film(width, seconds, rate, speed)
     shown = viewable_of(subject, structure, **options)
     timeline = shown.timeline
@@ -312,6 +317,7 @@ def animate(
 
 def check_film(width: int, seconds: float, rate: float, speed: float) -> None:
     """Refuse sizes of a video before anything is loaded."""
+    check_whole(width=width)
     if not 80 <= width <= 4000:
         raise InputError(f"a video {width} pixels across cannot be drawn; give 80 to 4000")
     frame_places(0, seconds, rate)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from falsework.assembly.load import AnyStructure, as_assembly, load_structure
+from falsework.assembly.load import AnyStructure, as_assembly, load_options, load_structure
 from falsework.assembly.model import Assembly
 from falsework.assembly.state import complete_state
 from falsework.errors import InputError
@@ -25,6 +25,7 @@ from falsework.search.problem.task import Direction
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Criterion
+from falsework.utils.models import check_options
 from falsework.viewer.arms import Arms
 from falsework.viewer.proof import BuildProofs, StateProof, proofs_of_states
 from falsework.viewer.timeline import Timeline
@@ -91,6 +92,7 @@ def open_file(path: str | Path, structure: AnyStructure | None = None, **options
         InputError: nothing that can be shown.
         DependencyError: a run without torch.
     """
+    check_options(open_file, options, viewable_options())
     return replace(viewable_of(path, structure, **options), file=Path(path))
 
 
@@ -145,6 +147,11 @@ def viewable_of(
         raise InputError("a state alone does not say which structure it is of; give the structure too")
     assembly = as_assembly(structure, **options)
     return Viewable("structure", assembly, still(assembly, known))
+
+
+def viewable_options() -> tuple[str, ...]:
+    """Return the names of the options of `viewable_of`."""
+    return *load_options(), *(viewable_of.__kwdefaults__ or ())
 
 
 def _opened(path: str | Path, structure: AnyStructure | None, options: dict[str, Any]) -> Any:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from falsework.errors import MeshError
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.surface import PartSurface, content_of, joined, warn_of
+from falsework.utils.files.input_file import read_content
 from falsework.utils.json_text import parse_json
 from falsework.utils.quantity import is_number, listed
 
@@ -269,8 +270,9 @@ class _Reader:
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
         buffer = self._buffer(view["buffer"])
         size = (count - 1) * stride + width * dtype.itemsize if count else 0
-        if min(start, count, size) < 0 or start + size > len(buffer):
-            raise ValueError("values beyond the end of the buffer")
+        within = accessor.get("byteOffset", 0) + size <= view["byteLength"]
+        if min(start, count, size) < 0 or start + size > len(buffer) or not within:
+            raise ValueError("values beyond the end of their view or of the buffer")
         values = np.ndarray((count, width), dtype, buffer, start, (stride, dtype.itemsize)).astype(np.float64)
         if accessor.get("normalized") and dtype.kind != "f":
             values = np.maximum(values / np.iinfo(dtype).max, -1.0)
@@ -288,7 +290,7 @@ class _Reader:
                 beside = self._beside(uri)
                 if beside is None:
                     self._fail(f"its data are in {uri[:80]!r}, which is no file beside it", "export it as .glb")
-                self._buffers[index] = beside.read_bytes()
+                self._buffers[index] = read_content(beside)
         return self._buffers[index]
 
     def _beside(self, uri: str) -> Path | None:

@@ -14,6 +14,7 @@ from falsework.errors import MeshError
 from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.surface import PartSurface, content_of, joined, regrouped, stated_unit, text_of, warn_of
+from falsework.utils.files.printable import printable
 from falsework.utils.quantity import listed
 
 _APPEARANCE = {"vt", "vn", "s", "usemtl", "mtllib", "usemap", "maplib", "bevel", "c_interp", "d_interp"}
@@ -104,7 +105,7 @@ def _objects(file: Path, points: NDArray[np.float64], sections: list[_Section]) 
 
 def obj_text(mesh: TriangleMesh) -> str:
     """Return an OBJ file whose numbers read back as the same float64."""
-    lines = [f"o {mesh.name}"]
+    lines = [f"o {printable(mesh.name)}"]  # a name of several lines would be read as statements
     lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
     return "\n".join(lines) + "\n"

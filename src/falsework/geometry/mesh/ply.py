@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from codecs import BOM_UTF8
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -49,7 +50,7 @@ def read_ply(file: Path) -> list[PartSurface]:
     Raises:
         MeshError: a file that is damaged, has triangle strips, or has more or other data than its header says.
     """
-    content = content_of(file)
+    content = content_of(file).removeprefix(BOM_UTF8)
     try:
         order, elements, start = _header(content)
         if twice := _stated_twice(elements):
@@ -86,7 +87,7 @@ def read_ply(file: Path) -> list[PartSurface]:
 def _header(content: bytes) -> tuple[str, list[_Element], int]:
     """Return the order of bytes, the elements, and where the data begin."""
     end = content.index(b"end_header")
-    start = content.index(b"\n", end) + 1
+    start = content.index(b"\n" if b"\n" in content[:end] else b"\r", end) + 1  # older programs end lines by a return
     lines = content[:end].decode("ascii", errors="replace").splitlines()
     if lines[0].strip() != "ply":
         raise ValueError("no PLY file")

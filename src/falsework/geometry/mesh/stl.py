@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from codecs import BOM_UTF8
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,12 +28,13 @@ def read_stl(file: Path) -> list[PartSurface]:
         corners = np.frombuffer(content, _FACET, offset=_HEADER)["corners"].astype(np.float64)
         unit = stated_unit(content[: _HEADER - 4].decode("ascii", errors="replace"))
         return [replace(_surface("", corners), unit=unit)] if count else []
-    if not content.lstrip()[:5].lower() == b"solid":
+    text = content.removeprefix(BOM_UTF8)
+    if not text.lstrip()[:5].lower() == b"solid" or b"\0" in text:
         raise MeshError(
             f"cannot read {file}: it is neither text that begins with 'solid' nor as long as its number of facets "
             "says; export it again"
         )
-    return _read_text(file, text_of(file, content))
+    return _read_text(file, text_of(file, text))
 
 
 def _read_text(file: Path, text: str) -> list[PartSurface]:

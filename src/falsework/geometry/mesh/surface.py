@@ -16,6 +16,7 @@ from falsework.geometry.mesh.bodies import merge_equal, separate_solids
 from falsework.geometry.mesh.edges import is_closed
 from falsework.geometry.mesh.mesh import joined_faces
 from falsework.geometry.mesh.repair import closes
+from falsework.utils.files.input_file import read_content
 from falsework.utils.quantity import listed
 
 _UNIT = re.compile(
@@ -81,7 +82,7 @@ def stated_unit(comments: str) -> str:
 def content_of(file: Path) -> bytes:
     """Return the bytes of a file of meshes; MeshError if it cannot be read."""
     try:
-        return file.read_bytes()
+        return read_content(file)
     except OSError as error:
         raise MeshError(f"cannot read {file}: {error.strerror}") from error
 
@@ -184,8 +185,9 @@ def separated(file: Path, surfaces: Sequence[PartSurface]) -> list[PartSurface]:
 def distinct_names(file: Path, names: Sequence[str]) -> list[str]:
     """Return a different name for each part: its own, with a number behind it if others have it too.
 
-    Parts without a name are called by their numbers. Names that several parts have are warned of.
+    Parts without a name, or with a blank one, are called by their numbers. Names that several parts have are warned of.
     """
+    names = [name if name.strip() else "" for name in names]
     taken = {name for name in names if name}
     labels: dict[str, list[str]] = {}
     found: dict[str, None] = {}

@@ -19,6 +19,7 @@ from falsework.learn.networks.factory import make_policy
 from falsework.search.plans.plan_model import SourceEntry
 from falsework.search.plans.plan_source import check_source
 from falsework.utils.files.damage import blamed_on
+from falsework.utils.files.input_file import read_text
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
 from falsework.utils.models import FileModel, plain, read_model
@@ -143,7 +144,7 @@ def read_run(folder: Path) -> dict[str, Any]:
     if not folder.is_dir():
         raise InputError(f"there is no folder {folder}; falsework train STRUCTURE --out {folder} makes a run")
     try:
-        content = parse_json(path.read_text(encoding="utf-8"))
+        content = parse_json(read_text(path))
     except FileNotFoundError:
         raise InputError(f"{folder} is not a run: it has no {FILE}; falsework train makes one") from None
     except (OSError, ValueError) as error:

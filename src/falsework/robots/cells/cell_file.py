@@ -35,6 +35,7 @@ from falsework.robots.model.builtin_robots import BUILTIN, builtin_robot
 from falsework.robots.model.cell import Cell, CellRobot, Gripper, Obstacle, Placement, Signals
 from falsework.robots.model.robot_model import ACCELERATION_TIME, RobotModel
 from falsework.robots.model.shapes import Array, block, cylinder, looking_down
+from falsework.utils.files.input_file import read_text
 from falsework.utils.quantity import format_number
 
 AnyCell = Cell | str | Path
@@ -91,7 +92,7 @@ def _text_of(name: str | Path) -> tuple[str, str, Path]:
         raise InputError(f"there is no cell file {path}; `falsework cell new` writes one")
     if path.suffix.lower() == ".toml" or path.is_file():
         try:
-            return path.read_text(encoding="utf-8"), str(path), path.parent
+            return read_text(path), str(path), path.parent
         except (OSError, UnicodeDecodeError) as error:
             reason = getattr(error, "strerror", None) or "it is not text"
             raise CellError(f"cell file {path} cannot be read: {reason}") from error

@@ -13,6 +13,7 @@ import numpy as np
 
 from falsework.errors import CellError
 from falsework.robots.model.shapes import Array
+from falsework.utils.files.input_file import read_text
 from falsework.utils.lazy import importing
 
 Element = ElementTree.Element
@@ -160,7 +161,7 @@ def _parse(file: Path) -> Any:
     for tag, factor in _TAGS.items():
         Loader.add_constructor(tag, lambda loader, node, factor=factor: factor * float(loader.construct_scalar(node)))
     try:
-        return yaml.load(file.read_text(encoding="utf-8"), Loader)
+        return yaml.load(read_text(file), Loader)
     except (yaml.YAMLError, OSError, ValueError) as error:
         text = " ".join(str(getattr(error, "strerror", None) or error).split())
         raise CellError(f"joint limits {file} cannot be read: {text}") from error

@@ -132,7 +132,8 @@ def plan_robots(
 
         result = under(stability.reserve)
         # Where no order of the parts is found with the reserve, there may be one without.
-        return under(1.0) if result.no_order and stability.reserve > 1.0 and not clock.passed else result
+        again = result.no_order and stability.reserve > 1.0 and not clock.passed
+        return replace(under(1.0), unreserved=result.reason) if again else result
     now = configurations, held, gripped
     continues = settings.direction is Direction.ASSEMBLY and any(given is not None for given in now)
     clock, needed = Deadline(deadline), dict[str, Any]()

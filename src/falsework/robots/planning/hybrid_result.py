@@ -55,6 +55,7 @@ class HybridResult(Result[RobotPlan]):
     """Whether no order of the parts was found in which the structure stands, whatever the arms."""
     structure: Assembly | None = None
     """Structure that the plan is for, where arms carry groups of parts: each group is one part (`join_parts`)."""
+    unreserved: str = ""
 
     @property
     def outcome(self) -> Outcome:

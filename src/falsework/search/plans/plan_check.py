@@ -213,7 +213,6 @@ def _check_build(
     loads: list[Loads] = []
     for number, case in enumerate(cases):
         verifier, row, wrong = BuildVerifier(assembly, case.claim), -1, ""
-        under = f" with friction divided by {case.reserve:g}" if case.reserve != 1.0 else ""
         own, borne = carried and number == 0, []
         # Without limits, so that the verifier names what a robot bears beyond them.
         strong = replace(case, holds=replace(case.holds, force=np.inf, moment=np.inf))
@@ -224,14 +223,14 @@ def _check_build(
                 if not proof.residual <= case.tolerance:
                     why = proof.reason or f"its forces leave {format_quantity(proof.residual, 'share')} of gravity"
                     carries = "the displacements in the plan prove nothing: " * own
-                    wrong = f"{_built(plan, row)} is not proven{under}: {carries}{why}"
+                    wrong = f"{_built(plan, row)} is not proven{case.under}: {carries}{why}"
                     break
                 largest = max(largest, proof.residual)
                 borne.append(loads_in(assembly, states[row], proof.wrenches))
                 if progress is not None and number == 0:
                     progress(row + 1, len(states))
         if not wrong and row + 1 < len(states):
-            row, wrong = row + 1, f"the structure does not come to rest{under} at {_built(plan, row + 1)}"
+            row, wrong = row + 1, f"the structure does not come to rest{case.under} at {_built(plan, row + 1)}"
         if wrong:
             verdict = StabilityOracle(assembly, replace(case, reserve=1.0)).verdicts(
                 states[row], require_certificate=True

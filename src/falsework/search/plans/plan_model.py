@@ -24,6 +24,8 @@ Part = Annotated[int, Meta(ge=0)]
 Parts = Annotated[tuple[Part, ...], Meta(extra_json_schema={"uniqueItems": True})]
 NotNegative = Annotated[float, Meta(ge=0)]
 Positive = Annotated[float, Meta(gt=0)]
+HoldStiffness = Annotated[float, Meta(ge=LEAST_STIFFNESS)]
+"""Stiffness of a hold that gives way, N/m."""
 Limit = Annotated[float, Meta(gt=0, le=MOST)] | None
 Bounds = tuple[Annotated[float, Meta(ge=0, le=MOST)] | None, ...] | None
 PartValues = Annotated[
@@ -134,7 +136,7 @@ RULE_FIELDS = dict(zip(RulesEntry.__struct_fields__, RulesEntry.__struct_fields_
 class HoldsEntry(FileModel, frozen=True):
     """What robots that hold parts can do."""
 
-    stiffness: Annotated[float, Meta(ge=LEAST_STIFFNESS)] | None
+    stiffness: HoldStiffness | None
     """N/m; null for holds that never give way."""
     force: NotNegative | None
     """Largest force on a held part, N; null for no limit."""

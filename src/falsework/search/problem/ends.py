@@ -19,7 +19,7 @@ def end_subject(task: Task, state: States, name: str) -> str:
 
 
 def judged_as_built(oracle: Oracle, directions: Collection[Direction]) -> bool:
-    """Return whether a search in some directions judges states as they are built, so that the start may slide from rest.
+    """Return whether a search in some directions judges the start as it is built, so that it may slide from rest.
 
     What slides, tips or is undecided from rest, with all loads at once, may stand once it is reached step by step.
     """
@@ -44,7 +44,7 @@ def unstable_end(task: Task, oracle: Oracle, *, as_built: bool = False) -> Searc
     row = int(np.argmin(verdicts.stable))
     subject = end_subject(task, ends[row], ("start", "target")[row])
     proved, moves = bool(verdicts.unstable[row]), bool((verdicts.slides | verdicts.tips)[row])
-    words = verdicts.kinds[row].words
+    words = verdicts.kinds[row].words + (oracle.settings.under if oracle.settings is not None else "")
     return SearchResult(
         outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
         routes=(),

@@ -62,12 +62,18 @@ class PlanReplay:
         part = int(replay.part[most]) if most >= 0 else -1
         return cls(replay.good, replay.largest, part, replay.falls_at, replay.presses)
 
-    def denied_by(self, replay: Replay) -> str:
-        """Return what another replay of the same plan denies of this summary, in words; empty if nothing."""
+    def denied_by(self, replay: Replay, *, marginal: bool = False) -> str:
+        """Return what another replay of the same plan denies of this summary, in words; empty if nothing.
+
+        Args:
+            marginal: it does not come to rest under some change of settings.
+        """
         if self.stands and not replay.good:
             return "that it succeeds"
         if self.stands and replay.largest > _REPEATS * self.moved + _LEAST:
             return f"that parts move by {format_bound(self.moved, 'length')}"
+        if self.varied and marginal:
+            return "that it succeeds under changed settings too"
         return ""
 
 

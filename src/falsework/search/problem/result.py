@@ -60,6 +60,10 @@ class Result(Generic[T]):
         def reason(self) -> str:
             """Why there is no value, in words; empty where there is one."""
 
+        @property
+        def unreserved(self) -> str:
+            """Reason of the search with the reserve that was asked for, where the value is of one without it."""
+
     def __repr__(self) -> str:
         return (
             f"<{type(self).__name__}: {self.outcome.value}, {self.reason if self.value is None else repr(self.value)}>"

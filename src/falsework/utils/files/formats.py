@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 READERS, EXPORTERS = "falsework.readers", "falsework.exporters"
 """Groups of entry points; each names an object of the class below."""
 FOLDER = "/"
-"""Ending of a folder, for readers of folders with more in them than the meshes of parts."""
+"""Ending of a folder, which no name has: of readers of folders with more in them than the meshes of parts, and of the
+exporter of folders."""
 _KINDS = {"Assembly": "a structure", "Plan": "a plan", "RobotPlan": "a robot plan"}
 
 
@@ -51,7 +52,7 @@ class Exporter:
     write: Callable[..., None]
     """Takes the assembly, the path, the plan or robot plan if it is to be shown, and the options that are given."""
     suffixes: tuple[str, ...] = ()
-    """Endings of the names of files that stand for the format, in lower case."""
+    """Endings of the names of its files, in lower case, or `FOLDER`; the first format with an ending is meant by it."""
     shows: tuple[str, ...] = ("Assembly",)
     """Classes of what it shows: `Assembly`, `Plan`, `RobotPlan`."""
     options: tuple[str, ...] = ()
@@ -134,17 +135,17 @@ def exporter_by_suffix(path: Path | str) -> str | None:
     return next((name for name, exporter in formats(EXPORTERS).items() if suffix in exporter.suffixes), None)
 
 
-def check_ending(path: Path | str, name: str, suffixes: tuple[str, ...] = ()) -> None:
+def check_ending(path: Path | str, name: str, suffixes: tuple[str, ...] = (FOLDER,)) -> None:
     """Raise if the name of a file or folder stands for another format than the one that is written.
 
     Args:
         name: format that is written.
-        suffixes: endings of its files; without any only folders are checked, as a name has no ending of theirs.
+        suffixes: endings of its files; without any every name is its.
     """
     other, suffix = exporter_by_suffix(path), Path(path).suffix.lower()
-    if other is None or suffix in suffixes or not (suffixes or name == "folder"):
+    if other is None or suffix in suffixes or not suffixes:
         return
-    ending = f"a name that ends in {' or '.join(suffixes)}" if suffixes else "a name without an ending"
+    ending = "a name without an ending" if FOLDER in suffixes else f"a name that ends in {' or '.join(suffixes)}"
     raise InputError(f"{path} has the ending of {other}, but {name} is written; give {ending}, or leave the format out")
 
 

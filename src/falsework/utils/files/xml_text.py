@@ -6,6 +6,8 @@ import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
+from falsework.utils.files.input_file import read_content
+
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 _PREFIX = re.compile(r"""(?:</?|\s)([A-Za-z_][\w.-]*):[A-Za-z_][\w.-]*(?=[\s=/>])""")
 _QUOTED = re.compile(r""""[^"]*"|'[^']*'""")
@@ -14,7 +16,7 @@ _ROOT = re.compile(r"<([A-Za-z_][\w:.-]*)")
 
 def read_xml_text(file: Path) -> bytes:
     """Return the content of an XML file in which every prefix is declared, those that were not with a name of ours."""
-    content = file.read_bytes()
+    content = read_content(file)
     try:
         ElementTree.fromstring(content)
     except ElementTree.ParseError as error:
