@@ -476,8 +476,8 @@ def test_wrong_types_get_one_line(arch: Assembly, plan: fw.Plan, call: Callable[
             "load_structure: the option frcition is not known; did you mean",
         ),
         (
-            lambda arch, plan: UNTYPED.doctor("tests", bondary=[0]),
-            "doctor: the option bondary is not known; did you mean",
+            lambda arch, plan: UNTYPED.doctor("tests", boundaries=[0]),
+            "doctor: the option boundaries is not known; did you mean",
         ),
         (
             lambda arch, plan: UNTYPED.picture(plan, None, arch, frame=3),
@@ -493,12 +493,12 @@ def test_wrong_types_get_one_line(arch: Assembly, plan: fw.Plan, call: Callable[
             "open_file: the option robot is not known; did you mean",
         ),
         (
-            lambda arch, plan: UNTYPED.export(arch, "a.glb", fromat="glb"),
-            "export: the option fromat is not known; did you mean",
+            lambda arch, plan: UNTYPED.export(arch, "a.glb", formatt="glb"),
+            "export: the option formatt is not known; did you mean",
         ),
         (
-            lambda arch, plan: UNTYPED.min_robots(arch, mising=[2]),
-            "min_robots: the option mising is not known; did you mean",
+            lambda arch, plan: UNTYPED.min_robots(arch, missings=[2]),
+            "min_robots: the option missings is not known; did you mean",
         ),
         (
             lambda arch, plan: UNTYPED.replan(plan, step=1, structure=arch, deadlin=9),

@@ -148,10 +148,9 @@ def test_a_hold_on_the_way_that_does_not_stand_is_gone_around() -> None:
     assert tried
 
 
-def test_another_abstract_plan_costs_a_bounded_number_of_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_abstract_plan_costs_a_bounded_number_of_verdicts() -> None:
     oracle = StabilityOracle(ARCH)
-    monkeypatch.setattr("falsework.robots.planning.solvability._VARIED_VERDICTS", 0)
-    solvability = SolvabilityCheck(ARCH, TASK, oracle)
+    solvability = SolvabilityCheck(ARCH, TASK, oracle, varied_verdicts=0)
     assert solvability.prepare().found
     known = len(solvability)
     asked = oracle.counters.asked

@@ -142,9 +142,10 @@ class SolvabilityCheck:
         score: ActionScore | None = None,
         seed: int = 0,
         joint: JointHolds | None = None,
+        varied_verdicts: int = _VARIED_VERDICTS,
     ) -> None:
         """Know only the target to be solvable; by default the guide lets parts with much support go in first."""
-        self.joint = joint
+        self.joint, self._varied_verdicts = joint, varied_verdicts
         self.oracle = oracle if joint is None else HoldingOracle(oracle, joint)
         self._acceptance = Acceptance(oracle.replayer)
         self.task = task.judged_by(self.oracle)
@@ -158,8 +159,7 @@ class SolvabilityCheck:
         """Searches for paths to solvable states."""
         self._preferred: dict[bytes, int] = {}  # states of the plan to follow, with their places in it
         self._solvable: set[bytes] = {task.target.tobytes()}
-        self._not_found: set[bytes] = set()
-        self._forbidden: set[bytes] = set()
+        self._not_found, self._forbidden = set[bytes](), set[bytes]()
         self._moves: dict[bytes, list[int]] = {}
         self._stop: Stop = lambda: False
 
@@ -200,7 +200,7 @@ class SolvabilityCheck:
 
         for direction in [*Direction][:: -1 if seed % 2 else 1]:
             beam = self._beam(self.task, direction, seed, disturbed)
-            if self.follow(self._search(beam, _VARIED_WIDTH, _VARIED_VERDICTS)):
+            if self.follow(self._search(beam, _VARIED_WIDTH, self._varied_verdicts)):
                 return
 
     def falls(self, route: Route) -> int | None:
@@ -235,7 +235,7 @@ class SolvabilityCheck:
         task = replace(self.task, start=state)
         for _ in range(MOST_FALLS):
             beam = self._beam(task, seed=self._seed)
-            routes = self._search(beam, _VARIED_WIDTH, _VARIED_VERDICTS)
+            routes = self._search(beam, _VARIED_WIDTH, self._varied_verdicts)
             if not routes or not any(self.joint.learn_from(route.states) for route in routes):
                 return self.follow(routes)
         return False
