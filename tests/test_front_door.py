@@ -497,8 +497,8 @@ def test_wrong_types_get_one_line(arch: Assembly, plan: fw.Plan, call: Callable[
             "export: the option formatt is not known; did you mean",
         ),
         (
-            lambda arch, plan: UNTYPED.min_robots(arch, missings=[2]),
-            "min_robots: the option missings is not known; did you mean",
+            lambda arch, plan: UNTYPED.min_robots(arch, missing_parts=[2]),
+            "min_robots: the option missing_parts is not known; did you mean",
         ),
         (
             lambda arch, plan: UNTYPED.replan(plan, step=1, structure=arch, deadlin=9),
