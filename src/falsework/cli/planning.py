@@ -332,7 +332,7 @@ def refuse_unstable(
 
     Args:
         building: whether the user's start is the target of the task.
-        as_built: whether only a proof that the start of the task cannot stand counts, see `judged_as_built`.
+        as_built: whether the start of the task may slide from rest, or be undecided, see `judged_as_built`.
     """
     from falsework.cli.velocity_text import describe, motions_at
     from falsework.search.problem.ends import end_subject
@@ -340,7 +340,8 @@ def refuse_unstable(
     names = ("target", "start") if building else ("start", "target")
     for name, state in zip(names, (task.start, task.target), strict=True):
         verdicts = oracle.verdicts(state, require_certificate=True)
-        if verdicts.stable[0] or (as_built and state is task.start and not verdicts.unstable[0]):
+        fails = verdicts.unstable | verdicts.tips
+        if verdicts.stable[0] or (as_built and state is task.start and not fails[0]):
             continue
         subject = end_subject(task, state, name)
         moving = motions_at(assembly, verdicts, 0)
