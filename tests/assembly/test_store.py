@@ -229,11 +229,8 @@ def test_the_model_has_the_tolerances_of_contacts() -> None:
     assert structs.asdict(ContactEntry()) == asdict(ContactSettings())
 
 
-@pytest.mark.parametrize(
-    ("names", "said"), [(("post", "post"), "2 parts have the name 'post'"), (("a", " "), "1 part")]
-)
-def test_names_that_no_file_may_have_are_not_written(tmp_path: Path, names: tuple[str, str], said: str) -> None:
-    meshes = [box(name, (0, 0, height)) for height, name in enumerate(names)]
-    with pytest.raises(InputError, match=said):
+def test_names_that_no_file_may_have_are_not_written(tmp_path: Path) -> None:
+    meshes = [box("post", (0, 0, height)) for height in range(2)]
+    with pytest.raises(InputError, match="2 parts have the name 'post'"):
         save_assembly(Assembly.from_meshes(meshes, boundary=[0]), tmp_path / "folder")
     assert not (tmp_path / "folder").exists()
