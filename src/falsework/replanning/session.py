@@ -23,7 +23,7 @@ from falsework.search.problem.deadline import Deadline
 from falsework.search.problem.result import Outcome, Route, SearchResult
 from falsework.search.problem.task import Direction, Task
 from falsework.search.together.moves import graph_with_sets
-from falsework.stability.verdict import Verdicts
+from falsework.stability.verdict import Verdict, Verdicts
 
 _SAMPLES_GPU, _SAMPLES_CPU = 16, 4
 """Sampled rollouts where the settings give no number, see `ReplanSettings.samples`."""
@@ -201,6 +201,9 @@ class ReplanSession:
         """Take the verdicts on start and target from rest."""
         ends = np.stack([self.task.start, self.task.target])
         verdicts = replace(verdicts, verdict=self.oracle.as_replayed(ends, verdicts.verdict))
+        builds = self.replayer is not None and self.direction is Direction.ASSEMBLY
+        if builds and not (verdicts.unstable | verdicts.tips | self.oracle.rules_out(ends))[0]:
+            verdicts.verdict[0] = Verdict.STABLE  # the target, which may stand as it is built
         if not verdicts.stable.all():
             row = int(np.argmin(verdicts.stable))
             proved = bool(verdicts.unstable[row])

@@ -17,6 +17,7 @@ from falsework import (
     find_plans,
     load_structure,
     min_robots,
+    replan,
 )
 from falsework.search.problem.ends import unstable_end
 from falsework.search.problem.task import Task
@@ -69,3 +70,10 @@ def test_what_is_proven_unstable_is_not_built(vault: Assembly) -> None:
     failed = unstable_end(task, oracle, as_built=True)
     assert failed is not None
     assert failed.outcome is Outcome.PROVED_IMPOSSIBLE
+
+
+def test_a_plan_of_a_vault_that_slides_from_rest_is_continued(vault: Assembly) -> None:
+    plan = find_plans(vault, oracle=StabilityOracle(vault, CONTACT)).plans[0]
+    answer = replan(vault, plan.states[20], direction=Direction.ASSEMBLY, stability=CONTACT)
+    assert answer.found
+    assert (answer.plans[0].states[-1] == plan.states[-1]).all()
