@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def conventions() -> dict[str, Any]:
-    """Return what `tyro.cli` is told for all commands: how fields become options, and that no path is empty."""
+    """Return the arguments of `tyro.cli` that all commands share: markers of options, and a parser of paths."""
     import tyro
     from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 

@@ -340,8 +340,7 @@ def refuse_unstable(
     names = ("target", "start") if building else ("start", "target")
     for name, state in zip(names, (task.start, task.target), strict=True):
         verdicts = oracle.verdicts(state, require_certificate=True)
-        fails = verdicts.unstable | verdicts.tips
-        if verdicts.stable[0] or (as_built and state is task.start and not fails[0]):
+        if verdicts.stable[0] or (as_built and state is task.start and verdicts.depends_on_path[0]):
             continue
         subject = end_subject(task, state, name)
         moving = motions_at(assembly, verdicts, 0)

@@ -202,7 +202,7 @@ class ReplanSession:
         ends = np.stack([self.task.start, self.task.target])
         verdicts = replace(verdicts, verdict=self.oracle.as_replayed(ends, verdicts.verdict))
         builds = self.replayer is not None and self.direction is Direction.ASSEMBLY
-        if builds and not (verdicts.unstable | verdicts.tips | self.oracle.rules_out(ends))[0]:
+        if builds and (verdicts.depends_on_path & ~self.oracle.rules_out(ends))[0]:
             verdicts.verdict[0] = Verdict.STABLE  # the target, which may stand as it is built
         if not verdicts.stable.all():
             row = int(np.argmin(verdicts.stable))

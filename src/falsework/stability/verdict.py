@@ -169,6 +169,11 @@ class Verdicts(Displayed):
         """Whether each state is undecided, shape (batch,)."""
         return self.verdict == Verdict.UNDECIDED
 
+    @property
+    def depends_on_path(self) -> NDArray[np.bool_]:
+        """Whether each state may stand as it is built though not from rest: it slides, or is undecided, (batch,)."""
+        return self.slides | self.undecided
+
     def __len__(self) -> int:
         return len(self.verdict)
 

@@ -21,7 +21,8 @@ def end_subject(task: Task, state: States, name: str) -> str:
 def judged_as_built(oracle: Oracle, directions: Collection[Direction]) -> bool:
     """Return whether a search in some directions judges the start as it is built, so that it may slide from rest.
 
-    What slides or is undecided from rest, with all loads at once, may stand once it is reached step by step.
+    What slides or is undecided from rest, with all loads at once, may stand once it is reached step by step
+    (`Verdicts.depends_on_path`).
     """
     return oracle.replayer is not None and Direction.ASSEMBLY in directions
 
@@ -35,7 +36,7 @@ def unstable_end(task: Task, oracle: Oracle, *, as_built: bool = False) -> Searc
     ends = np.stack([task.start, task.target])
     oracle.verdicts(ends, require_certificate=True)  # asks whether they tip, which is known from then on
     verdicts = oracle.verdicts(ends)
-    if as_built and not (verdicts.unstable | verdicts.tips)[0]:
+    if as_built and verdicts.depends_on_path[0]:
         verdicts.verdict[0] = Verdict.STABLE
     if verdicts.stable.all():
         verdicts.verdict[~oracle.keeps(ends)] = Verdict.SLIDES

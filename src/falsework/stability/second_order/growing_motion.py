@@ -97,7 +97,7 @@ class SecondOrder:
         free = state == 1
         if not free.any() or not len(self._axes):
             return None
-        around = np.flatnonzero(free[self._geometry.part_a] | free[self._geometry.part_b])
+        around = self._geometry.points_on(np.flatnonzero(free))
         known = state[None], np.where(free[:, None], displacement, 0.0)[None]
         history, springs = springs, springs or springs_of_displacement(self.assembly, *known, self.claim)
         turning = self._turning(springs, around)
