@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from falsework.errors import InputError
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.plans.route_tests import RouteTests
-from falsework.search.problem.ends import judged_as_built, unstable_end
+from falsework.search.problem.ends import doubt_of_start, judged_as_built, unstable_end
 from falsework.search.problem.guide import Guide, NoveltyGuide, SupportGuide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
@@ -140,10 +140,9 @@ class Planner:
         interrupted = False
         try:
             as_built = judged_as_built(self._oracle, self.settings.directions)
-            if (failed := unstable_end(self.task, self._oracle)) is not None:
-                if not as_built or unstable_end(self.task, self._oracle, as_built=True) is not None:
-                    return failed
-                self._doubt = f"from rest {failed.notes[0]}"
+            if (failed := unstable_end(self.task, self._oracle, as_built=as_built)) is not None:
+                return failed
+            self._doubt = doubt_of_start(self.task, self._oracle)
             for route in self.routes if self.tests.slow else ():  # given, or of a search that was resumed
                 if route.states.tobytes() not in self.tests.replays:
                     self.tests.passes(route, stop=stop)

@@ -10,7 +10,7 @@ from falsework.assembly.state import States, complete_state
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Outcome, SearchCounters, SearchResult
 from falsework.search.problem.task import Direction, Task
-from falsework.stability.verdict import Verdict
+from falsework.stability.verdict import Verdict, Verdicts
 
 
 def end_subject(task: Task, state: States, name: str) -> str:
@@ -45,7 +45,7 @@ def unstable_end(task: Task, oracle: Oracle, *, as_built: bool = False) -> Searc
     row = int(np.argmin(verdicts.stable))
     subject = end_subject(task, ends[row], ("start", "target")[row])
     proved, moves = bool(verdicts.unstable[row]), bool((verdicts.slides | verdicts.tips)[row])
-    words = verdicts.kinds[row].words + (oracle.settings.under if oracle.settings is not None else "")
+    words = _words(oracle, verdicts, row)
     return SearchResult(
         outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
         routes=(),
@@ -61,3 +61,15 @@ def unstable_end(task: Task, oracle: Oracle, *, as_built: bool = False) -> Searc
         sliding=int(moves),
         notes=(f"the {subject} {words}",),
     )
+
+
+def doubt_of_start(task: Task, oracle: Oracle) -> str:
+    """Return what the start of a task does from rest, in words; empty if it stands."""
+    verdicts = oracle.verdicts(task.start[None])
+    if verdicts.stable[0]:
+        return ""
+    return f"from rest the {end_subject(task, task.start, 'start')} {_words(oracle, verdicts, 0)}"
+
+
+def _words(oracle: Oracle, verdicts: Verdicts, row: int) -> str:
+    return verdicts.kinds[row].words + (oracle.settings.under if oracle.settings is not None else "")
