@@ -56,10 +56,11 @@ class RuleReplayer:
         """States in which the structure falls with a thicker medium alone."""
         self.replayed = self.iterations = 0
 
-    def vary(self, settings: StabilitySettings, replay: ReplaySettings) -> RuleReplayer:
-        if settings.reserve < self.settings.reserve:
+    def vary(self, change: Change) -> RuleReplayer:
+        if change.reserve is not None and change.reserve < self.settings.reserve:
             return RuleReplayer(self.falls | self.true)
-        return RuleReplayer(self.falls | self.varied if replay.first_step < ReplaySettings.first_step else self.falls)
+        thicker = change.replay.first_step < ReplaySettings.first_step
+        return RuleReplayer(self.falls | self.varied if thicker else self.falls)
 
     def also_under(self, changes: Sequence[Change]) -> None:
         """Fall in all states that are named once the change is tried at every step."""

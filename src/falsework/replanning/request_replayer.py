@@ -12,12 +12,11 @@ from falsework.assembly.state import Mask, States
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.search.problem.result import barred_row
-from falsework.stability.contact.history import History, Presses, Replay, ReplaySettings
+from falsework.stability.contact.history import Change, History, Presses, Replay
 from falsework.stability.contact.newton import RESTS
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.contact.varied_replay import TRUE_FRICTION, changed
+from falsework.stability.contact.varied_replay import TRUE_FRICTION
 from falsework.stability.holds import Press
-from falsework.stability.settings import StabilitySettings
 from falsework.utils.interruption import PIECE
 
 
@@ -116,7 +115,7 @@ class RequestReplayer(Replayer):
         self._prefix: _Progress | None = None
         self._clock = clock
         self._known: dict[tuple[bytes, Presses | None], _Progress] = {}
-        self._varied: dict[tuple[StabilitySettings, ReplaySettings], RequestReplayer] = {}
+        self._requests: dict[Change, RequestReplayer] = {}
         self.falls = Falls()
         """Of this one and of replayers under other settings."""
 
@@ -125,13 +124,12 @@ class RequestReplayer(Replayer):
         """As of `Replayer`."""
         return self._replayer.iterations
 
-    def vary(self, settings: StabilitySettings | None = None, replay: ReplaySettings | None = None) -> RequestReplayer:
-        """Return a replayer of the same structure under other settings, with the same clock."""
-        key = settings or self.settings, replay or self.replay_settings
-        if key not in self._varied:
-            self._varied[key] = RequestReplayer(self._replayer.vary(*key), self._clock, self._built)
-            self._varied[key].falls = self.falls
-        return self._varied[key]
+    def vary(self, change: Change) -> RequestReplayer:
+        """Return the replayer of the same structure under changed settings, with the same clock."""
+        if change not in self._requests:
+            self._requests[change] = RequestReplayer(self._replayer.vary(change), self._clock, self._built)
+            self._requests[change].falls = self.falls
+        return self._requests[change]
 
     def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
         """Replay as `Replayer.replay` does; where several states have no history before them, without histories.
@@ -188,7 +186,7 @@ class RequestReplayer(Replayer):
             done,
         )
         if stands and self.settings.reserve != 1.0:
-            plain = self.vary(*changed(TRUE_FRICTION, self.settings)).replay_in_time(states, done)
+            plain = self.vary(TRUE_FRICTION).replay_in_time(states, done)
             found = replace(found, stands=plain.stands, steps=plain.steps)
         return found
 

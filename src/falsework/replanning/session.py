@@ -93,7 +93,7 @@ class ReplanSession:
         replayer, history = context.prover.oracle.replayer, None if self.built is None else self.built.history
         self.replayer = None  # under the settings alone: changed ones would take as long again
         if replayer is not None:
-            own = replayer.vary() if replayer.varies else replayer
+            own = replayer.alone() if replayer.varies else replayer
             self.replayer = RequestReplayer(own, self.clock, history)
         self.oracle = SessionOracle(context.prover.oracle, self.clock, self.replayer)
         needed = _SAFETY * context.prover.seconds_for(self.task.steps + 1)

@@ -137,7 +137,7 @@ def find_plans(
 
     found = attempt(first, FIRST_SHARE)
     if first.replayer is not None and first.replayer.changes and not (found.found or over(found)):
-        first.replayer = first.replayer.vary()  # under the settings proper alone
+        first.replayer = first.replayer.alone()  # under the settings proper alone
         found = attempt(first, FIRST_SHARE, found)
     if not over(found):
         why = found.reason

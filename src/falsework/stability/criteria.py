@@ -6,7 +6,6 @@ from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.stability.contact.replay import Replayer
 from falsework.stability.contact.solver import ContactSolver
-from falsework.stability.contact.varied_replay import EnsembleReplayer
 from falsework.stability.cpu.solver import CpuSolver
 from falsework.stability.margins.contact_prober import ContactProber
 from falsework.stability.margins.prober import Prober
@@ -43,7 +42,7 @@ class ContactCriterion(ContactSolver):
 
     def replayer(self) -> Replayer | None:
         """Return the replayer of states, which may replay under changed settings too."""
-        return EnsembleReplayer(self.assembly, self.settings, solver=self)
+        return Replayer(self.assembly, self.settings, solver=self, varies=True)
 
     def prober(self) -> Prober:
         """Return the solver of single states under other friction and loads."""

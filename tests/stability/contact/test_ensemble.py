@@ -15,14 +15,7 @@ from falsework.stability import HoldSettings
 from falsework.stability.contact import varied_replay
 from falsework.stability.contact.history import Change, Presses, ReplaySettings
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.contact.varied_replay import (
-    MANY,
-    EnsembleReplayer,
-    changed,
-    inexact,
-    replay_varied,
-    variations,
-)
+from falsework.stability.contact.varied_replay import MANY, replay_varied, variations
 
 CONTACT = StabilitySettings(criterion="contact", reserve=1.1)
 
@@ -35,10 +28,7 @@ def planned(assembly: Assembly, seed: int, reserve: float) -> Plan:
 def members(replayer: Replayer, plan: Plan) -> list[tuple[Change, Replayer, Presses]]:
     """Return a replayer for each change, and the presses that err as it says."""
     changes = variations(5)
-    return [
-        (change, replayer.vary(*changed(change, replayer.settings)), inexact(change, plan.presses_before))
-        for change in changes
-    ]
+    return [(change, replayer.vary(change), change.inexact(plan.presses_before)) for change in changes]
 
 
 @pytest.mark.parametrize("stiffness", [np.inf, 1e7])
@@ -47,7 +37,7 @@ def test_histories_are_those_of_single_replays(stiffness: float) -> None:
     assembly = load_structure("vault:parts=40")
     plan = planned(assembly, 0, 1.1)
     settings = replace(CONTACT, holds=replace(plan.claim.holds, stiffness=stiffness))
-    ensemble = EnsembleReplayer(assembly, settings)
+    ensemble = Replayer(assembly, settings)
     each = members(ensemble, plan)
     ensemble.also_under([change for change, _, _ in each])
     whole = ensemble.replay(plan.states, presses=plan.presses_before)
@@ -71,7 +61,7 @@ def test_a_replay_ends_where_one_of_the_settings_fails() -> None:
     assembly = load_structure("vault:parts=40")
     plan, first = planned(assembly, 1, 1.0), None
     for reserve in np.arange(2.0, 1.0, -0.05).tolist():
-        ensemble = EnsembleReplayer(assembly, replace(CONTACT, reserve=reserve))
+        ensemble = Replayer(assembly, replace(CONTACT, reserve=reserve))
         if not ensemble.replay(plan.states, presses=plan.presses_before).good:
             continue
         each = members(ensemble, plan)
@@ -92,7 +82,7 @@ def test_a_first_state_that_falls_under_a_change_ends_the_replay() -> None:
     assembly = load_structure("arch:blocks=7")
     settings = StabilitySettings(holds=HoldSettings(stiffness=1e5))
     states = np.array([[1, 1, 2, 0, 2, 1, 1, 2, 2], [1, 1, 2, 2, 2, 1, 1, 2, 2]], dtype=np.uint8)
-    ensemble = EnsembleReplayer(assembly, settings)
+    ensemble = Replayer(assembly, settings)
     assert ensemble.replay(states).good
     softer, stiffer = variations(2)
     assert (softer.hold_factor, stiffer.hold_factor) == (1 / 3, 3.0)
@@ -104,7 +94,7 @@ def test_a_first_state_that_falls_under_a_change_ends_the_replay() -> None:
 def test_a_history_of_one_setting_goes_on_under_it_alone() -> None:
     assembly = load_structure("arch:blocks=7")
     plan = planned(assembly, 0, 1.1)
-    plain, ensemble = Replayer(assembly, CONTACT), EnsembleReplayer(assembly, CONTACT)
+    plain, ensemble = Replayer(assembly, CONTACT), Replayer(assembly, CONTACT)
     ensemble.also_under(variations(1))
     history = plain.replay(plan.states[:5]).histories[-1]
     found = ensemble.replay(plan.states[4:], history)
@@ -116,7 +106,7 @@ def test_a_path_goes_on_under_a_change_that_is_learned_on_the_way() -> None:
     """With the histories that it would have had from the beginning."""
     assembly = load_structure("vault:parts=40")
     plan = planned(assembly, 0, 1.1)
-    ensemble, whole = (EnsembleReplayer(assembly, CONTACT) for _ in range(2))
+    ensemble, whole = (Replayer(assembly, CONTACT) for _ in range(2))
     paths = PathHistories(ensemble, lambda row: row - 1 if row else None, lambda row: plan.states[row])
     learned = variations(4)
     history = None

@@ -15,7 +15,7 @@ from falsework.search.beam.settings import MEMORY, SLIP
 from falsework.search.problem.oracle import CountingOracle
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.contact.build_verifier import StepCertificate
-from falsework.stability.contact.varied_replay import changed, in_pieces, inexact
+from falsework.stability.contact.varied_replay import in_pieces
 
 if TYPE_CHECKING:
     from falsework.stability.contact.history import History, Presses
@@ -151,8 +151,8 @@ class PathHistories(Generic[K]):
         histories = [self._known.get(at) for at in path[:end]]
         for change in replayer.changes[count:] if end else []:
             states, presses = states[:end], presses[:end]
-            end, own = 0, replayer.vary(*changed(change, replayer.settings))
-            for first, found in in_pieces(own, np.array(states), inexact(change, presses)):
+            end, own = 0, replayer.vary(change)
+            for first, found in in_pieces(own, np.array(states), change.inexact(presses)):
                 for history in found[end - first :]:
                     if (known := histories[end]) is not None:
                         histories[end] = replace(known, changed=(*known.changed, history))

@@ -11,7 +11,7 @@ from falsework.errors import InputError
 from falsework.search.problem.deadline import DeadlineExceeded
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.contact.history import Presses, of_all
-from falsework.stability.contact.varied_replay import FEW, MANY, TRUE_FRICTION, AllVariations, RouteReplay, changed
+from falsework.stability.contact.varied_replay import FEW, MANY, TRUE_FRICTION, AllVariations, RouteReplay
 from falsework.stability.holds import HoldLoad
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Acceptance:
         if replayer is not None and replayer.varies and (robust or replayer.settings.reserve > 1.0):
             self.variations = AllVariations(replayer, MANY if robust else FEW)
         if replayer is not None:
-            self._plain = RouteReplay(replayer.vary(*changed(TRUE_FRICTION, replayer.settings)))
+            self._plain = RouteReplay(replayer, TRUE_FRICTION)
 
     @property
     def varies(self) -> bool:

@@ -21,7 +21,7 @@ from falsework.stability.contact.build_verifier import BuildVerifier
 from falsework.stability.contact.history import Presses, of_all
 from falsework.stability.contact.hold_loads import Loads, larger_loads, loads_in
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.contact.varied_replay import TRUE_FRICTION, changed
+from falsework.stability.contact.varied_replay import TRUE_FRICTION
 from falsework.stability.cpu.solver import TASK
 from falsework.stability.oracle import StabilityOracle
 from falsework.stability.state_arrays import StateArrays
@@ -98,7 +98,7 @@ def _true_loads(replayer: Replayer, states: States, presses: Presses, loads: Loa
     """Return what robots bear under the true friction: `loads` where these were found under it."""
     if replayer.settings.reserve == 1.0:
         return loads
-    true = replayer.vary(*changed(TRUE_FRICTION, replayer.settings))
+    true = replayer.vary(TRUE_FRICTION)
     histories = true.replay(states, presses=presses).histories
     found = true.loads(states[: len(histories)], histories)
     return (*found, *loads[len(found) :])

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.errors import InputError
 from falsework.stability.contact.newton import OPEN, RESTS
-from falsework.stability.holds import Press
-from falsework.stability.settings import NumericalSettings
+from falsework.stability.holds import Press, inexact_presses
+from falsework.stability.settings import NumericalSettings, StabilitySettings
 from falsework.utils.quantity import check_positive
 
 Array = NDArray[np.float64]
@@ -65,6 +65,19 @@ class Change:
     reserve: float | None = None
     """Factor of safety on friction; None for that of the settings."""
 
+    def applied_to(self, settings: StabilitySettings) -> StabilitySettings:
+        """Return settings with this change."""
+        holds = replace(settings.holds, stiffness=self.hold_factor * settings.holds.stiffness)
+        ratio = settings.stiffness_ratio if self.ratio is None else self.ratio
+        reserve = settings.reserve if self.reserve is None else self.reserve
+        return replace(settings, holds=holds, stiffness_ratio=ratio, reserve=reserve)
+
+    def inexact(self, presses: Presses) -> Presses:
+        """Return presses with their error."""
+        if self.press is None:
+            return presses
+        return [inexact_presses(some)[self.press] if some else () for some in presses]
+
 
 @dataclass(frozen=True, eq=False)
 class History:
@@ -89,7 +102,7 @@ class History:
     """Displacement of each part in each increment of that step, m and rad, shape (increments, parts, 6); None where it
     is not kept."""
     changed: tuple[History, ...] = ()
-    """The same under the changed settings of an `EnsembleReplayer`; empty where one setting alone is replayed."""
+    """The same under each of `Replayer.changes`; empty where one setting alone is replayed."""
 
     @property
     def nbytes(self) -> int:

@@ -43,12 +43,10 @@ Array = NDArray[np.float64]
 
 
 class Replayer:
-    """Contact replay of state sequences of one structure."""
+    """Contact replay of state sequences of one structure, under changes of its settings at the same time if asked to.
 
-    varies = False
-    """Whether it takes changes of settings, as an `EnsembleReplayer` does."""
-    changes: tuple[Change, ...] = ()
-    """Changes of settings under which every step must come to rest too, of an `EnsembleReplayer`."""
+    A history that has none under the changed settings is continued under the own settings alone.
+    """
 
     def __init__(
         self,
@@ -56,6 +54,8 @@ class Replayer:
         settings: StabilitySettings = StabilitySettings(),
         replay: ReplaySettings = ReplaySettings(),
         solver: ContactSolver | None = None,
+        *,
+        varies: bool = False,
     ) -> None:
         """Lay out the structure.
 
@@ -63,7 +63,12 @@ class Replayer:
             settings: cone, gravity, tolerance and stiffness ratio.
             replay: numerical settings of the replay.
             solver: solver of the assembly under these settings, whose layout is then shared.
+            varies: whether searches may have steps come to rest under changes of settings too.
         """
+        self.varies = varies
+        self.changes: tuple[Change, ...] = ()
+        """Changes of settings under which every step must come to rest too."""
+        self._varied: dict[Change, Replayer] = {}
         self.assembly = assembly
         self.settings = replace(settings, holds=settings.holds.resolved(assembly, settings.gravity))
         self.replay_settings = replay
@@ -84,17 +89,24 @@ class Replayer:
 
     @property
     def iterations(self) -> int:
-        """Newton iterations so far, a measure of work that is the same on every machine."""
-        return self._iterations
+        """Newton iterations so far, under all settings: a measure of work that is the same on every machine."""
+        return self._iterations + sum(one.iterations for one in self._varied.values())
 
     def also_under(self, changes: Sequence[Change]) -> None:
-        """Ignore changes of settings; an `EnsembleReplayer` replays under them too."""
+        """Have every step come to rest under these changes too; histories from before do not hold any more."""
+        self.changes = tuple(changes)
 
-    def vary(self, settings: StabilitySettings | None = None, replay: ReplaySettings | None = None) -> Replayer:
-        """Return a replayer of the same structure under other settings."""
-        settings = settings or self.settings
-        solver = self.solver if settings == self.settings else None
-        return Replayer(self.assembly, settings, replay or self.replay_settings, solver)
+    def alone(self) -> Replayer:
+        """Return a new replayer of the same structure under its settings alone."""
+        return Replayer(self.assembly, self.settings, self.replay_settings, self.solver)
+
+    def vary(self, change: Change) -> Replayer:
+        """Return the replayer of the same structure under changed settings."""
+        if change not in self._varied:
+            settings = change.applied_to(self.settings)
+            solver = self.solver if settings == self.settings else None
+            self._varied[change] = Replayer(self.assembly, settings, change.replay, solver)
+        return self._varied[change]
 
     def replay(self, states: ArrayLike, history: History | None = None, presses: Presses | None = None) -> Replay:
         """Replay consecutive states up to the first that does not come to rest.
@@ -232,11 +244,28 @@ class Replayer:
         return np.zeros(ages.shape) if self.assembly.joints is None else self.assembly.joints.set_share(ages)
 
     def _replay_all(self, batch: States, history: History | None, presses: Presses) -> Replay:
-        """Replay checked states with given presses; an ensemble does so under all of its settings."""
-        return self._replay(batch, history, presses)
+        """Replay checked states with given presses, under the changed settings too, up to the first that falls."""
+        found = self._replay(batch, history, presses)
+        if not self.changes or (history is not None and not history.changed):
+            return found
+        others, reached = list[Sequence[History]](), len(found.histories)
+        for number, change in enumerate(self.changes):
+            if not reached:  # the first state does not come to rest
+                break
+            past = None if history is None else history.changed[number]
+            other = self.vary(change)._replay(batch[:reached], past, change.inexact(presses[:reached]))
+            others.append(other.histories)
+            if len(other.histories) < reached:
+                reached = len(other.histories)
+                found = _cut(found, other, reached)
+        whole = [
+            replace(own, changed=tuple(some[row] for some in others))
+            for row, own in enumerate(found.histories[:reached])
+        ]
+        return replace(found, histories=tuple(whole), presses=found.presses[:reached])
 
     def _replay(self, batch: States, history: History | None, presses: Presses) -> Replay:
-        """Replay checked states with given presses."""
+        """Replay checked states with given presses, under the own settings alone."""
         count, problem = len(batch), self.problem
         increments, keeps_track = self.replay_settings.increments, self.replay_settings.keeps_track
         track = np.zeros((count, increments if keeps_track else 0, problem.parts, 6))
@@ -298,3 +327,11 @@ class Replayer:
             size = replay.friction_noise * typical * rng.uniform(0, 1, self.problem.points)
             noise = np.stack([np.cos(angle), np.sin(angle)], axis=1) * (size / self.problem.force_scale)[:, None]
         return noise
+
+
+def _cut(found: Replay, other: Replay, row: int) -> Replay:
+    """Return a replay that ends in a state which does not come to rest in another."""
+    stands, part = found.stands.copy(), found.part.copy()
+    stands[row], part[row] = other.stands[row], other.part[row]
+    stands[row + 1 :] = OPEN
+    return replace(found, stands=stands, part=part)

@@ -11,17 +11,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 from operator import itemgetter
 from threading import Event
 
 from falsework.assembly.state import States
-from falsework.stability.contact.history import Change, History, Presses, Replay, ReplaySettings
-from falsework.stability.contact.newton import OPEN
+from falsework.stability.contact.history import Change, History, Presses, ReplaySettings
 from falsework.stability.contact.replay import Replayer
-from falsework.stability.holds import Press, inexact_presses
-from falsework.stability.settings import StabilitySettings
+from falsework.stability.holds import Press
 from falsework.utils.cores import core_count
 from falsework.utils.interruption import PIECE
 from falsework.utils.quantity import counted
@@ -49,21 +46,6 @@ class Variation:
     name: str
     good: bool
     falls_at: int | None
-
-
-def changed(change: Change, settings: StabilitySettings) -> tuple[StabilitySettings, ReplaySettings]:
-    """Return settings with a change."""
-    holds = replace(settings.holds, stiffness=change.hold_factor * settings.holds.stiffness)
-    ratio = settings.stiffness_ratio if change.ratio is None else change.ratio
-    reserve = settings.reserve if change.reserve is None else change.reserve
-    return replace(settings, holds=holds, stiffness_ratio=ratio, reserve=reserve), change.replay
-
-
-def inexact(change: Change, presses: Presses) -> Presses:
-    """Return presses with the error of a change."""
-    if change.press is None:
-        return presses
-    return [inexact_presses(some)[change.press] if some else () for some in presses]
 
 
 def in_pieces(
@@ -95,16 +77,11 @@ def in_pieces(
 
 
 class RouteReplay:
-    """Replay of routes of one structure; each begins with what it has in common with the last."""
+    """Replay of routes under changed settings; each begins with what it has in common with the last."""
 
-    def __init__(self, replayer: Replayer, change: Change | None = None) -> None:
-        """Begin without a route.
-
-        Args:
-            replayer: under changed settings.
-            change: these, if presses have an error too.
-        """
-        self.replayer, self.change = replayer, change
+    def __init__(self, replayer: Replayer, change: Change) -> None:
+        """Begin without a route; the replayer is under the settings proper."""
+        self.replayer, self._change = replayer.vary(change), change
         self._route: list[tuple[bytes, tuple[Press, ...]]] = []
         self._presses: Presses = []
         self._known: list[tuple[int, History]] = []
@@ -121,7 +98,7 @@ class RouteReplay:
         route = [(state.tobytes(), tuple(some)) for state, some in zip(states, presses, strict=True)]
         shared = [*(old == new for old, new in zip(self._route, route, strict=False)), False].index(False)
         self._route, self._known = route, [known for known in self._known if known[0] < shared]
-        self._presses = presses if self.change is None else inexact(self.change, presses)
+        self._presses = self._change.inexact(presses)
         return self._known[-1][0] + 1 if self._known else 0
 
     def pieces(self, states: States) -> Iterator[tuple[int, Sequence[History]]]:
@@ -204,59 +181,6 @@ def variations(count: int) -> list[Change]:
     return changes
 
 
-class EnsembleReplayer(Replayer):
-    """Replayer of one structure under its settings and, at the same time, under each of some changes of them.
-
-    A history that has none under the changed settings is continued under the own settings alone.
-    """
-
-    varies = True
-
-    def also_under(self, changes: Sequence[Change]) -> None:
-        """Have every step come to rest under these changes too; histories from before do not hold any more."""
-        self.changes = tuple(changes)
-
-    @cached_property
-    def _members(self) -> dict[Change, Replayer]:
-        """Replayer under each change so far."""
-        return {}
-
-    @property
-    def iterations(self) -> int:
-        """As of `Replayer`, under all settings."""
-        return self._iterations + sum(member.iterations for member in self._members.values())
-
-    def _replay_all(self, batch: States, history: History | None, presses: Presses) -> Replay:
-        found = self._replay(batch, history, presses)
-        if history is not None and not history.changed:
-            return found
-        others, reached = list[Sequence[History]](), len(found.histories)
-        for number, change in enumerate(self.changes):
-            if not reached:  # the first state does not come to rest
-                break
-            if change not in self._members:
-                self._members[change] = self.vary(*changed(change, self.settings))
-            past = None if history is None else history.changed[number]
-            other = self._members[change]._replay(batch[:reached], past, inexact(change, presses[:reached]))
-            others.append(other.histories)
-            if len(other.histories) < reached:
-                reached = len(other.histories)
-                found = _cut(found, other, reached)
-        whole = [
-            replace(own, changed=tuple(some[row] for some in others))
-            for row, own in enumerate(found.histories[:reached])
-        ]
-        return replace(found, histories=tuple(whole), presses=found.presses[:reached])
-
-
-def _cut(found: Replay, other: Replay, row: int) -> Replay:
-    """Return a replay that ends in a state which does not come to rest in another."""
-    stands, part = found.stands.copy(), found.part.copy()
-    stands[row], part[row] = other.stands[row], other.part[row]
-    stands[row + 1 :] = OPEN
-    return replace(found, stands=stands, part=part)
-
-
 def replay_varied(
     replayer: Replayer, states: States, presses: Presses | None = None, *, changes: Sequence[Change] | None = None
 ) -> list[Variation]:
@@ -270,7 +194,7 @@ def replay_varied(
     """
     given: Presses = [()] * len(states) if presses is None else presses
     changes = variations(MANY) if changes is None else changes
-    replays = [RouteReplay(replayer.vary(*changed(change, replayer.settings)), change) for change in changes]
+    replays = [RouteReplay(replayer, change) for change in changes]
     for one in replays:
         one.begin(states, given)
     rows = zip(changes, _falls(replays, states), strict=True)
@@ -303,11 +227,10 @@ class AllVariations:
                 replay of the replayer.
             presses: of the steps that lead to each state, one entry a state.
         """
-        known, settings = self._replayer.changes, self._replayer.settings
-        changes = [change for change in self._changes if change not in known]
+        changes = [change for change in self._changes if change not in self._replayer.changes]
         for change in changes:
             if change not in self._replays:
-                self._replays[change] = RouteReplay(self._replayer.vary(*changed(change, settings)), change)
+                self._replays[change] = RouteReplay(self._replayer, change)
             self._replays[change].begin(states, presses)
         replays, length = [self._replays[change] for change in changes], part_length(len(states))
         for end in range(length, len(states) + length, length):
