@@ -188,11 +188,11 @@ def _judge(owners: Sequence[ReplanSession], states: States, parents: States) -> 
         if len(rows) == 0:
             continue
         since = time.perf_counter()
-        verdict[rows] = oracle.verdicts(states[rows], near=parents[rows]).verdict
+        found = oracle.verdicts(states[rows], near=parents[rows])
         taken = time.perf_counter() - since
-        for row in rows.tolist():
+        for k, row in enumerate(rows.tolist()):
             owners[row].oracle.asked += 1
-            verdict[row] = owners[row].oracle.as_replayed(states[row][None], verdict[row][None])[0]
+            verdict[row] = owners[row].oracle.as_replayed(states[row][None], found[k])[0]
         for session in {id(owners[row]): owners[row] for row in rows.tolist()}.values():
             session.clock.add("verdicts", taken)
     return verdict

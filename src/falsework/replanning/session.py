@@ -200,7 +200,7 @@ class ReplanSession:
     def check_ends(self, verdicts: Verdicts) -> None:
         """Take the verdicts on start and target from rest."""
         ends = np.stack([self.task.start, self.task.target])
-        verdicts = replace(verdicts, verdict=self.oracle.as_replayed(ends, verdicts.verdict))
+        verdicts = replace(verdicts, verdict=self.oracle.as_replayed(ends, verdicts))
         builds = self.replayer is not None and self.direction is Direction.ASSEMBLY
         if builds and (verdicts.depends_on_path & ~self.oracle.rules_out(ends))[0]:
             verdicts.verdict[0] = Verdict.STABLE  # the target, which may stand as it is built

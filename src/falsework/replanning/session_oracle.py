@@ -56,7 +56,7 @@ class SessionOracle(Oracle):
         with self._clock.piece("verdicts"):
             found = self._oracle.verdicts(states, near=near, require_certificate=require_certificate)
         if not require_certificate:
-            found.verdict[:] = self.as_replayed(states, found.verdict)
+            found.verdict[:] = self.as_replayed(states, found)
             self.asked += len(states)
         return found
 
@@ -75,16 +75,15 @@ class SessionOracle(Oracle):
         """Return which states keep the margins that the oracle asks for; see `MarginOracle.keeps`."""
         return self._oracle.keeps(states)
 
-    def as_replayed(self, states: States, verdict: NDArray[np.int8]) -> NDArray[np.int8]:
+    def as_replayed(self, states: States, verdicts: Verdicts) -> NDArray[np.int8]:
         """Return verdicts from rest with what replays have shown, shape (batch,).
 
         A state that they exclude slides. The state from which sequences go on stands as it has been built, unless that
         falls, also where it would slide from rest.
         """
-        shown = verdict.copy()
+        shown = verdicts.verdict.copy()
         if self._replayer is not None:
-            moves = (verdict == Verdict.SLIDES) | (verdict == Verdict.UNDECIDED)
-            shown[moves & self._replayer.has_built(states)] = Verdict.STABLE
+            shown[verdicts.depends_on_path & self._replayer.has_built(states)] = Verdict.STABLE
         shown[self.rules_out(states)] = Verdict.SLIDES
         return shown
 

@@ -28,7 +28,7 @@ from falsework.stability.second_order.growth import NEUTRAL, growth_of_motion
 from falsework.stability.second_order.springs import ROUNDING, into_cone, springs_of_displacement
 from falsework.stability.state_arrays import StateArrays
 from falsework.stability.stiffness import movement_limit, movement_of, reach_of, structure_size
-from falsework.stability.strength import TEARS, Strength, strength_of
+from falsework.stability.strength import TEARS, strength_of
 from falsework.stability.verdict import Proof, Verdicts, proof_of
 
 Array = NDArray[np.float64]
@@ -158,7 +158,8 @@ class RunningResidual:
         self._assembly, self._claim = assembly, claim
         self._strength = strength_of(assembly, claim.gravity, claim.reserve)
         self._geometry = geometry_of(assembly.contacts, assembly.mass)
-        self._weight, self._most = _weight(assembly, claim), _most(assembly, claim)
+        self._weight = claim.gravity * float(assembly.mass.mass[~assembly.immovable].sum())
+        self._loads = assembly.applied_wrench(claim.gravity)
         points = len(assembly.contacts.points)
         self._inside, self._refused = np.zeros((points, 3)), np.zeros(points, dtype=bool)
         self._share = np.zeros(assembly.part_count)
@@ -180,55 +181,26 @@ class RunningResidual:
         at = np.flatnonzero(changed[owners[0]] | changed[owners[1]])
         for owner in owners:
             changed[owner[at]] = True
-        acts = geometry.acts(state[None], at)
-        good, bad = _admit(force[None, at], acts, self._strength.take(at), claim.cone, self._weight)
-        self._inside[at], self._refused[at] = good[0], bad[0]
+        self._admit(at, np.where(geometry.acts(state[None], at)[0][:, None], force[at], 0.0))
         parts = np.flatnonzero(changed)
-        self._share[parts] = _share_of_gravity(assembly, geometry.wrenches_on(parts, self._inside), parts, claim)
+        net = geometry.wrenches_on(parts, self._inside) + self._loads[parts]
+        linear = net[:, :3] / assembly.mass.mass[parts, None]
+        angular = np.einsum("pij,pj->pi", geometry.inverse_inertia[parts], net[:, 3:])
+        turning = np.abs(angular).max(axis=1) * geometry.gyration[parts]
+        self._share[parts] = np.maximum(np.abs(linear).max(axis=1), turning) / claim.gravity
         self._before = state, force
-        if self._refused.any() or self._inside[:, 0].sum() > self._most:
+        if self._refused.any() or self._inside[:, 0].sum() > claim.force_bound * self._weight * (1 + ROUNDING):
             return np.inf
         return float(np.where(state == 1, self._share, 0.0).max(initial=0.0))
 
-
-def _weight(assembly: Assembly, claim: StabilityCriterion) -> float:
-    """Return the weight of all parts that can move, N."""
-    return claim.gravity * float(assembly.mass.mass[~assembly.immovable].sum())
-
-
-def _most(assembly: Assembly, claim: StabilityCriterion) -> float:
-    """Return the largest sum of normal forces that is admissible, N."""
-    return claim.force_bound * _weight(assembly, claim) * (1 + ROUNDING)
-
-
-def _admit(
-    forces: Array, acts: NDArray[np.bool_], strength: Strength, cone: str, weight: float
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Return forces inside their cones, zero where none acts, and which of them are not admissible.
-
-    Shapes (batch, points, 3) and (batch, points).
-    """
-    forces = np.where(acts[:, :, None], forces, 0.0)
-    size = np.linalg.norm(forces, axis=2)
-    finite = np.isfinite(size)
-    inside, outside = into_cone(np.where(finite[:, :, None], forces, 0.0), strength, cone)
-    refused = acts & ~(finite & (outside <= ROUNDING * (size + weight)))
-    return np.where(acts[:, :, None], inside, 0.0), refused
-
-
-def _share_of_gravity(assembly: Assembly, wrench: Array, parts: NDArray[np.int64], claim: StabilityCriterion) -> Array:
-    """Return the acceleration of some parts under contact forces and loads, a share of gravity, shape (..., parts).
-
-    Args:
-        wrench: of the contact forces, shape (..., parts, 6).
-        claim: gravity.
-    """
-    mass, geometry = assembly.mass, geometry_of(assembly.contacts, assembly.mass)
-    net = wrench + assembly.applied_wrench(claim.gravity)[parts]
-    linear = net[..., :3] / mass.mass[parts, None]
-    angular = np.einsum("pij,...pj->...pi", geometry.inverse_inertia[parts], net[..., 3:])
-    turning = np.abs(angular).max(axis=-1) * geometry.gyration[parts]
-    return np.maximum(np.abs(linear).max(axis=-1), turning) / claim.gravity
+    def _admit(self, at: NDArray[np.int64], forces: Array) -> None:
+        """Take the forces at some contact points, shape (some, 3), into their cones; refuse what is far outside."""
+        size = np.linalg.norm(forces, axis=1)
+        finite = np.isfinite(size)
+        forces = np.where(finite[:, None], forces, 0.0)
+        inside, outside = into_cone(forces[None], self._strength.take(at), self._claim.cone)
+        self._inside[at] = inside[0]
+        self._refused[at] = ~(finite & (outside[0] <= ROUNDING * (size + self._weight)))
 
 
 def residual_bound_of_velocity(

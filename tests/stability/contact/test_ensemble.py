@@ -91,6 +91,18 @@ def test_a_first_state_that_falls_under_a_change_ends_the_replay() -> None:
     assert (found.falls_at, found.histories, found.presses) == (0, (), ())
 
 
+def test_a_path_whose_first_state_falls_under_a_change_that_is_learned_ends() -> None:
+    """Though another is learned with it."""
+    states = np.array([[1, 1, 2, 0, 2, 1, 1, 2, 2], [1, 1, 2, 2, 2, 1, 1, 2, 2]], dtype=np.uint8)
+    replayer = Replayer(load_structure("arch:blocks=7"), StabilitySettings(holds=HoldSettings(stiffness=1e5)))
+    paths = PathHistories(replayer, lambda row: row - 1 if row else None, lambda row: states[row])
+    for row in range(2):
+        paths.keep(row, paths.step(row - 1, states[row]) if row else replayer.replay(states[:1]).histories[0])
+    assert paths.summary(1) is not None
+    replayer.also_under(variations(2))
+    assert paths.summary(1) is None
+
+
 def test_a_history_of_one_setting_goes_on_under_it_alone() -> None:
     assembly = load_structure("arch:blocks=7")
     plan = planned(assembly, 0, 1.1)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from falsework import load_structure
+from falsework import StabilitySettings, load_structure
 from falsework.stability.contact.layout import build_contact_structure
 from falsework.stability.cpu.layout import build_structure
 from falsework.stability.cpu.products import Operation, congruence, product, square_product
@@ -58,7 +58,7 @@ def test_rows_of_eight_numbers_lie_in_a_row_whatever_the_number_of_pairs() -> No
     """A single transposed matrix is contiguous in both orders, and padding would keep the wrong one."""
     assembly = load_structure("stack:blocks=2")
     problem = build_problem(assembly)
-    arrays = build_contact_structure(assembly, problem, build_structure(problem), 9.81)
+    arrays = build_contact_structure(assembly, problem, build_structure(problem), StabilitySettings())
     for array in (arrays.turned_a, arrays.turned_b, arrays.rows):
         assert array.flags.c_contiguous
         assert array.shape[-1] == 8

@@ -15,7 +15,7 @@ from falsework.search.beam.settings import MEMORY, SLIP
 from falsework.search.problem.oracle import CountingOracle
 from falsework.search.problem.plan_replay import PlanReplay
 from falsework.stability.contact.build_verifier import StepCertificate
-from falsework.stability.contact.varied_replay import in_pieces
+from falsework.stability.contact.varied_replay import RouteReplay
 
 if TYPE_CHECKING:
     from falsework.stability.contact.history import History, Presses
@@ -147,12 +147,15 @@ class PathHistories(Generic[K]):
         replayer, count, path, end = self._replayer, len(self._changes), self._path(name), 0
         if replayer.changes[:count] == self._changes:
             end = [*(at in self._steps for at in path), False].index(False)
-        states, presses = [self._state(at) for at in path[:end]], [self._steps[at][2].presses for at in path[:end]]
+        states = np.array([self._state(at) for at in path[:end]])
+        presses = [self._steps[at][2].presses for at in path[:end]]
         histories = [self._known.get(at) for at in path[:end]]
-        for change in replayer.changes[count:] if end else []:
-            states, presses = states[:end], presses[:end]
-            end, own = 0, replayer.vary(change)
-            for first, found in in_pieces(own, np.array(states), change.inexact(presses)):
+        for change in replayer.changes[count:]:
+            if not end:  # the first state does not come to rest
+                break
+            states, presses, route = states[:end], presses[:end], RouteReplay(replayer, change)
+            end = route.begin(states, presses)
+            for first, found in route.pieces(states):
                 for history in found[end - first :]:
                     if (known := histories[end]) is not None:
                         histories[end] = replace(known, changed=(*known.changed, history))

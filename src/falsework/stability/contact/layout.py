@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from falsework.assembly.model import Assembly
 from falsework.stability.cpu.layout import KernelArrays, Scratch, make_scratch
+from falsework.stability.cpu.panels import RIDGE
 from falsework.stability.cpu.products import LANES
-from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, HoldSettings, limits_of
+from falsework.stability.holds import PRESS_STIFFNESS, HoldMode, limits_of
 from falsework.stability.problem import Problem
-from falsework.stability.stiffness import MOVEMENT, TANGENTIAL_RATIO, normal_stiffness, reach_of, structure_size
+from falsework.stability.settings import StabilitySettings
+from falsework.stability.stiffness import MOVEMENT, normal_stiffness, reach_of, structure_size
 from falsework.utils.kernels import njit
 
 
@@ -144,12 +146,7 @@ def make_contact_scratch(law):
 
 
 def build_contact_structure(
-    assembly: Assembly,
-    problem: Problem,
-    structure: KernelArrays,
-    gravity: float,
-    ratio: float = TANGENTIAL_RATIO,
-    holds: HoldSettings = HoldSettings(),
+    assembly: Assembly, problem: Problem, structure: KernelArrays, settings: StabilitySettings
 ) -> ContactArrays:
     """Lay out the stiffness of a structure for the kernel.
 
@@ -157,19 +154,18 @@ def build_contact_structure(
         assembly: the structure.
         problem: its scaled equilibrium problem.
         structure: the layout of that.
-        gravity: m/s2.
-        ratio: ratio of tangential to normal stiffness.
-        holds: stiffness and limits of the holds of robots.
+        settings: gravity, ratio of tangential to normal stiffness, and what robots can do.
     """
-    normal, scale, limit = contact_units(assembly, problem, gravity)
+    holds, stiff = settings.holds, settings.holds.stiffness
+    normal, scale, limit = contact_units(assembly, problem, settings.gravity)
+    soft = np.where(problem.strength.idle, RIDGE, 1.0)
     wider = ((0, 0), (0, 0), (0, LANES - 6))
-    mass, limits = assembly.mass.mass, limits_of(assembly, holds, gravity)
-    stiff = holds.stiffness
+    mass, limits = assembly.mass.mass, limits_of(assembly, holds, settings.gravity)
     pressing = min(stiff, PRESS_STIFFNESS) / mass * scale
     return ContactArrays(
         structure=structure,
-        normal=normal,
-        tangential=ratio * normal,
+        normal=soft * normal,
+        tangential=soft * (settings.stiffness_ratio * normal),
         turned_a=np.array(np.pad(problem.transfer_a.transpose(0, 2, 1), wider), order="C"),
         turned_b=np.array(np.pad(problem.transfer_b.transpose(0, 2, 1), wider), order="C"),
         rows=np.array(np.pad(problem.basis.transpose(0, 2, 1), wider), order="C"),

@@ -23,8 +23,7 @@ from falsework.assembly.state import HELD, INSTALLED, States, as_states
 from falsework.stability.certificate import chunks
 from falsework.stability.contact.build_verifier import StepCertificate
 from falsework.stability.contact.history import Change, History, Presses, Replay, ReplaySettings, joined
-from falsework.stability.contact.hold_loads import Loads, loads_of_build
-from falsework.stability.contact.layout import ContactOptions
+from falsework.stability.contact.hold_loads import Loads, loads_in
 from falsework.stability.contact.newton import OPEN, RESTS
 from falsework.stability.contact.press import PressPlanner
 from falsework.stability.contact.replay_kernel import replay_range
@@ -33,8 +32,7 @@ from falsework.stability.cpu.layout import COMPILED_LAYOUT
 from falsework.stability.cpu.neighbourhood import REACH
 from falsework.stability.holds import Press, inexact_presses, pack_presses
 from falsework.stability.problem import build_problem
-from falsework.stability.second_order.growing_motion import SecondOrder
-from falsework.stability.second_order.springs import springs_at
+from falsework.stability.second_order.springs import into_cone, springs_at
 from falsework.stability.settings import StabilitySettings
 from falsework.stability.stiffness import movement_of
 from falsework.utils.interruption import check_interruption, pieces
@@ -81,9 +79,10 @@ class Replayer:
         self.solver = solver
         """Solver whose layout of the structure it has."""
         self.law = solver.contact_structure
-        first, numerics = replay.first_step, settings.numerics
-        later = first / numerics.first_step * numerics.warm_first_step
-        self.options = ContactOptions(settings.tolerance, numerics.contact_steps, numerics.warm_steps, first, later)
+        later = replay.first_step / settings.numerics.first_step * settings.numerics.warm_first_step
+        self.options = solver.contact_options._replace(
+            tolerance=settings.tolerance, first_step=replay.first_step, warm_first_step=later
+        )
         self._noise = self._draw_noise(replay)
         self._iterations = 0
 
@@ -192,7 +191,7 @@ class Replayer:
             forces = (history.springs * self.problem.force_scale[:, None])[None]
             strength = self.problem.strength.at(history.torn, history.age, self.assembly.joints)
             springs = springs_at(self.assembly, local[None], forces, self.settings.claim, strength)
-            if self._second_order.growing_motion(local, history.displacement, springs) is not None:
+            if self.solver.second_order.growing_motion(local, history.displacement, springs) is not None:
                 return row
         return None
 
@@ -209,11 +208,20 @@ class Replayer:
 
     def loads(self, states: States, histories: Sequence[History]) -> Loads:
         """Return what robots bear in states in assembly order, after which the histories are these."""
-        return loads_of_build(self.assembly, self.problem, self.settings, states, histories)
-
-    @cached_property
-    def _second_order(self) -> SecondOrder:
-        return SecondOrder(self.assembly, self.settings.claim)
+        problem, joints, cone, found = self.problem, self.assembly.joints, self.settings.friction_cone, []
+        loads = self.assembly.applied_wrench(self.settings.gravity)
+        # Where joints set or break, every state has contacts of its own strength.
+        rows = np.arange(len(histories))
+        alone = (joints is not None and joints.setting) or any(history.torn.any() for history in histories)
+        for together in np.split(rows, rows[1:]) if alone else chunks(rows, problem.points):
+            some, here = [histories[row] for row in together], states[together]
+            strength = problem.strength.at(some[0].torn, some[0].age, joints)
+            springs = np.stack([history.springs for history in some]) * problem.force_scale[:, None]
+            acts = problem.geometry.present(here)[..., None]
+            forces = np.where(acts, into_cone(springs, strength, cone)[0], 0.0)
+            wrenches = -(problem.geometry.wrenches(forces) + loads)
+            found += [loads_in(self.assembly, state, wrench) for state, wrench in zip(here, wrenches, strict=True)]
+        return tuple(found)
 
     @cached_property
     def _touches(self) -> csr_array:

@@ -9,7 +9,6 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.state import States
 from falsework.stability.contact.kernel import rest_range
 from falsework.stability.contact.layout import ContactOptions, build_contact_structure
-from falsework.stability.cpu.panels import RIDGE
 from falsework.stability.cpu.solver import CpuSolver, StateQuery
 from falsework.stability.problem import Problem
 from falsework.stability.second_order.growing_motion import SecondOrder
@@ -33,13 +32,7 @@ class ContactSolver(CpuSolver):
 
     def __init__(self, assembly: Assembly, problem: Problem, settings: StabilitySettings) -> None:
         super().__init__(problem, settings)
-        law = build_contact_structure(
-            assembly, problem, self.structure, settings.gravity, settings.stiffness_ratio, settings.holds
-        )
-        if problem.strength.idle.any():
-            soft = np.where(problem.strength.idle, RIDGE, 1.0)
-            law = law._replace(normal=soft * law.normal, tangential=soft * law.tangential)
-        self.contact_structure = law
+        self.contact_structure = build_contact_structure(assembly, problem, self.structure, settings)
         numerics = settings.numerics
         self.contact_options = ContactOptions(
             settings.claim.well_below,
@@ -50,7 +43,7 @@ class ContactSolver(CpuSolver):
         )
         self.assembly = assembly
         self._pulls = bool(problem.strength.pull.any())
-        self._second_order = SecondOrder(assembly, settings.claim)
+        self.second_order = SecondOrder(assembly, settings.claim)
 
     def no_guess(self, batch: int) -> Array:
         """Return unknown displacements, shape (batch, parts, 6)."""
@@ -66,7 +59,7 @@ class ContactSolver(CpuSolver):
 
     def refine_undecided(self, states: States, verdicts: Verdicts) -> None:
         """Revise verdicts on rest positions that a small motion leaves: these states are not stable."""
-        self._second_order.revise(states, verdicts)
+        self.second_order.revise(states, verdicts)
 
     def is_left_to_exact(self, verdicts: Verdicts) -> NDArray[np.bool_]:
         """Return where no equilibrium is proven: where it is and no rest position was found, nothing can be added."""

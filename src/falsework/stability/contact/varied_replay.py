@@ -48,34 +48,6 @@ class Variation:
     falls_at: int | None
 
 
-def in_pieces(
-    replayer: Replayer, states: States, presses: Presses, known: tuple[int, History] | None = None
-) -> Iterator[tuple[int, Sequence[History]]]:
-    """Yield the histories of a few states along a route at a time, up to the first that does not come to rest.
-
-    Between them a replay can be ended, and those of a whole route take much memory.
-
-    Args:
-        replayer: of the structure.
-        states: in assembly order, shape (states, parts).
-        presses: of the steps that lead to each state.
-        known: number of a state whose history is known, and that history: the replay begins there.
-
-    Yields:
-        Number of the first state, which is the last one before where there is one; histories.
-    """
-    row, history = known or (0, None)
-    while True:
-        rows = slice(row, row + 1 + (PIECE if history else 0))
-        piece = replayer.replay(states[rows], history, presses[rows])
-        if piece.histories:
-            yield row, piece.histories
-        row += len(piece.histories) - 1
-        if not piece.good or row == len(states) - 1:
-            return
-        history = piece.histories[-1]
-
-
 class RouteReplay:
     """Replay of routes under changed settings; each begins with what it has in common with the last."""
 
@@ -102,21 +74,29 @@ class RouteReplay:
         return self._known[-1][0] + 1 if self._known else 0
 
     def pieces(self, states: States) -> Iterator[tuple[int, Sequence[History]]]:
-        """Yield histories as `in_pieces` does, up to some state of the route; each piece is known once the next begins.
+        """Yield the histories of a few states at a time, up to some state of the route or the first that falls.
+
+        Between them a replay can be ended, and those of a whole route take much memory. Each piece is known once the
+        next begins.
 
         Args:
-            states: of the route up to there.
+            states: of the route up to there, shape (states, parts).
+
+        Yields:
+            Number of the first state, which is the last one before where there is one; histories.
         """
-        known = self._known[-1] if self._known else None
-        if known is not None and known[0] >= len(states) - 1:
-            return
-        length = part_length(len(self._route))
-        for first, histories in in_pieces(self.replayer, states, self._presses[: len(states)], known):
-            yield first, histories
-            last = first + len(histories) - 1
-            if self._known and self._known[-1][0] // length == last // length:
-                self._known.pop()
-            self._known.append((last, histories[-1]))
+        row, history = self._known[-1] if self._known else (0, None)
+        length, good = part_length(len(self._route)), True
+        while good and (history is None or row < len(states) - 1):
+            rows = slice(row, min(row + 1 + (PIECE if history else 0), len(states)))
+            piece = self.replayer.replay(states[rows], history, self._presses[rows])
+            good = piece.good
+            if piece.histories:
+                yield row, piece.histories
+                row, history = row + len(piece.histories) - 1, piece.histories[-1]
+                if self._known and self._known[-1][0] // length == row // length:
+                    self._known.pop()
+                self._known.append((row, history))
 
     def falls_at(self, states: States, over: Event) -> int | None:
         """Return the first state of the route up to some state that does not come to rest; None if all do.
