@@ -104,9 +104,10 @@ schemas: $(VENV)/.core
 
 install: $(VENV)/.lint $(VENV)/.test $(VENV)/.docs
 
-# The modules of torch, which each test worker would otherwise compile when it first imports them.
+# The modules of torch, which each test worker would otherwise compile when it first imports them; those of its compiler,
+# and sympy, are imported where a training asks for results that repeat.
 warm: $(VENV)/.torch
-	@$(BIN)/python -c "import torch"
+	@$(BIN)/python -c "import torch; torch.use_deterministic_algorithms(True)"
 
 compile: $(VENV)/.compiled
 
