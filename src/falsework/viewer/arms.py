@@ -132,7 +132,7 @@ class Arms:
             if arm.load is not None:
                 pose = arm.load.at(self.cell.robots[arm.robot], values)
                 carried.append(CarriedPart(arm.load.part, arm.robot, self._seen(pose)))
-        for load in waiting_at(self.plan, self.clock.starts, seconds):
+        for load in waiting_at(self.plan, seconds):
             if all(other.part != load.part for other in carried):
                 carried.append(CarriedPart(load.part, NO_ROBOT, self._seen(load.pose)))
         return ArmPoses(self._poses(configurations), tuple(carried))

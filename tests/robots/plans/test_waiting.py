@@ -159,9 +159,9 @@ def test_the_page_pictures_and_exports_show_what_waits(lidded: RobotPlan, cell: 
     (seen,) = [part for part in arms.at_time(moment).carried if part.part == 1]
     assert seen.color == INSTALLED
     np.testing.assert_allclose(seen.pose[:3, 3], (0.1, 0.0, 0.0), atol=1e-6)
-    assert [load.part for load in waiting_at(lidded, starts, moment)] == [1]
-    assert not waiting_at(lidded, starts, 0.0)
-    assert not waiting_at(lidded, starts, lidded.makespan + 1.0)
+    assert [load.part for load in waiting_at(lidded, moment)] == [1]
+    assert not waiting_at(lidded, 0.0)
+    assert not waiting_at(lidded, lidded.makespan + 1.0)
     for form in ("rapid", "urscript", "ros2-goals", "csv", "mcap"):
         assert export_plan(lidded, tmp_path / form, form, structure=pit(), cell=cell, force=True)
     program = (tmp_path / "rapid" / "arm_2.mod").read_text()

@@ -18,7 +18,7 @@ from falsework.robots.cells.visuals import arm_frames, link_visuals, shapes_of
 from falsework.robots.exports.ros2 import all_joint_names, duration
 from falsework.robots.model.cell import Cell, CellRobot
 from falsework.robots.model.part_shapes import PartShapes
-from falsework.robots.model.shapes import Array
+from falsework.robots.model.shapes import Array, wxyz_of
 from falsework.robots.plans.robot_plan import RobotPlan
 from falsework.robots.plans.timeline import activities_at, event_times, schedule_of
 
@@ -120,9 +120,7 @@ def _marker(
 
 def _transform(frame: str, pose: Array, stamp: dict[str, int]) -> dict[str, Any]:
     """Return where a frame is in the cell."""
-    from scipy.spatial.transform import Rotation
-
-    turn = dict(zip("xyzw", Rotation.from_matrix(pose[:3, :3]).as_quat().tolist(), strict=True))
+    turn = dict(zip("wxyz", wxyz_of(pose[:3, :3]), strict=True))
     shift = dict(zip("xyz", pose[:3, 3].tolist(), strict=True))
     return {
         "header": {"stamp": stamp, "frame_id": WORLD},

@@ -8,7 +8,7 @@ al., APEX-MR (RSS 2025).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from graphlib import CycleError, TopologicalSorter
 from typing import Annotated, Literal
@@ -153,12 +153,10 @@ class TemporalPlanGraph:
         for node in self.nodes:
             lots[node.step] += node.trajectory is not None
         nodes = tuple(
-            MotionNode(
-                node.robot,
-                steps - node.step,
-                None if node.trajectory is None else lots[node.step] - 1 - node.trajectory,
-                node.seconds,
-                node.others,
+            replace(
+                node,
+                step=steps - node.step,
+                trajectory=None if node.trajectory is None else lots[node.step] - 1 - node.trajectory,
             )
             for node in reversed(self.nodes)
         )

@@ -217,12 +217,11 @@ def activities_at(plan: RobotPlan, starts: Array, moment: float, factor: Array |
         yield ArmActivity(**vars(now), begin=begin, stretch=late)
 
 
-def waiting_at(plan: RobotPlan, starts: Array, moment: float) -> list[Load]:
-    """Return the parts that wait half way out, in no gripper, at an instant, seconds; start times as of the graph."""
+def waiting_at(plan: RobotPlan, moment: float) -> list[Load]:
+    """Return the parts that wait half way out, in no gripper, at an instant, seconds."""
     if not plan.plan.waiting:
         return []
-    ends = starts + schedule_of(plan).durations
-    row = sum(bool((ends if event.at_end else starts)[event.node] <= moment) for event in nodes_of(plan)[1])
+    row = int((event_times(plan, schedule_of(plan)) <= moment).sum())
     return [Load(part, None, pose) for part, pose in plan.keyframes[row].waits]
 
 
