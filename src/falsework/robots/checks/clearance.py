@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from falsework.assembly.state import REMOVED
-from falsework.robots.kinematics.forward import tool_pose
 from falsework.robots.model.cell import Cell
 from falsework.robots.model.part_shapes import PartShapes
-from falsework.robots.model.shapes import inverse_pose
 from falsework.robots.motion.collision_world import Attached, CollisionWorld, Contact, Scene
 from falsework.robots.motion.near_pairs import NearPair, near_pairs
 from falsework.robots.plans.robot_plan import RobotPlan
@@ -69,7 +67,7 @@ def _scene(plan: RobotPlan, cell: Cell, arms: Sequence[ArmActivity], row: int, t
             if load.grip is None:
                 elsewhere.append((load.part, load.pose))
             else:
-                carried = Attached(load.part, inverse_pose(tool_pose(entry, load.grip)) @ load.pose)
+                carried = Attached(load.part, load.in_tool(entry))
         attached.append(carried)
     for part, pose in plan.keyframes[row].waits:
         if present[part]:

@@ -27,7 +27,6 @@ from falsework.geometry.mesh.mesh import TriangleMesh
 from falsework.robots.exports.bag_view import IDENTITY, WORLD, PlacedParts, write_view
 from falsework.robots.exports.controller import program_names
 from falsework.robots.exports.ros2 import NANO, all_joint_names, duration, joint_trajectory
-from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.shapes import inverse_pose
 from falsework.robots.plans.loads import Load, load_of, loads_at, moved_aside
 from falsework.robots.plans.robot_forces import TimedPress
@@ -184,9 +183,7 @@ def _attached(
     """Return what a gripper picks up, with its shape in the frame of the flange, or, without a load, puts down."""
     flange, mesh = _flange(plan, robot), None
     if placed is not None and load is not None:
-        assert load.grip is not None
-        entry, shape = placed.cell.robots[robot], placed.shapes.meshes[part]
-        there = inverse_pose(flange_pose(entry.model, load.grip, entry.base)) @ load.pose
+        shape, there = placed.shapes.meshes[part], load.in_flange(placed.cell.robots[robot])
         mesh = TriangleMesh(shape.name, apply(there, shape.vertices), shape.faces)
     thing = _part(plan, part, _REMOVE if load is None else _ADD, flange, now, mesh)
     posture = {"header": _header(flange, now)}

@@ -37,9 +37,21 @@ class Load:
         """Return the displacement of the part when its robot has joint values of shape (joints,), shape (4, 4)."""
         from falsework.robots.kinematics.forward import tool_pose  # loads compiled code
 
-        if self.grip is None:
-            return self.pose
-        return tool_pose(robot, values) @ inverse_pose(tool_pose(robot, self.grip)) @ self.pose
+        return self.pose if self.grip is None else tool_pose(robot, values) @ self.in_tool(robot)
+
+    def in_tool(self, robot: CellRobot) -> Array:
+        """Return the pose of the part in the tool frame of the robot that grips it, shape (4, 4)."""
+        from falsework.robots.kinematics.forward import tool_pose
+
+        assert self.grip is not None
+        return inverse_pose(tool_pose(robot, self.grip)) @ self.pose
+
+    def in_flange(self, robot: CellRobot) -> Array:
+        """Return the pose of the part in the frame of the flange of the robot that grips it, shape (4, 4)."""
+        from falsework.robots.kinematics.forward import flange_pose
+
+        assert self.grip is not None
+        return inverse_pose(flange_pose(robot.model, self.grip, robot.base)) @ self.pose
 
     @property
     def key(self) -> LoadKey:
