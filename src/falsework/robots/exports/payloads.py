@@ -9,7 +9,6 @@ import numpy as np
 
 from falsework.assembly.model import Assembly
 from falsework.geometry.arrays import apply
-from falsework.robots.kinematics.forward import flange_pose
 from falsework.robots.model.cell import Cell, Gripper
 from falsework.robots.model.part_shapes import placed_mass
 from falsework.robots.model.shapes import Array, Pieces, inverse_pose, principal_axes, wxyz_of
@@ -78,8 +77,7 @@ def part_loads(plan: RobotPlan, assembly: Assembly, cell: Cell) -> PartLoads:
             load = load_of(plan, step, motion, number)
             if load is None or load.grip is None:
                 continue
-            robot, part = cell.robots[number], load.part
-            to_flange = inverse_pose(flange_pose(robot.model, load.grip, robot.base)) @ load.pose
+            part, to_flange = load.part, load.in_flange(cell.robots[number])
             turn = to_flange[:3, :3] @ placement.pose[:3, :3]
             place = apply(to_flange, center[part][None])[0]
             found[step, number, motion] = ToolLoad(float(mass[part]), place, turn @ inertia[part] @ turn.T)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from falsework.robots.kernels.coordination import SPLIT, Swept, still, sweep
-from falsework.robots.kinematics.forward import tool_pose
-from falsework.robots.model.shapes import Array, inverse_pose, move_pieces
+from falsework.robots.model.shapes import Array, move_pieces
 from falsework.robots.motion.collision_world import Attached, CollisionWorld
 from falsework.robots.plans.loads import Load
 from falsework.robots.plans.trajectory import Trajectory
@@ -46,8 +45,7 @@ class SweptBodies:
     def _swept(self, robot: int, values: Array, spread: Array, load: Load | None) -> Swept:
         held = None
         if load is not None and load.grip is not None:
-            back = inverse_pose(tool_pose(self.world.cell.robots[robot], load.grip))
-            held = Attached(load.part, back @ load.pose)
+            held = Attached(load.part, load.in_tool(self.world.cell.robots[robot]))
         made = sweep(values, spread, self.world.chains[robot], self.world.bodies(robot, held)[0])
         if load is None or not load.lies:
             return made
