@@ -8,7 +8,7 @@ from functools import cached_property
 from falsework.errors import InputError
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.beam.settings import BeamSettings
-from falsework.search.problem.ends import unstable_end
+from falsework.search.problem.ends import judge_ends
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Outcome, Progress, SearchResult, Stop
 from falsework.search.problem.state_graph import StateGraph
@@ -79,7 +79,7 @@ class ExhaustiveSearch:
             progress: called after every level.
             stop: called before every level; true stops the search, which can then be run on.
         """
-        failed = unstable_end(self.task, self._oracle)
+        failed, _ = judge_ends(self.task, self._oracle)
         if failed is not None:
             return ExhaustiveResult(
                 failed, True, StateGraph.from_states(self.task, self._beam.states(), name=self.name)

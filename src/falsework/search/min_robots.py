@@ -16,7 +16,7 @@ from falsework.search.planner import Planner
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.proofs import prove_route
 from falsework.search.problem.deadline import Deadline, DeadlineExceeded
-from falsework.search.problem.ends import judged_as_built, unstable_end
+from falsework.search.problem.ends import judge_ends
 from falsework.search.problem.guide import SupportGuide
 from falsework.search.problem.hold_bound import Barrier, HoldBound
 from falsework.search.problem.result import Outcome, Progress, Result, SearchResult, progress_text
@@ -229,8 +229,7 @@ class _Query:
 
     def _no_number(self) -> str:
         """Return why no number of robots suffices; empty if that is not known."""
-        as_built = judged_as_built(self._oracle, self._settings.directions)
-        unstable = unstable_end(self._task, self._oracle, as_built=as_built)
+        unstable, _ = judge_ends(self._task, self._oracle, self._settings.directions)
         if unstable is not None:
             self._certain = unstable.outcome is Outcome.PROVED_IMPOSSIBLE
             return unstable.notes[0]

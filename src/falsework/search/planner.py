@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from falsework.errors import InputError
 from falsework.search.beam.beam import BeamSearch
 from falsework.search.plans.route_tests import RouteTests
-from falsework.search.problem.ends import doubt_of_start, judged_as_built, unstable_end
+from falsework.search.problem.ends import judge_ends
 from falsework.search.problem.guide import Guide, NoveltyGuide, SupportGuide
 from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.result import Outcome, Progress, Route, SearchCounters, SearchProgress, SearchResult, Stop
@@ -67,8 +67,9 @@ class Planner:
         """Plans found so far; the first keeps missing parts out longest."""
         self.states = np.empty((0, task.part_count), dtype=np.uint8)
         """States found by the searches for alternative plans, shape (count, parts)."""
-        self._oracle, self._wide, self._falls, self._doubt = oracle, wide, 0, ""
-        """What the start does from rest, where it may stand only as it is built."""
+        self._oracle, self._wide, self._falls = oracle, wide, 0
+        self._doubt: str | None = None
+        """What the start does from rest, where it may stand only as it is built; None until the ends are judged."""
         self.tests = RouteTests(oracle, settings, task.part_count)
         """Of complete routes, with their replays and the one that falls last."""
         self._guide, self._edge_guide = guide, None
@@ -139,10 +140,11 @@ class Planner:
 
         interrupted = False
         try:
-            as_built = judged_as_built(self._oracle, self.settings.directions)
-            if (failed := unstable_end(self.task, self._oracle, as_built=as_built)) is not None:
-                return failed
-            self._doubt = doubt_of_start(self.task, self._oracle)
+            if self._doubt is None:
+                failed, doubt = judge_ends(self.task, self._oracle, self.settings.directions)
+                if failed is not None:
+                    return failed
+                self._doubt = doubt
             for route in self.routes if self.tests.slow else ():  # given, or of a search that was resumed
                 if route.states.tobytes() not in self.tests.replays:
                     self.tests.passes(route, stop=stop)
@@ -364,8 +366,7 @@ class Planner:
                 return
             self._rank += 1
             ambitious, self._high = True, self.task.steps - count + self._rank + 1
-        self._trial = self.postponed
-        self._stage = "alternatives"
+        self._trial, self._stage = self.postponed, "alternatives"
         self._drop_beams()
         if self.settings.alternatives == 1:
             self._finish()

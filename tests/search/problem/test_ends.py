@@ -19,7 +19,8 @@ from falsework import (
     min_robots,
     replan,
 )
-from falsework.search.problem.ends import unstable_end
+from falsework.search.planner import Planner
+from falsework.search.problem.ends import judge_ends
 from falsework.search.problem.task import Task
 from falsework.stability.contact.replay import Replayer
 
@@ -67,7 +68,8 @@ def test_without_a_way_to_build_it_the_search_gives_up(
 def test_what_is_proven_unstable_is_not_built(vault: Assembly) -> None:
     weak = replace(vault, friction=0.1)
     task, oracle = Task.from_rules(weak.boundary), StabilityOracle(weak, CONTACT)
-    failed = unstable_end(task, oracle, as_built=True)
+    failed, doubt = judge_ends(task, oracle, (Direction.ASSEMBLY,))
+    assert not doubt
     assert failed is not None
     assert failed.outcome is Outcome.PROVED_IMPOSSIBLE
 
@@ -77,3 +79,13 @@ def test_a_plan_of_a_vault_that_slides_from_rest_is_continued(vault: Assembly) -
     answer = replan(vault, plan.states[20], direction=Direction.ASSEMBLY, stability=CONTACT)
     assert answer.found
     assert (answer.plans[0].states[-1] == plan.states[-1]).all()
+
+
+def test_the_ends_are_judged_once(vault: Assembly) -> None:
+    oracle = StabilityOracle(vault, CONTACT)
+    planner = Planner(Task.from_rules(vault.boundary), oracle)
+    planner.run(stop=lambda: True)
+    asked = oracle.counters.asked
+    assert asked == 2
+    planner.run(stop=lambda: True)
+    assert oracle.counters.asked == asked

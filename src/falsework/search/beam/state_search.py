@@ -13,7 +13,7 @@ from falsework.assembly.state import HELD, Mask, States, state_of_key
 from falsework.errors import InputError
 from falsework.search.beam.nogoods import Jumps
 from falsework.search.beam.paths import PathHistories
-from falsework.search.problem.ends import unstable_end
+from falsework.search.problem.ends import judge_ends
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.plan_replay import PlanReplay
@@ -192,7 +192,7 @@ class StateSearch(Search):
     def run(self, widest: int = 0, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
         """See `Search.run`."""
         self.moves.stop = stop
-        failed = unstable_end(self.task, self._oracle, as_built=self._replayer is not None)
+        failed, _ = judge_ends(self.task, self._oracle, (self.direction,))
         return failed or super().run(widest, progress=progress, stop=stop)
 
     def step(self) -> bool:

@@ -27,26 +27,30 @@ def judged_as_built(oracle: Oracle, directions: Collection[Direction]) -> bool:
     return oracle.replayer is not None and Direction.ASSEMBLY in directions
 
 
-def unstable_end(task: Task, oracle: Oracle, *, as_built: bool = False) -> SearchResult | None:
-    """Return the failed search if the start or the target of a task is not stable, else None.
+def judge_ends(task: Task, oracle: Oracle, directions: Collection[Direction] = ()) -> tuple[SearchResult | None, str]:
+    """Judge the start and the target of a task.
 
     Args:
-        as_built: whether the start is judged as it is built; then it may slide from rest, or be undecided.
+        directions: of the search, which say whether the start is judged as it is built, see `judged_as_built`.
+
+    Returns:
+        The failed search if one of them is not stable, else None; and what the start does from rest, in words, where
+        it may stand only as it is built.
     """
-    ends = np.stack([task.start, task.target])
-    oracle.verdicts(ends, require_certificate=True)  # asks whether they tip, which is known from then on
-    verdicts = oracle.verdicts(ends)
-    if as_built and verdicts.depends_on_path[0]:
+    ends, doubt = np.stack([task.start, task.target]), ""
+    verdicts = oracle.verdicts(ends, require_certificate=True)  # which says whether they tip, too
+    if judged_as_built(oracle, directions) and verdicts.depends_on_path[0]:
+        doubt = f"from rest the {end_subject(task, task.start, 'start')} {_words(oracle, verdicts, 0)}"
         verdicts.verdict[0] = Verdict.STABLE
     if verdicts.stable.all():
         verdicts.verdict[~oracle.keeps(ends)] = Verdict.SLIDES
     if verdicts.stable.all():
-        return None
+        return None, doubt
     row = int(np.argmin(verdicts.stable))
     subject = end_subject(task, ends[row], ("start", "target")[row])
     proved, moves = bool(verdicts.unstable[row]), bool((verdicts.slides | verdicts.tips)[row])
     words = _words(oracle, verdicts, row)
-    return SearchResult(
+    failed = SearchResult(
         outcome=Outcome.PROVED_IMPOSSIBLE if proved else Outcome.NOT_FOUND,
         routes=(),
         direction=(Direction.DISASSEMBLY, Direction.ASSEMBLY)[row],
@@ -61,14 +65,7 @@ def unstable_end(task: Task, oracle: Oracle, *, as_built: bool = False) -> Searc
         sliding=int(moves),
         notes=(f"the {subject} {words}",),
     )
-
-
-def doubt_of_start(task: Task, oracle: Oracle) -> str:
-    """Return what the start of a task does from rest, in words; empty if it stands."""
-    verdicts = oracle.verdicts(task.start[None])
-    if verdicts.stable[0]:
-        return ""
-    return f"from rest the {end_subject(task, task.start, 'start')} {_words(oracle, verdicts, 0)}"
+    return failed, doubt
 
 
 def _words(oracle: Oracle, verdicts: Verdicts, row: int) -> str:
