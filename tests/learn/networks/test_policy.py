@@ -163,8 +163,8 @@ def test_learns_one_answer_by_heart(kind: str, arch: Assembly) -> None:
     mask = mask_of(arch, states, robots=9)
     wanted = torch.multinomial(mask.float(), 1, generator=torch.Generator().manual_seed(0))
     success = torch.where(torch.arange(len(states)) % 2 == 0, 0.9, -0.9)
-    optimizer = torch.optim.Adam(policy.parameters(), lr=1e-2)
-    for _ in range(60):
+    optimizer = torch.optim.Adam(policy.parameters(), lr=5e-3)
+    for _ in range(120):
         logits, value = policy(states)
         loss = -masked_log_probabilities(logits, mask).gather(1, wanted).mean() + (value - success).square().mean()
         optimizer.zero_grad()

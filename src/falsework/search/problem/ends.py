@@ -38,7 +38,10 @@ def judge_ends(task: Task, oracle: Oracle, directions: Collection[Direction] = (
         it may stand only as it is built.
     """
     ends, doubt = np.stack([task.start, task.target]), ""
-    verdicts = oracle.verdicts(ends, require_certificate=True)  # which says whether they tip, too
+    verdicts = oracle.verdicts(ends)
+    if len(stand := np.flatnonzero(verdicts.stable)):
+        oracle.verdicts(ends[stand], require_certificate=True)  # asks whether they tip, which is known from then on
+        verdicts.put(stand, oracle.verdicts(ends[stand]))
     if judged_as_built(oracle, directions) and verdicts.depends_on_path[0]:
         doubt = f"from rest the {end_subject(task, task.start, 'start')} {_words(oracle, verdicts, 0)}"
         verdicts.verdict[0] = Verdict.STABLE
