@@ -93,6 +93,8 @@ def model_schemas(kinds: Iterable[type[FileModel]], references: str) -> dict[str
     _, schemas = json.schema_components(kinds, ref_template=references)
     models = {model.__name__: model for model in _below(FileModel)}
     for name, entry in schemas.items():
+        if "description" in entry:  # the docstring, which some versions of msgspec leave indented
+            entry["description"] = cleandoc(entry["description"])
         for field, text in _field_texts(models[name]).items() if name in models else ():
             entry["properties"][field]["description"] = text
     return json.decode(json.encode(schemas))
