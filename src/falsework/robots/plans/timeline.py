@@ -128,6 +128,12 @@ def event_times(plan: RobotPlan, graph: TemporalPlanGraph, stretch: ArrayLike | 
     return np.array([(ends if event.at_end else starts)[event.node] for event in nodes_of(plan)[1]])
 
 
+@lru_cache(maxsize=8)
+def _events(plan: RobotPlan) -> Array:
+    """Return `event_times` without delays, for what is asked at every frame."""
+    return event_times(plan, schedule_of(plan))
+
+
 @dataclass(frozen=True, eq=False)
 class Segment:
     """Motion of an arm, or its rest between two nodes of the schedule."""
@@ -221,7 +227,7 @@ def waiting_at(plan: RobotPlan, moment: float) -> list[Load]:
     """Return the parts that wait half way out, in no gripper, at an instant, seconds."""
     if not plan.plan.waiting:
         return []
-    row = int((event_times(plan, schedule_of(plan)) <= moment).sum())
+    row = int((_events(plan) <= moment).sum())
     return [Load(part, None, pose) for part, pose in plan.keyframes[row].waits]
 
 
