@@ -69,6 +69,23 @@ def test_a_block_let_go_on_a_slope_slips_past_the_angle_of_friction(scenes: Any,
         assert replay.falls_at == (None if stands else 2)
 
 
+@pytest.mark.parametrize(("increments", "quarters"), [(1, [4]), (4, [1, 1, 1, 1]), (16, [0.25, 0.5, 1, 1, 1, 0.25])])
+def test_a_slow_release_goes_faster_while_nothing_slides(scenes: Any, increments: int, quarters: list[float]) -> None:
+    """A block that sticks on a slope sinks by its load over the stiffness, in proportion to what it takes up."""
+    slope = scenes.slope(0.2, friction=0.55)
+    last = complete_state(slope.boundary)
+    states = np.stack([np.where(last == 1, 2, last), last])
+    once = Replayer(slope, replay=ReplaySettings(1)).replay(states).histories[-1].displacement
+    found = Replayer(slope, replay=ReplaySettings(increments)).replay(states)
+    assert found.good
+    history = found.histories[-1]
+    assert history.track is not None
+    np.testing.assert_allclose(history.displacement, once, rtol=0, atol=1e-2 * np.abs(once).max())
+    taken = np.linalg.norm(history.track, axis=(1, 2))
+    np.testing.assert_allclose(taken[: len(quarters)] / taken.sum(), np.array(quarters) / 4, rtol=0, atol=0.01)
+    assert not taken[len(quarters) :].any()
+
+
 def test_two_walls_do_not_press_what_a_robot_lets_go(scenes: Any) -> None:
     clamp = scenes.clamp(friction=0.55)
     last = complete_state(clamp.boundary)

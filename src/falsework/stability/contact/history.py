@@ -30,7 +30,8 @@ class ReplaySettings:
     """Numerical settings of a replay; the result for a stable plan must not depend on them."""
 
     increments: int = 4
-    """Increments in which the load of a robot is transferred to the contacts when it releases a part."""
+    """Increments in which the load of a robot is transferred to the contacts when it releases a part. More than four
+    are the smallest: after one that a single iteration balances the next is twice as large, up to a quarter."""
     first_step: float = NumericalSettings.first_step
     """First time step of the Newton iterations; a shorter one means higher viscosity."""
     friction_noise: float = 0.0

@@ -37,6 +37,8 @@ from falsework.utils.kernels import njit
 PASSING = 1e-2
 """Largest residual, a share of gravity, with which an increment passes on to the next, which takes up what is left.
 Friction then differs by a tenth of what it differs between four increments and sixteen."""
+_LARGEST = 4
+"""No increment grows beyond one part in so many of the load: those of the default release all have that size."""
 
 
 class HistoryArrays(NamedTuple):
@@ -182,7 +184,8 @@ def settle_step(law, before, state, press_part, press_wrench, lost, options, inc
         press_part, press_wrench: held parts that robots press, and the whitened wrenches that they add, shapes (n,)
             and (n, 6).
         lost: whitened wrenches by which contacts carry held parts less, see `lose_carriers`.
-        increments: in how many the missing wrenches are transferred; all of gravity where the history is empty.
+        increments: in how many the missing wrenches are transferred, at most; all of gravity where the history is
+            empty.
         history: `HistoryArrays`.
         track: out: displacement in each increment, m and rad, shape (increments, parts, 6), zero before; nothing is
             written where it has no increments.
@@ -214,29 +217,33 @@ def settle_step(law, before, state, press_part, press_wrench, lost, options, inc
         result, count = MOVES_AWAY, 0
     mends = work.start[pairs] < 0  # not a literal, for which numba would recompile the search
     kept, free = freeze_outside_ball(structure, moving, origin, REACH, near)
+    local = kept > 0 and 2 * kept <= free
     moved = np.zeros((len(state), 6))
     ahead = np.zeros((len(work.free), 6))  # parts move, and contacts slide, in each increment much as in the last
-    for k in range(1, count + 1):
-        share = 1.0 - k / count
-        tolerance = options.tolerance if k == count else max(options.tolerance, PASSING)
-        result = OPEN
+    number, done, size = 0, 0, min(1, count)
+    while size > 0:
+        number, done = number + 1, done + size
+        share = 1.0 - done / count
+        tolerance = options.tolerance if done == count else max(options.tolerance, PASSING)
+        result, whole = OPEN, 0
         for j in range(len(ahead)):
             for r in range(6):
-                missing[j, r] -= push[j, r]
+                missing[j, r] -= size * push[j, r]
         for j in range(len(ahead)):
             for r in range(6):
                 contact.displacement[j, r] = ahead[j, r]
-        if kept > 0 and 2 * kept <= free:
+        if local:
             pairs, _ = load_history(law, near, contact, history, missing, share)
-            if k > 1:
+            if number > 1:
                 move_far_parts(structure, moving, near, contact, pairs, ahead)
-            first = options.first_step if k == 1 else options.warm_first_step
+            first = options.first_step if number == 1 else options.warm_first_step
             result, residual, taken = equilibrate(
                 law, contact, pairs, options.warm_steps // 2, tolerance, first, VERDICT_SCHEDULE
             )
             spent += taken
         pairs, _ = load_history(law, moving, contact, history, missing, share)
-        left = 2 if result == RESTS else 1  # from where the near parts came to rest, then from before
+        # From where the near parts came to rest, or from what is expected, then from before.
+        left = 2 if result == RESTS or (number > 1 and not local) else 1
         while left > 0:
             steps, first = options.warm_steps, options.warm_first_step
             if left == 1:
@@ -245,7 +252,7 @@ def settle_step(law, before, state, press_part, press_wrench, lost, options, inc
             result, residual, taken = solve_statics(
                 law, contact, pairs, steps, tolerance, first, mends, VERDICT_SCHEDULE
             )
-            spent += taken
+            spent, whole = spent + taken, whole + taken
             left = 0 if result == RESTS else left - 1
         for j in range(len(ahead)):
             for r in range(6):
@@ -253,10 +260,17 @@ def settle_step(law, before, state, press_part, press_wrench, lost, options, inc
                 missing[j, r] += contact.grip[j] * ahead[j, r]  # zero but for held parts
             if 0.0 < contact.across[j] < np.inf:
                 add_across(contact, j, ahead, 1.0, missing)
-        step = track[k - 1] if len(track) else moved
+        step = track[number - 1] if len(track) else moved
         _keep_history(law, contact, pairs, history, step)
         if result != RESTS:
             break
+        # Where one step of Newton's method is enough the response is linear, and the path loses nothing.
+        grown = min(2 * size, max(count // _LARGEST, 1)) if whole <= 1 else max(size // 2, 1)
+        grown = min(grown, count - done)
+        for j in range(len(ahead)):
+            for r in range(6):
+                ahead[j, r] *= grown / size
+        size = grown
     part, movement = -1, 0.0
     for i in range(len(state)):
         for r in range(6 if state[i] != 0 else 0):
