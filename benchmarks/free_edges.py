@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 from record import report, write_to
 
 from falsework import Assembly, Direction, StabilityOracle, load_structure, make_task
-from falsework.assembly import HELD, INSTALLED, REMOVED, States, complete_state
-from falsework.search import BeamSearch, BeamSettings, Oracle, SupportGuide
-from falsework.stability import Verdicts
+from falsework.assembly import HELD, INSTALLED, REMOVED, complete_state
+from falsework.search import BeamSearch, BeamSettings, SupportGuide
+from falsework.search.problem.oracle import WrappedOracle
 
 Case = Literal["first", "strip", "last"]
 
@@ -60,21 +60,13 @@ class Options:
     """File to which the records are appended."""
 
 
-class FromRest(Oracle):
+class FromRest(WrappedOracle):
     """Oracle without contact history."""
 
-    def __init__(self, oracle: StabilityOracle) -> None:
-        """Wrap an oracle."""
-        self._oracle = oracle
-
     @property
-    def holds_keep_stable(self) -> bool:
-        """As of the oracle."""
-        return self._oracle.holds_keep_stable
-
-    def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
-        """See `falsework.search.problem.oracle.Oracle`."""
-        return self._oracle.verdicts(states, near=near, require_certificate=require_certificate)
+    def replayer(self) -> None:
+        """None: states are judged from rest."""
+        return None
 
 
 def rib(assembly: Assembly) -> NDArray[np.intp]:

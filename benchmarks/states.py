@@ -10,42 +10,32 @@ from numpy.typing import NDArray
 
 from falsework import Assembly, StabilityOracle, Task
 from falsework.assembly import States
-from falsework.search import BeamSearch, BeamSettings, Oracle
+from falsework.search import BeamSearch, BeamSettings
+from falsework.search.problem.oracle import WrappedOracle
 from falsework.stability import Verdicts
-from falsework.stability.contact.replay import Replayer
 from falsework.stability.settings import EQUILIBRIUM
 
 REAL = ("bottle-12", "tetris-13", "tetris-14", "tetris-17", "cube-17", "dog-35", "dome-37", "vault-62", "dome-72")
 
 
-class Recorder(Oracle):
+class Recorder(WrappedOracle):
     """Wrapper of an oracle that records its queries."""
 
     def __init__(self, oracle: StabilityOracle) -> None:
-        self.oracle = oracle
+        super().__init__(oracle)
         self.states: list[States] = []
         self.parents: list[States] = []
-
-    @property
-    def holds_keep_stable(self) -> bool:
-        """As of the oracle."""
-        return self.oracle.holds_keep_stable
-
-    @property
-    def replayer(self) -> Replayer | None:
-        """As of the oracle."""
-        return self.oracle.replayer
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """Return verdicts as `StabilityOracle`; states without near ones, such as ends of a task, are not recorded."""
         if near is not None:
             self._record(states, near)
-        return self.oracle.verdicts(states, near=near, require_certificate=require_certificate)
+        return super().verdicts(states, near=near, require_certificate=require_certificate)
 
     def plausible(self, states: States, parents: States) -> NDArray[np.bool_]:
         """Return which states a replay may find at rest, as `StabilityOracle.plausible`."""
         self._record(states, parents)
-        return self.oracle.plausible(states, parents)
+        return super().plausible(states, parents)
 
     def _record(self, states: States, parents: States) -> None:
         self.states.append(states.copy())

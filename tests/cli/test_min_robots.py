@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from falsework import load_structure
+from falsework import StabilityOracle, load_structure
 from falsework.search import BeamSearch
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import load_plan
@@ -89,6 +89,35 @@ def test_a_structure_that_slides_from_rest_is_not_said_to_be_impossible(
     assert finished.code == code
     assert told in finished.out + finished.error
     assert "suffices" not in finished.error
+
+
+@pytest.mark.parametrize("words", [("graph",), ("train",), ("plan", "--search-from", "end")])
+def test_commands_that_judge_from_rest_say_who_asks_how_it_is_built(
+    falsework: Run, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    if words == ("train",):
+        pytest.importorskip("torch")
+    finished = falsework(words[0], "vault:parts=30", "--friction", 0.45, *words[1:], "--out", tmp_path / "out.npz")
+    assert finished.code == 1
+    assert "the complete structure slides from rest, all that counts here" in finished.error
+    assert "falsework plan --search-from beginning tells" in finished.error
+    assert not (tmp_path / "out.npz").exists()
+
+
+@pytest.mark.parametrize("options", [("--reserve", 1), ("--criterion", "equilibrium")])
+def test_without_a_reserve_one_oracle_answers_all(
+    falsework: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: tuple[str | int, ...]
+) -> None:
+    """The search knows what was found of the ends before it began."""
+    begin, made = StabilityOracle.__init__, list[StabilityOracle]()
+
+    def noted(oracle: StabilityOracle, *given: Any) -> None:
+        made.append(oracle)
+        begin(oracle, *given)
+
+    monkeypatch.setattr(StabilityOracle, "__init__", noted)
+    assert falsework("plan", "arch:blocks=5", *options, "--out", tmp_path / "plan.json").code == 0
+    assert len(made) == 1
 
 
 def test_the_deadline_leaves_a_search_to_resume(falsework: Run, tmp_path: Path) -> None:

@@ -144,7 +144,6 @@ class MakePlan(Command):
         from falsework.search.margins.demands import Demands, MarginOracle
         from falsework.search.maximise import maximise_margin
         from falsework.search.problem.deadline import Deadline
-        from falsework.search.problem.ends import judged_as_built
         from falsework.stability.oracle import StabilityOracle
 
         self._refuse_pairs()
@@ -163,12 +162,12 @@ class MakePlan(Command):
         clock = Deadline(self.deadline)
         task = make_task(assembly, self._robot_count(), **self.task.rules(assembly))
         stability = self.holds.settings(self.criterion, self.cone, self.solver)
-        plain = replace(stability, reserve=1.0)
-        oracle = MarginOracle(assembly, stability, demands) if demands else StabilityOracle(assembly, stability)
-        as_built = judged_as_built(oracle, settings.directions) and self.maximise_margin is None
-        if refuse_unstable(assembly, StabilityOracle(assembly, plain), task, output, building=True, as_built=as_built):
+        plain = StabilityOracle(assembly, replace(stability, reserve=1.0))
+        directions = settings.directions if self.maximise_margin is None else ()
+        if refuse_unstable(assembly, plain, task, output, directions, building=True):
             return Exit.NO
-        demanding = oracle if isinstance(oracle, MarginOracle) else None
+        demanding = MarginOracle(assembly, stability, demands) if demands else None
+        oracle = demanding or plain
         guide = policy_guide(self.guide, assembly, task.judged_by(oracle))
         if demanding is not None and refuse_weak_end(demanding, task, output):
             return Exit.NO
@@ -190,7 +189,7 @@ class MakePlan(Command):
                 planning = find_plans(
                     assembly,
                     task,
-                    oracle=demanding,
+                    oracle=oracle if demanding is not None or stability.reserve == 1 else None,
                     stability=stability,
                     settings=settings,
                     guide=guide,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
@@ -324,37 +324,39 @@ def refuse_unstable(
     oracle: StabilityOracle,
     task: Task,
     output: Output,
+    directions: Collection[Direction] = (),
     *,
     building: bool = False,
-    as_built: bool = False,
 ) -> bool:
     """Report a start or target state that is not stable, since then there is no plan.
 
     Args:
+        directions: of the search that follows, see `judge_ends`; none if it judges states from rest alone.
         building: whether the user's start is the target of the task.
-        as_built: whether the start of the task may slide from rest, or be undecided, see `judged_as_built`.
     """
     from falsework.cli.velocity_text import describe, motions_at
-    from falsework.search.problem.ends import end_subject
+    from falsework.search.problem.ends import end_subject, judge_ends
+    from falsework.search.problem.task import Direction
 
-    names = ("target", "start") if building else ("start", "target")
-    for name, state in zip(names, (task.start, task.target), strict=True):
-        verdicts = oracle.verdicts(state, require_certificate=True)
-        if verdicts.stable[0] or (as_built and state is task.start and verdicts.depends_on_path[0]):
-            continue
-        subject = end_subject(task, state, name)
-        moving = motions_at(assembly, verdicts, 0)
-        outcome = "no plan exists" if verdicts.unstable[0] else "no plan was found"
-        text = f"{outcome}: the {subject} {verdicts.kinds[0].words}"
-        if verdicts.on_tolerance[0]:
-            text += ", which depends on the tolerance"
-        if subject == "complete structure" and (hint := assembly.clearance_hint):
-            text += f"; {hint}"
-        output.outcome("impossible" if verdicts.unstable[0] else "not_found")
-        output.record({"reason": text, "moving": [motion.to_dict(assembly) for motion in moving]})
-        output.note(f"falsework: {text}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}")
-        return True
-    return False
+    failed, _ = judge_ends(task, oracle, directions)
+    if failed is None:
+        return False
+    starts = failed.direction is Direction.DISASSEMBLY
+    verdicts = oracle.verdicts(failed.rejected, require_certificate=True)
+    subject = end_subject(task, failed.rejected[0], "target" if starts == building else "start")
+    moving = motions_at(assembly, verdicts, 0)
+    outcome = "no plan exists" if verdicts.unstable[0] else "no plan was found"
+    text = f"{outcome}: the {subject} {verdicts.kinds[0].words}"
+    if starts and oracle.replayer is not None and verdicts.depends_on_path[0]:
+        text += " from rest, all that counts here; falsework plan --search-from beginning tells if it stands as built"
+    if verdicts.on_tolerance[0]:
+        text += ", which depends on the tolerance"
+    if subject == "complete structure" and (hint := assembly.clearance_hint):
+        text += f"; {hint}"
+    output.outcome("impossible" if verdicts.unstable[0] else "not_found")
+    output.record({"reason": text, "moving": [motion.to_dict(assembly) for motion in moving]})
+    output.note(f"falsework: {text}{'; ' if moving else ''}{describe(assembly, moving, limit=3)}")
+    return True
 
 
 def policy_guide(run: Path | None, assembly: Assembly, task: Task) -> Guide | None:

@@ -200,7 +200,7 @@ class PlanRobots(Command):
         own, scale = None if begun is None else begun.plan.plan, CellScale.from_cell(assembly, cell)
         stability = self.holds.settings_from(own, assembly, self.criterion, scale=scale)
         oracle = StabilityOracle(assembly, stability_in(cell, assembly, replace(stability, reserve=1.0)))
-        if refuse_unstable(assembly, oracle, task, output, building=building):
+        if refuse_unstable(assembly, oracle, task, output, tuple(Direction), building=building):
             return Exit.NO
         guide = policy_guide(self.policy, assembly, task)
         given: dict[str, Any] = {

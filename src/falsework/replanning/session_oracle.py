@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from falsework.assembly.state import Mask, States
 from falsework.replanning.request_replayer import RequestReplayer
 from falsework.search.problem.deadline import Deadline
-from falsework.search.problem.oracle import Oracle
-from falsework.stability.settings import StabilitySettings
+from falsework.search.problem.oracle import Oracle, WrappedOracle
 from falsework.stability.verdict import Verdict, Verdicts
 
 
-class SessionOracle(Oracle):
+class SessionOracle(WrappedOracle):
     """Oracle of one request, which counts the states that it is asked for."""
 
     def __init__(self, oracle: Oracle, clock: Deadline, replayer: RequestReplayer | None = None) -> None:
@@ -23,29 +20,15 @@ class SessionOracle(Oracle):
 
         What `replayer` has shown counts, whatever the verdict of the oracle, see `as_replayed`.
         """
+        super().__init__(oracle)
         self.asked = 0
         """Number of states checked."""
-        self._oracle, self._replayer, self._clock = oracle, replayer, clock
-
-    @property
-    def holds_keep_stable(self) -> bool:
-        """As of the oracle."""
-        return self._oracle.holds_keep_stable
+        self._replayer, self._clock = replayer, clock
 
     @property
     def replayer(self) -> RequestReplayer | None:
         """Replayer of the request; None where there is no history to take into account."""
         return self._replayer
-
-    @property
-    def settings(self) -> StabilitySettings | None:
-        """As of the oracle."""
-        return self._oracle.settings
-
-    @property
-    def premises(self) -> dict[str, Any]:
-        """As of the oracle."""
-        return self._oracle.premises
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """See `falsework.search.problem.oracle.Oracle`.
@@ -54,7 +37,7 @@ class SessionOracle(Oracle):
             DeadlineExceeded: the deadline has passed.
         """
         with self._clock.piece("verdicts"):
-            found = self._oracle.verdicts(states, near=near, require_certificate=require_certificate)
+            found = super().verdicts(states, near=near, require_certificate=require_certificate)
         if not require_certificate:
             found.verdict[:] = self.as_replayed(states, found)
             self.asked += len(states)
@@ -67,13 +50,9 @@ class SessionOracle(Oracle):
             DeadlineExceeded: the deadline has passed.
         """
         with self._clock.piece("verdicts"):
-            found = self._oracle.plausible(states, parents)
+            found = super().plausible(states, parents)
         self.asked += len(states)
         return found & ~self.rules_out(states)
-
-    def keeps(self, states: States) -> Mask:
-        """Return which states keep the margins that the oracle asks for; see `MarginOracle.keeps`."""
-        return self._oracle.keeps(states)
 
     def as_replayed(self, states: States, verdicts: Verdicts) -> NDArray[np.int8]:
         """Return verdicts from rest with what replays have shown, shape (batch,).

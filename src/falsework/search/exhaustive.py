@@ -79,18 +79,16 @@ class ExhaustiveSearch:
             progress: called after every level.
             stop: called before every level; true stops the search, which can then be run on.
         """
-        failed, _ = judge_ends(self.task, self._oracle)
-        if failed is not None:
-            return ExhaustiveResult(
-                failed, True, StateGraph.from_states(self.task, self._beam.states(), name=self.name)
-            )
-        result = self._beam.run(progress=progress, stop=lambda: self.gave_up or (stop is not None and stop()))
-        limit, interrupted = result.limit, result.interrupted
-        if self.gave_up:
-            limit, interrupted = f"gave up after {self.state_limit} states; raise the limit or use a beam search", False
-        complete = self._beam.done and not self.gave_up
-        graph = StateGraph.from_states(self.task, self._beam.states(), name=self.name)
-        outcome = result.outcome
-        if outcome is Outcome.PROVED_IMPOSSIBLE and not complete:
-            outcome = Outcome.NOT_FOUND
-        return ExhaustiveResult(replace(result, outcome=outcome, limit=limit, interrupted=interrupted), complete, graph)
+        result, _ = judge_ends(self.task, self._oracle)
+        complete = result is not None
+        if result is None:
+            result = self._beam.run(progress=progress, stop=lambda: self.gave_up or (stop is not None and stop()))
+            complete = self._beam.done and not self.gave_up
+            if result.outcome is Outcome.PROVED_IMPOSSIBLE and not complete:
+                result = replace(result, outcome=Outcome.NOT_FOUND)
+            if self.gave_up:
+                why = f"gave up after {self.state_limit} states; raise the limit or use a beam search"
+                result = replace(result, limit=why, interrupted=False)
+        return ExhaustiveResult(
+            result, complete, StateGraph.from_states(self.task, self._beam.states(), name=self.name)
+        )

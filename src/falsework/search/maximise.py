@@ -19,7 +19,7 @@ from falsework.search.planning import Planning
 from falsework.search.plans.alternatives import Alternatives
 from falsework.search.plans.proofs import prove_route
 from falsework.search.problem.guide import SupportGuide
-from falsework.search.problem.result import Outcome, Progress, SearchProgress, SearchResult, Stop
+from falsework.search.problem.result import Outcome, Progress, SearchResult, Stop
 from falsework.search.problem.task import Task
 from falsework.search.settings import PlannerSettings
 from falsework.stability.margins.brackets import ACCURACY
@@ -69,7 +69,7 @@ def maximise_margin(
         The best plan, with its margins of this kind and the bound in `Plan.margins`; the result of the first search if
         there is none. The result is interrupted if a search for a stronger plan was.
     """
-    assembly = as_assembly(assembly)
+    assembly, over = as_assembly(assembly), stop or (lambda: False)
     oracle = MarginOracle(assembly, stability, demands)
     first = find_plans(assembly, task, oracle=oracle, settings=settings, progress=progress, stop=stop, forces=forces)
     if not first.found:
@@ -82,14 +82,14 @@ def maximise_margin(
     stronger: list[_Stronger] = []
     cut, refused = False, settings.judge and not first.accepted  # what the judge refuses with smaller margins too
     while not refused and missed > reached * (1 + _CLOSE) and bound > reached * (1 + 4 * _ASIDE):
-        cut = stop is not None and stop()
+        cut = over()
         if cut:
             break
         level = _next(reached, missed, ends)
         trial = MarginOracle(assembly, stability, structs.replace(demands, **{kind: level}))
         planner = Planner(task, trial, settings, guide=SupportGuide(assembly))
-        budget = _Budget(_TWICE * max(effort, _EFFORT), progress, stop)
-        found = planner.run(progress=budget.note, stop=budget.is_spent)
+        most = _TWICE * max(effort, _EFFORT)
+        found = planner.run(progress=progress, stop=lambda search=planner, most=most: search.asked > most or over())
         seconds += found.seconds
         if planner.routes:
             # Tilts are demanded in fewer directions and further out than they are measured, so plans keep more.
@@ -97,7 +97,7 @@ def maximise_margin(
             reached = level if known else max(reached, _least(oracle, kind, found.routes[0].states))
             stronger.append(_Stronger(level, trial, planner, found))
             effort = max(effort, found.counters.asked)
-        elif found.interrupted and not budget.exceeded:
+        elif found.interrupted and planner.asked <= most:
             cut = True
             break
         else:
@@ -144,30 +144,6 @@ class _Stronger:
         replay = self.planner.tests.replays.get(route.states.tobytes())
         plan = prove_route(route, assembly, task, self.oracle, forces=forces, replay=replay)
         return Planning(self.result, (plan,), Alternatives.from_routes([route]))
-
-
-@dataclass
-class _Budget:
-    """Limit on the verdicts of one search, beside what else stops it."""
-
-    verdicts: int
-    progress: Progress | None
-    stop: Stop | None
-    asked: int = 0
-
-    def note(self, at: SearchProgress) -> None:
-        """Take the number of verdicts from the progress of the search, and pass the progress on."""
-        self.asked = at.asked
-        if self.progress is not None:
-            self.progress(at)
-
-    @property
-    def exceeded(self) -> bool:
-        return self.asked > self.verdicts
-
-    def is_spent(self) -> bool:
-        """Return whether the search has to end."""
-        return self.exceeded or (self.stop is not None and self.stop())
 
 
 def _next(reached: float, missed: float, ends: float) -> float:

@@ -215,7 +215,7 @@ class _Query:
     @property
     def _asked(self) -> int:
         """Verdicts requested."""
-        return self._bound.asked + sum(planner.counters.asked for planner in self._planners.values())
+        return self._bound.asked + sum(planner.asked for planner in self._planners.values())
 
     @property
     def _spent(self) -> float:

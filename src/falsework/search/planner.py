@@ -95,8 +95,9 @@ class Planner:
         """Whether there is nothing left to do."""
         return self._stage == "done"
 
-    def _asked(self) -> int:
-        """Return the verdicts asked for so far by all attempts, without counting the states of their beams."""
+    @property
+    def asked(self) -> int:
+        """Verdicts asked for so far by all attempts, without counting the states of their beams."""
         return self._counters.asked + sum(beam.asked for beam in self._beams.values())
 
     @property
@@ -131,14 +132,13 @@ class Planner:
             progress: called after every level of every attempt.
             stop: called before every level; true stops the search, which can then be saved or continued.
         """
-        begun = time.perf_counter()
+        begun, interrupted = time.perf_counter(), False
 
         def report(event: SearchProgress) -> None:
             if progress is not None:
                 seconds = self._seconds + time.perf_counter() - begun
-                progress(replace(event, asked=self._asked(), seconds=seconds))
+                progress(replace(event, asked=self.asked, seconds=seconds))
 
-        interrupted = False
         try:
             if self._doubt is None:
                 failed, doubt = judge_ends(self.task, self._oracle, self.settings.directions)

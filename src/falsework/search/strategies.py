@@ -129,7 +129,7 @@ class Portfolio:
 
     def doubted(self) -> Portfolio:
         """Return the strategies where the start does not come to rest by itself: those that build it, for some time."""
-        return replace(self, later=(), rounds=_DOUBTED_ROUNDS)
+        return replace(self.assembly_first(), later=(), rounds=_DOUBTED_ROUNDS)
 
     @classmethod
     def from_settings(

@@ -85,8 +85,7 @@ class HoldSettings:
 
     def resolved(self, assembly: Assembly, gravity: float = 9.81) -> HoldSettings:
         """Return the settings with the limits that they mean for a structure."""
-        limits = limits_of(assembly, self, gravity)
-        force, moment = float(limits.force.max(initial=0.0)), float(limits.moment.max(initial=0.0))
+        force, moment = limits_of(assembly, self, gravity)
         return replace(self, force=force, moment=moment, mode=self.mode if self.presses else HoldMode.LOCKED)
 
     def changed(self, assembly: Assembly, gravity: float, **given: Any) -> HoldSettings:
@@ -147,18 +146,8 @@ class HoldLoad(FileModel, frozen=True):
     """Size of the moment about the part's centre of mass, N m."""
 
 
-@dataclass(frozen=True, eq=False)
-class HoldLimits:
-    """Limits of the holds of one structure."""
-
-    force: Array
-    """Largest force on each part, N, shape (parts,)."""
-    moment: Array
-    """Largest moment about its centre of mass, N m, shape (parts,)."""
-
-
-def limits_of(assembly: Assembly, settings: HoldSettings, gravity: float = 9.81) -> HoldLimits:
-    """Return the largest force and moment of a robot on each part.
+def limits_of(assembly: Assembly, settings: HoldSettings, gravity: float = 9.81) -> tuple[float, float]:
+    """Return the largest force of a robot on a part, N, and the largest moment about its centre of mass, N m.
 
     Raises:
         InputError: a robot cannot carry a part; the message names the heaviest one.
@@ -176,8 +165,7 @@ def limits_of(assembly: Assembly, settings: HoldSettings, gravity: float = 9.81)
         )
     reach = float(assembly.mass.gyration[movable].max(initial=0.0))
     moment = _LEVER * force * reach if settings.moment is None else settings.moment
-    parts = assembly.part_count
-    return HoldLimits(np.full(parts, force or np.inf), np.full(parts, moment or np.inf))
+    return float(force) or np.inf, float(moment) or np.inf
 
 
 def robot_number(robot: int) -> str:

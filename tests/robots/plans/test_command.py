@@ -17,7 +17,7 @@ pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'fal
 from falsework.assembly import HELD
 from falsework.cli.main import main
 from falsework.cli.robot_reports import schedule_text
-from falsework.robots import interruption
+from falsework.robots import cells, interruption
 from falsework.robots.plans.robot_plan import acts
 from falsework.robots.plans.robot_plan_file import load_robot_plan
 from falsework.robots.plans.timeline import event_times, schedule_of
@@ -364,6 +364,26 @@ def test_a_start_that_is_not_stable_is_named_with_what_moves(run: Callable, cell
     code, _, error = run("robots", "plan", STACK, *given, "--order", "disassembly")
     assert code == 1
     assert error.startswith("falsework: no plan exists: the start state is unstable; block-1")
+
+
+def test_a_target_that_slides_from_rest_is_built(run: Callable, tmp_path: Path) -> None:
+    """With all loads at once the target slides; the same stones stand as arms add the last two."""
+    place, out = "position = [-1.2055, -0.0755, 0]", tmp_path / "plan.json"
+    cell = (Path(cells.__file__).parent / "vault-62-a.toml").read_text()
+    assert place in cell
+    (tmp_path / "cell.toml").write_text(cell.replace(place, "position = [0, 0, 0]"))
+    structure = ("vault:parts=30,span=1,rise=0.25,thickness=0.03,support=0.175", "--friction", 0.45)
+    before, after = "0000100011100111111111112222", "0000100011111111111111112222"
+    words = ("--state", before, "--target", after, "--reserve", 1, "--sequential", "--out", out)
+    code, _, error = run("robots", "plan", *structure, "--cell", tmp_path / "cell.toml", *words)
+    assert code == 0, error
+    plan = load_robot_plan(out).plan
+    assert "".join(map(str, plan.states[-1])) == after
+    assert plan.replay is not None
+    assert plan.replay.stands
+    code, answer, _ = run("stability", *structure, "--states", after, "--json")
+    assert code == 1
+    assert [state["verdict"] for state in answer["states"]] == ["slides"]
 
 
 def test_where_nothing_is_left_to_do_there_is_a_plan_without_steps(

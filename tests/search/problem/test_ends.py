@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from falsework import (
 )
 from falsework.search.planner import Planner
 from falsework.search.problem.ends import judge_ends
+from falsework.search.problem.oracle import Oracle
 from falsework.search.problem.task import Task
 from falsework.stability.contact.replay import Replayer
 
@@ -89,3 +92,20 @@ def test_the_ends_are_judged_once(vault: Assembly) -> None:
     assert asked
     planner.run(stop=lambda: True)
     assert oracle.counters.asked == asked
+
+
+def test_the_start_is_not_judged_again_in_each_turn_of_a_search_that_holds_parts_again(rules: Any) -> None:
+    tower, asked = rules.tower(4), Counter[bytes]()
+
+    class Noted(Oracle):
+        def verdicts(self, states: Any, *, near: Any = None, require_certificate: bool = False) -> Any:
+            asked.update(state.tobytes() for state in states)
+            return tower.verdicts(states)
+
+    task = Task.from_rules(rules.ground(4), 2, allow_regrasp=True)
+    planner = Planner(task, Noted(), PlannerSettings(directions=(Direction.DISASSEMBLY,)))
+    planner.run(stop=lambda: True)
+    before = asked[task.start.tobytes()]
+    assert before
+    assert planner.run().found
+    assert asked[task.start.tobytes()] == before

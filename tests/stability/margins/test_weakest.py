@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,12 @@ START = Answer(CONDITION, True)
 
 
 class Families:
-    """Families that stand up to given bounds, with all probes counted."""
+    """Families that stand up to given bounds, with all probes counted, in place of what solves for states.
+
+    A condition is the number of a family, and a value.
+    """
+
+    convex, limited = True, False
 
     def __init__(self, bounds: list[float], hidden: dict[int, float] | None = None, most: int = -1) -> None:
         """Take the bounds; quick probes find none of the rest positions beyond those in `hidden`.
@@ -28,10 +34,10 @@ class Families:
         self.bounds, self.hidden, self.most = bounds, hidden or {}, most
         self.probes, self.fails = Counter[int](), Counter[int]()
 
-    def probe(self, rows: Sequence[int], value: float, near: Sequence[Answer]) -> list[Answer]:
+    def ask_each(self, _: Any, conditions: Sequence[tuple[int, float]], near: Sequence[Answer]) -> list[Answer]:
         assert all(start.stands for start in near)
         answers: list[Answer] = []
-        for row in rows:
+        for row, value in conditions:
             if answers and not answers[-1].stands:
                 break
             if self.probes.total() == self.most:
@@ -42,20 +48,21 @@ class Families:
             answers.append(Answer(CONDITION, stands, coarse=True))
         return answers
 
-    def confirm(self, row: int, value: float, _failed: Answer) -> tuple[float, Answer]:
+    def ask(self, _: Any, condition: tuple[int, float]) -> Answer:
+        row, value = condition
         self.hidden.pop(row, None)
-        return value, Answer(CONDITION, value < self.bounds[row])
+        return Answer(CONDITION, value < self.bounds[row])
 
     def find(self, *, time_limited: bool = False) -> tuple[int, Bracket] | None:
         """Return the weakest family and its bracket."""
-        return Weakest(
-            range(len(self.bounds)),
-            self.probe,
-            START,
-            guess=lambda _: 1.0,
-            cap=CAP,
-            time_limited=time_limited,
-        ).search(self.confirm)
+        self.limited = time_limited
+        prober: Any = self
+        state, families = np.ones(1, np.uint8), range(len(self.bounds))
+        return Weakest(prober, state, START, self.under, families, guess=lambda _: 1.0, cap=CAP).find()
+
+    @staticmethod
+    def under(row: int, value: float) -> Any:
+        return row, value
 
     def search(self) -> tuple[int, float, float] | None:
         """Return the weakest family and the ends of its bracket; None where none has a bound."""

@@ -12,10 +12,8 @@ from falsework.assembly.state import HELD, REMOVED, Mask, States
 from falsework.robots.kernels.coordination import Swept, conflicts
 from falsework.robots.keyframes.grasp_configurations import GraspConfiguration, GraspConfigurations
 from falsework.robots.schedule.swept_bodies import SweptBodies
-from falsework.search.problem.oracle import Oracle
-from falsework.stability.contact.replay import Replayer
+from falsework.search.problem.oracle import WrappedOracle
 from falsework.stability.oracle import StabilityOracle
-from falsework.stability.settings import StabilitySettings
 from falsework.stability.verdict import Verdicts
 
 Group = tuple[int, ...]
@@ -131,45 +129,27 @@ class JointHolds:
         return self._bodies.resting(grips[0].robot, np.array([grip.configuration for grip in grips]), None)
 
 
-class HoldingOracle(Oracle):
+class HoldingOracle(WrappedOracle):
     """Stability oracle that leaves states undecided whose held parts no arms can hold together."""
 
     def __init__(self, oracle: StabilityOracle, joint: JointHolds) -> None:
-        self._oracle, self._joint = oracle, joint
-
-    @property
-    def holds_keep_stable(self) -> bool:
-        """As of the oracle."""
-        return self._oracle.holds_keep_stable
-
-    @property
-    def settings(self) -> StabilitySettings | None:
-        """As of the oracle."""
-        return self._oracle.settings
-
-    @property
-    def replayer(self) -> Replayer | None:
-        """As of the oracle."""
-        return self._oracle.replayer
-
-    def keeps(self, states: States) -> Mask:
-        """As of the oracle."""
-        return self._oracle.keeps(states)
+        super().__init__(oracle)
+        self._joint = joint
 
     def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
         """Return verdicts as `falsework.search.problem.oracle.Oracle`; excluded states stay undecided."""
         rows = np.flatnonzero(self._joint.possible(states))
         if len(rows) == len(states):
-            return self._oracle.verdicts(states, near=near, require_certificate=require_certificate)
+            return self.oracle.verdicts(states, near=near, require_certificate=require_certificate)
         verdicts = Verdicts.all_undecided(len(states))
         if len(rows):
-            verdicts.put(rows, self._oracle.verdicts(states[rows], near=None if near is None else near[rows]))
+            verdicts.put(rows, self.oracle.verdicts(states[rows], near=None if near is None else near[rows]))
         return verdicts
 
     def plausible(self, states: States, parents: States) -> Mask:
         """Return which states can be held, and may be at rest: `StabilityOracle.plausible`. Shape (batch,)."""
         found = self._joint.possible(states)
-        found[found] = self._oracle.plausible(states[found], parents[found])
+        found[found] = self.oracle.plausible(states[found], parents[found])
         return found
 
 

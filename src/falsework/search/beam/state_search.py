@@ -13,7 +13,6 @@ from falsework.assembly.state import HELD, Mask, States, state_of_key
 from falsework.errors import InputError
 from falsework.search.beam.nogoods import Jumps
 from falsework.search.beam.paths import PathHistories
-from falsework.search.problem.ends import judge_ends
 from falsework.search.problem.guide import Guide
 from falsework.search.problem.oracle import CountingOracle, Oracle
 from falsework.search.problem.plan_replay import PlanReplay
@@ -96,7 +95,7 @@ class StateSearch(Search):
         guide: Guide | None = None,
         state_limit: int = 200_000,
     ) -> None:
-        """Begin at the origin of a direction.
+        """Begin at the origin of a direction; the start and the target are taken as stable.
 
         In the order of assembly states come with their contact history, and those that do not come to rest are
         dropped.
@@ -110,7 +109,7 @@ class StateSearch(Search):
         if state_limit < 1:
             raise InputError(f"a limit of {state_limit} states allows no search; give at least 1")
         self.task, self.direction = task.judged_by(oracle), direction
-        self.judge, self._oracle = CountingOracle(oracle), oracle
+        self.judge = CountingOracle(oracle)
         self._replayer = oracle.replayer if direction is Direction.ASSEMBLY else None
         if self._replayer is not None:
             self.judge.replayed = True
@@ -192,8 +191,7 @@ class StateSearch(Search):
     def run(self, widest: int = 0, *, progress: Progress | None = None, stop: Stop | None = None) -> SearchResult:
         """See `Search.run`."""
         self.moves.stop = stop
-        failed, _ = judge_ends(self.task, self._oracle, (self.direction,))
-        return failed or super().run(widest, progress=progress, stop=stop)
+        return super().run(widest, progress=progress, stop=stop)
 
     def step(self) -> bool:
         """Judge the best states up to the first that stands, a few at most."""

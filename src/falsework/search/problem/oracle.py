@@ -1,4 +1,4 @@
-"""Stability oracle protocol, and a wrapper that splits and counts queries."""
+"""Stability oracle protocol, a base of its wrappers, and one that splits and counts queries."""
 
 from __future__ import annotations
 
@@ -75,6 +75,45 @@ class Oracle(Criterion, Protocol):
     def keeps(self, states: States) -> Mask:
         """Return which stable states keep all margins that are demanded. Shape (batch,)."""
         return np.ones(len(states), dtype=bool)
+
+
+class WrappedOracle(Oracle):
+    """Oracle that answers as another one; classes that inherit from it define what is different."""
+
+    def __init__(self, oracle: Oracle) -> None:
+        self.oracle = oracle
+
+    @property
+    def holds_keep_stable(self) -> bool:
+        """As of the oracle, like all that follows."""
+        return self.oracle.holds_keep_stable
+
+    @property
+    def replayer(self) -> Replayer | None:
+        """Replayer of sequences of states."""
+        return self.oracle.replayer
+
+    @property
+    def settings(self) -> StabilitySettings | None:
+        """Settings of the verdicts."""
+        return self.oracle.settings
+
+    @property
+    def premises(self) -> dict[str, Any]:
+        """What verdicts depend on beside the structure."""
+        return self.oracle.premises
+
+    def verdicts(self, states: States, *, near: States | None = None, require_certificate: bool = False) -> Verdicts:
+        """Return verdicts on states."""
+        return self.oracle.verdicts(states, near=near, require_certificate=require_certificate)
+
+    def plausible(self, states: States, parents: States) -> Mask:
+        """Return which states a replay may find at rest."""
+        return self.oracle.plausible(states, parents)
+
+    def keeps(self, states: States) -> Mask:
+        """Return which stable states keep all margins that are demanded."""
+        return self.oracle.keeps(states)
 
 
 class CountingOracle:

@@ -106,8 +106,8 @@ def holds_together(assembly: Assembly, parts: Sequence[int], carrier: int, setti
     force = wrench[:, :3].sum(axis=0)
     moment = (wrench[:, 3:] + np.cross(lever, wrench[:, :3])).sum(axis=0)
     if settings.criterion == "contact":
-        limits = limits_of(assembly, settings.holds, settings.gravity)
-        if np.linalg.norm(force) > limits.force[carrier] or np.linalg.norm(moment) > limits.moment[carrier]:
+        most, turns = limits_of(assembly, settings.holds, settings.gravity)
+        if np.linalg.norm(force) > most or np.linalg.norm(moment) > turns:
             return False
     verdicts = StabilityOracle(group, settings).verdicts(complete_state(group.boundary), require_certificate=True)
     return bool(verdicts.stable[0])

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from enum import StrEnum
+from operator import add
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
@@ -201,13 +202,7 @@ class SearchCounters:
     """Work of verdicts, see `CountingOracle.work`."""
 
     def __add__(self, other: SearchCounters) -> SearchCounters:
-        return SearchCounters(
-            self.states + other.states,
-            self.candidates + other.candidates,
-            self.asked + other.asked,
-            self.rejected + other.rejected,
-            self.work + other.work,
-        )
+        return SearchCounters(*map(add, astuple(self), astuple(other)))
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,8 @@ from falsework.utils.quantity import counted
 
 FORMAT = "falsework.graph/1"
 
-_ARRAYS = frozenset({"states", "source", "action", "target", "boundary", "start_state", "target_state"})
+_OWN = "states", "source", "action", "target"
+_ARRAYS = frozenset({*_OWN, "boundary", "start_state", "target_state"})
 _KINDS: dict[str, type] = {
     "name": str,
     "identity": str,
@@ -238,16 +239,8 @@ def save_state_graph(graph: StateGraph, path: Path | str) -> None:
         "criterion": graph.criterion,
         "origin": None if graph.origin is None else dict(graph.origin),
     }
-    arrays = {
-        "states": graph.states,
-        "source": graph.source,
-        "action": graph.action,
-        "target": graph.target,
-        "boundary": task.boundary,
-        "start_state": task.start,
-        "target_state": task.target,
-    }
-    write_archive(path, FORMAT, header, arrays)
+    ends = {"boundary": task.boundary, "start_state": task.start, "target_state": task.target}
+    write_archive(path, FORMAT, header, {name: getattr(graph, name) for name in _OWN} | ends)
 
 
 def load_state_graph(path: Path | str) -> StateGraph:
@@ -277,16 +270,9 @@ def load_state_graph(path: Path | str) -> StateGraph:
             task = replace(task, holds_keep_stable=criterion == "equilibrium")
         except InputError as error:
             raise InputError(f"{path} is damaged ({error}); build the graph again") from None
-        graph = StateGraph(
-            arrays["states"],
-            arrays["source"],
-            arrays["action"],
-            arrays["target"],
-            task,
-            header["name"],
-            header["removable_only_if_clear"],
-            origin,
-        )
+        given: dict[str, Any] = {name: arrays[name] for name in _OWN}
+        given |= {name: header[name] for name in ("name", "removable_only_if_clear")}
+        graph = StateGraph(**given, task=task, origin=origin)
         _check(graph, path)
     return graph
 

@@ -131,7 +131,7 @@ class BuildVerifier:
             step: displacement of the parts in the step, shape (parts, 6).
             borne: wrenches on the held parts, shape (parts, 6).
         """
-        assembly, limits = self._assembly, self._limits
+        assembly, (most_force, most_moment) = self._assembly, self._limits
         added = {press.part: np.asarray(press.wrench) for press in presses}
         mass, inertia, gyration = assembly.mass.mass, assembly.mass.inertia, self._law.geometry.gyration
         held = (state == HELD) & (before == HELD) & ~assembly.immovable
@@ -146,7 +146,7 @@ class BuildVerifier:
         for part in np.flatnonzero((state == HELD) & ~assembly.immovable).tolist():
             name, weight = self._names[part], mass[part] * self._claim.gravity
             force, moment = np.linalg.norm(borne[part, :3]), np.linalg.norm(borne[part, 3:])
-            if force > limits.force[part] * (1 + _CLOSE) or moment > limits.moment[part] * (1 + _CLOSE):
+            if force > most_force * (1 + _CLOSE) or moment > most_moment * (1 + _CLOSE):
                 return (
                     f"the robot that holds {name} bears {format_quantity(float(force), 'force', 4)} and "
                     f"{format_quantity(float(moment), 'moment', 4)}, more than it can"

@@ -160,7 +160,7 @@ def build_contact_structure(
     normal, scale, limit = contact_units(assembly, problem, settings.gravity)
     soft = np.where(problem.strength.idle, RIDGE, 1.0)
     wider = ((0, 0), (0, 0), (0, LANES - 6))
-    mass, limits = assembly.mass.mass, limits_of(assembly, holds, settings.gravity)
+    mass, (force, moment) = assembly.mass.mass, limits_of(assembly, holds, settings.gravity)
     pressing = min(stiff, PRESS_STIFFNESS) / mass * scale
     return ContactArrays(
         structure=structure,
@@ -174,8 +174,8 @@ def build_contact_structure(
         limit=limit,
         grip=np.zeros(len(mass)) if np.isinf(stiff) else stiff / mass * scale,
         press_grip=pressing,
-        force_limit=limits.force / np.sqrt(mass),
-        moment_limit=limits.moment,
+        force_limit=force / np.sqrt(mass),
+        moment_limit=np.full(len(mass), moment),
         hybrid=holds.mode is HoldMode.HYBRID,
     )
 

@@ -22,7 +22,7 @@ from falsework.stability.margins.prober import Prober
 from falsework.stability.margins.pushes import Pushes
 from falsework.stability.margins.state_margins import Bound, StateMargins, triple
 from falsework.stability.margins.supports import held_loads, settlements
-from falsework.stability.margins.weakest import Near, friction_bracket, weakest_load
+from falsework.stability.margins.weakest import Near, Weakest, friction_bracket
 from falsework.stability.strength import SMOOTH, strength_of
 from falsework.stability.verdict import Verdict, Verdicts
 from falsework.utils.quantity import check_deadline
@@ -198,7 +198,7 @@ class MarginFinder:
         else:  # other loads keep their direction
             angle, cap = float(np.arctan(guess)), float(np.arctan(LARGEST_SHARE))
             under = partial(self._tilted_condition, start.condition)
-            weakest = weakest_load(self.prober, state, start, under, order, guess=lambda _: angle, cap=cap)
+            weakest = Weakest(self.prober, state, start, under, order, guess=lambda _: angle, cap=cap).find()
             assert weakest is not None  # there are directions
             row, tilted = weakest
         tilts = partial(self._tilted_condition, start.condition, row)
@@ -230,9 +230,9 @@ class MarginFinder:
         cap: float,
         **options: Any,
     ) -> tuple[int, Bracket]:
-        """Return the load with the least largest multiple, and its bracket; -1 without loads. See `weakest_load`."""
+        """Return the load with the least largest multiple, and its bracket; -1 without loads. See `Weakest`."""
         friction = start.condition.friction
-        found = weakest_load(
+        found = Weakest(
             self.prober,
             state,
             start,
@@ -242,7 +242,7 @@ class MarginFinder:
             cap=cap,
             loads=loads,
             **options,
-        )
+        ).find()
         return found or (-1, Bracket(0.0, start, None, None))
 
     def _polygon(self, state: States, start: Answer) -> Array:

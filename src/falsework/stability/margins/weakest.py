@@ -19,12 +19,9 @@ Array = NDArray[np.float64]
 Near = dict[str, tuple[int, float]]
 """Bounds of a nearby state: the number of the weakest load, and its bound."""
 
-Probe = Callable[[Sequence[int], float, Sequence[Answer]], list[Answer]]
-"""Answers of families at a value by quick probes, until the first that fails, each warm-started from an answer."""
-
 
 class Weakest:
-    """Brackets of the bounds of families, of which only the least one is narrowed.
+    """Brackets of the bounds of families of conditions of a state, of which only the least one is narrowed.
 
     A family that is stable at the least bound so far is not weaker. So the bracket of the first family, likely the
     weakest, is narrowed, and the others are tested at its inner end; one that fails takes its place.
@@ -32,68 +29,98 @@ class Weakest:
 
     def __init__(
         self,
-        families: Sequence[int],
-        probe: Probe,
+        prober: Prober,
+        state: States,
         start: Answer,
+        under: Callable[[int, float], Condition],
+        order: Sequence[int],
         *,
         guess: Callable[[int], float],
         cap: float,
         low: float = 0.0,
-        time_limited: bool = False,
-        cut: Callable[[int, Answer], float] | None = None,
-        near: float | None = None,
+        near: Near | None = None,
+        name: str = "load",
+        numbers: Sequence[int] | None = None,
+        loads: Array | None = None,
     ) -> None:
         """Take the families.
 
         Args:
-            families: those to compare, likely weakest first.
-            probe: answers of families at a value.
-            start: the stable answer at 0.
-            guess: value of a family to try first.
+            state: shape (parts,).
+            start: the stable answer for the unmodified state.
+            under: condition of a family at a value, mostly a multiple of a load.
+            order: order in which to try the families.
+            guess: guess at the bound of a family.
             cap: value beyond which there is no bound.
             low: value at which all are known to be stable.
-            time_limited: whether the time is limited, so that what all families bear is found first, if roughly.
-            cut: as for `Interval`, of each family.
-            near: bound of the first family in a nearby state.
+            near: weakest family of a nearby state, and its bound; replaced by that of this one.
+            name: under which it is in `near`.
+            numbers: identifier of each family, the same in all states; its index by default.
+            loads: where values are multiples of loads, these, N and Nm, shape (families, parts, 6).
         """
-        self._families, self._probe, self._cap = list(families), probe, cap
-        self._searches = {
-            row: Interval(
-                start,
-                guess=guess(row),
-                cap=cap,
-                low=low,
-                floor=FLOOR * guess(row),
-                cut=None if cut is None else partial(cut, row),
-            )
-            for row in families
-        }
-        if near is not None and self._families:
-            self._searches[self._families[0]].begin_near(near)
-        self._first = max(min(map(guess, families), default=0.0) / (2.0 * GROWTH), (1.0 + 2.0 * ACCURACY) * low)
-        self._time_limited = time_limited
-        self._batch = 1 if time_limited else max(len(self._families), 1)  # one call is not cut short
+        self._prober, self._state, self._start, self._under = prober, state, start, under
+        self._guess, self._cap, self._low, self._loads = guess, cap, low, loads
+        self._near, self._name = {} if near is None else near, name
+        self._numbers = range(max(order, default=-1) + 1) if numbers is None else numbers
+        weak, bound = self._near.get(name, (-1, 0.0))
+        self._families = sorted(order, key=lambda row: self._numbers[row] != weak)
+        self._searches = {row: self._interval(row) for row in self._families}
+        if self._families and self._numbers[self._families[0]] == weak:
+            self._searches[self._families[0]].begin_near(bound)
+        self._batch = 1 if prober.limited else max(len(self._families), 1)  # one call is not cut short
 
-    def search(self, confirm: Callable[[int, float, Answer], tuple[float, Answer]]) -> tuple[int, Bracket] | None:
-        """Return the weakest family and its bracket, without an outer end where none has a bound; None without any.
+    def _interval(self, row: int, known: tuple[float, Answer] | None = None) -> Interval:
+        """Return the bracket of a family at its beginning, with a failing value and its answer if known."""
+        loads, guess = self._loads, self._guess(row)
+        cut = None if loads is None else lambda failed: self._prober.cut(self._state, failed, loads[row])
+        return Interval(
+            self._start, guess=guess, cap=self._cap, low=self._low, floor=FLOOR * guess, known=known, cut=cut
+        )
 
-        Args:
-            confirm: answer of a family at a value at which a quick probe failed, given that answer, or a stable one at
-                a larger value.
+    def find(self) -> tuple[int, Bracket] | None:
+        """Return the family with the least bound, and its bracket; None without families.
+
+        Where none has a bound, the bracket is that of the first one, up to the cap.
         """
+        found = self._search()
+        if found is None:
+            return None
+        row, bracket = found
+        if not self._prober.convex and bracket.finished and bracket.fails is not None:
+
+            def again(value: float, failed: Answer) -> Bracket:
+                return largest(partial(self._ask, row), self._interval(row, (value, failed)))
+
+            try:
+                if self._name == "friction":  # a check of it starts from rest, and near the bound the start matters
+                    loaded = self._ask(row, bracket.inside)
+                    bracket = replace(bracket, stands=loaded) if loaded.stands else again(bracket.inside, loaded)
+                bracket = checked(bracket, partial(self._ask, row), self._start, again, origin=self._low)
+            except OutOfTime:
+                bracket = replace(bracket, finished=False)
+        if bracket.outside is not None and bracket.finished:
+            self._near[self._name] = self._numbers[row], bracket.inside
+        return row, bracket
+
+    def _ask(self, row: int, value: float, near: Answer | None = None) -> Answer:
+        return self._prober.ask(self._state, self._under(row, value), near, coarse=True)
+
+    def _search(self) -> tuple[int, Bracket] | None:
+        """Return the weakest family and its bracket as quick probes find it, with an outer end that is confirmed."""
         try:
-            if self._time_limited and self._families:
-                self._raise_all(self._first)
+            if self._prober.limited and self._families:  # what all families bear is found first, if roughly
+                least = min(map(self._guess, self._families)) / (2.0 * GROWTH)
+                self._raise_all(max(least, (1.0 + 2.0 * ACCURACY) * self._low))
             while (best := self._weakest()) is not None:
                 search = self._searches[best]
                 assert search.high is not None
                 if search.fails is None:
                     return best, search.bracket()
-                value, answer = confirm(best, search.high, search.fails)
+                answer = self._confirmed(best, search.high, search.fails)
                 if not answer.stands:
-                    search.high, search.fails = value, answer
+                    search.fails = answer
                     return best, search.bracket()
-                search.reopen(value, answer)
+                search.reopen(search.high, answer)
             row = next(iter(self._families), None)
             return None if row is None else (row, self._searches[row].bracket())
         except OutOfTime:
@@ -102,6 +129,14 @@ class Weakest:
             failing = ((search.high, search.fails) for search in searches if search.high is not None)
             outside, fails = min(failing, key=lambda known: known[0], default=(None, None))
             return least, replace(self._searches[least].bracket(finished=False), outside=outside, fails=fails)
+
+    def _confirmed(self, row: int, value: float, failed: Answer) -> Answer:
+        """Return the answer of a family from rest, where a quick probe failed."""
+        if not failed.coarse:
+            # A velocity may prove failure below the value at which it was found.
+            return replace(failed, condition=self._under(row, value))
+        answer = self._prober.ask(self._state, self._under(row, value))
+        return replace(answer, moves_away=not answer.stands and (answer.moves_away or failed.moves_away))
 
     def _weakest(self) -> int | None:
         """Return the family with the least bound, with a narrow bracket; None where none has a bound."""
@@ -149,7 +184,8 @@ class Weakest:
 
     def _probe_all(self, rows: Sequence[int], value: float) -> list[Answer]:
         """Probe families at a value, each from its last rest, until one fails."""
-        answers = self._probe(rows, value, [self._searches[row].stands for row in rows])
+        conditions, near = [self._under(row, value) for row in rows], [self._searches[row].stands for row in rows]
+        answers = self._prober.ask_each(self._state, conditions, near)
         for row, answer in zip(rows, answers, strict=False):
             self._searches[row].record(value, answer)
         return answers
@@ -169,7 +205,7 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
         return None
     bracket = Bracket(own, start, None, None)
     if own > floor:
-        found = weakest_load(
+        found = Weakest(
             prober,
             state,
             start,
@@ -180,7 +216,7 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
             low=1.0 / own,
             near=near,
             name="friction",
-        )
+        ).find()
         assert found is not None  # there is one family
         bracket = found[1]
         outside = None if bracket.outside is None else 1.0 / bracket.outside
@@ -189,86 +225,3 @@ def friction_bracket(prober: Prober, state: States, start: Answer, near: Near) -
         return bracket
     smooth = prober.ask(state, Condition(0.0, extra))
     return Bracket(0.0, smooth, None, None) if smooth.stands else replace(bracket, outside=0.0, fails=smooth)
-
-
-def weakest_load(
-    prober: Prober,
-    state: States,
-    start: Answer,
-    under: Callable[[int, float], Condition],
-    order: Sequence[int],
-    *,
-    guess: Callable[[int], float],
-    cap: float,
-    low: float = 0.0,
-    near: Near | None = None,
-    name: str = "load",
-    numbers: Sequence[int] | None = None,
-    loads: Array | None = None,
-) -> tuple[int, Bracket] | None:
-    """Return the family of loads with the least bound, and its bracket; None without families.
-
-    Where none has a bound, the bracket is that of the first one, up to `cap`.
-
-    Args:
-        state: shape (parts,).
-        start: the stable answer for the unmodified state.
-        under: condition of a family at a value, mostly a multiple of a load.
-        order: order in which to try the families.
-        guess: guess at the bound of a family.
-        cap: value beyond which there is no bound.
-        low: value at which all are known to be stable.
-        near: weakest family of a nearby state, and its bound; replaced by that of this one.
-        name: under which it is in `near`.
-        numbers: identifier of each family, the same in all states; its index by default.
-        loads: where values are multiples of loads, these, N and Nm, shape (families, parts, 6).
-    """
-    names, near = range(max(order, default=-1) + 1) if numbers is None else numbers, {} if near is None else near
-    weak, value = near.get(name, (-1, 0.0))
-    order = sorted(order, key=lambda row: names[row] != weak)
-
-    def probe(rows: Sequence[int], value: float, nearby: Sequence[Answer]) -> list[Answer]:
-        return prober.ask_each(state, [under(row, value) for row in rows], nearby)
-
-    def confirm(row: int, value: float, failed: Answer) -> tuple[float, Answer]:
-        """Return the answer from rest, where a quick probe failed."""
-        if not failed.coarse:
-            # A velocity may prove failure below the value at which it was found.
-            return value, replace(failed, condition=under(row, value))
-        answer = prober.ask(state, under(row, value))
-        return value, replace(answer, moves_away=not answer.stands and (answer.moves_away or failed.moves_away))
-
-    race = Weakest(
-        order,
-        probe,
-        start,
-        guess=guess,
-        cap=cap,
-        low=low,
-        time_limited=prober.limited,
-        cut=None if loads is None else lambda row, failed: prober.cut(state, failed, loads[row]),
-        near=value if order and names[order[0]] == weak else None,
-    )
-    found = race.search(confirm)
-    if found is None:
-        return None
-    row, bracket = found
-    if not prober.convex and bracket.finished and bracket.fails is not None:
-
-        def ask(value: float, nearby: Answer | None) -> Answer:
-            return prober.ask(state, under(row, value), nearby, coarse=True)
-
-        def again(value: float, failed: Answer) -> Bracket:
-            first, known = guess(row), (value, failed)
-            return largest(ask, Interval(start, guess=first, cap=cap, low=low, floor=FLOOR * first, known=known))
-
-        try:
-            if name == "friction":  # a check of the number starts from rest, and near the bound the start matters
-                loaded = prober.ask(state, under(row, bracket.inside))
-                bracket = replace(bracket, stands=loaded) if loaded.stands else again(bracket.inside, loaded)
-            bracket = checked(bracket, ask, start, again, origin=low)
-        except OutOfTime:
-            bracket = replace(bracket, finished=False)
-    if bracket.outside is not None and bracket.finished:
-        near[name] = names[row], bracket.inside
-    return row, bracket
