@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from falsework.robots.plans.robot_forces import GripLoad
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.robots.schedule.simulation import SimulationReport
+    from falsework.search.plans.plan_report import PlanReport
 
 _AT_HOME = 1e-6
 """Joint values that differ by no more are equal, rad or m."""
@@ -112,13 +113,13 @@ def problem_record(problem: PlanProblem) -> dict[str, Any]:
     return {names.get(name, name): value for name, value in asdict(problem).items()}
 
 
-def check_texts(name: str, report: CheckReport, states: int | None) -> list[str]:
+def check_texts(name: str, report: CheckReport, states: PlanReport | None) -> list[str]:
     """Return what the check of a good plan has established, in sentences.
 
     Args:
-        states: number of its states that were found stable; None if that was not checked.
+        states: check of its states; None if they were not checked.
     """
-    stable = "" if states is None else f", all {states} states are stable"
+    stable = "" if states is None else f", all {states.states} states are {states.claim.proves}"
     links = ", ".join(f"{robot} as {shapes}" for robot, shapes in report.links.items())
     found = [
         f"{name}: no collision in {report.samples} configurations of {report.trajectories} motions (links of "
