@@ -136,7 +136,7 @@ def check_texts(name: str, report: CheckReport, states: PlanReport | None) -> li
 def runs_record(runs: SimulationReport, longest_delay: float) -> dict[str, Any]:
     """Return the record of delayed runs."""
     spread = zip(("least", "median", "most"), runs.spread, strict=True)
-    record = {name: getattr(runs, name) for name in ("out_of_order", "stuck", "outside")}
+    record = {name: getattr(runs, name) for name in ("out_of_order", "outside")}
     record |= {"runs": len(runs.makespans), "longest_delay": longest_delay}
     return {**record, "makespan_s": {name: round(value, 3) for name, value in spread}}
 
@@ -146,8 +146,8 @@ def runs_text(runs: SimulationReport, longest_delay: float) -> str:
     what = f"{len(runs.makespans)} runs with motions up to {longest_delay:.0%} longer"
     if not runs.good:
         return (
-            f"of {what} {runs.out_of_order} reach states in another order, {runs.stuck} end in a deadlock, and "
-            f"{runs.outside} leave the checked positions"
+            f"of {what} {runs.out_of_order} reach states in another order, and {runs.outside} leave the checked "
+            "positions"
         )
     least, median, most = runs.spread
     return f"{what} take {least:.1f} to {most:.1f} s, median {median:.1f} s"
