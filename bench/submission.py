@@ -6,7 +6,6 @@ A line that cannot be used is a fault with its number and one sentence. It spoil
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -119,10 +118,7 @@ def read_submission(path: Path, root: Path) -> Submission:
 
 
 def _object(line: str) -> dict[str, Any]:
-    try:
-        data = parse_json(line)
-    except json.JSONDecodeError:
-        raise ValueError("it is not valid JSON; it may be cut short; write the line again") from None
+    data = parse_json(line)
     if not isinstance(data, dict):
         raise ValueError("it is not a JSON object; write one a line")
     return data

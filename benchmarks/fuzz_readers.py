@@ -3,9 +3,9 @@
     make fuzz                                        ten minutes, each input in a process of its own
     python benchmarks/fuzz_readers.py --seed 3 --minutes 1 --kinds plan glb
 
-A finding is any other exception, a crash, more than 30 seconds or 2 GiB, a file written outside the folder of the
-input, or code that a file brings along. Findings are kept in a folder and printed as JSON, one a line; the exit code is
-then 1. The tests read a fixed corpus of the same mutations.
+A finding is any other exception, a message in the words of one, a crash, more than 30 seconds or 2 GiB, a file written
+outside the folder of the input, or code that a file brings along. Findings are kept in a folder and printed as JSON,
+one a line; the exit code is then 1. The tests read a fixed corpus of the same mutations.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from falsework.assembly.load import read_draft
 from falsework.assembly.store import save_assembly
 from falsework.cli.arguments import read_states
 from falsework.errors import FalseworkError
+from falsework.interop import to_compas
 from falsework.search.plans.plan_file import load_plan, save_plan
 from falsework.search.plans.plan_source import structure_of_plan
 from falsework.search.problem.state_graph import load_state_graph, save_state_graph
@@ -90,6 +91,32 @@ URDF = """<robot name="two">
 SRDF = """<robot name="two"><group name="arm"><chain base_link="base" tip_link="tool0"/></group>
 <disable_collisions link1="base" link2="two" reason="Never"/><enable_collisions link1="one" link2="two"/></robot>"""
 WEDGE = "v 0 0 0\nv 1 0 0\nv 0 2 0\nv 0 0 3\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+PYTHON = re.compile(r"\b[A-Z][a-z]\w*(Error|Exception)\b|NoneType|has no attribute|not subscriptable")
+"""Words of exceptions, which say nothing about a file."""
+FRAME = {"point": [0, 0, 0.5], "xaxis": [1, 0, 0], "yaxis": [0, 1, 0]}
+SHAPES = [
+    {"dtype": "compas.geometry/Box", "data": {"frame": FRAME, "xsize": 1, "ysize": 1, "zsize": 1}},
+    {
+        "dtype": "compas.geometry/Cylinder",
+        "data": {"frame": {"data": FRAME | {"point": [9, 0, 0.5]}}, "radius": 1, "height": 1},
+    },
+    {
+        "dtype": "compas.geometry/Torus",
+        "data": {"frame": FRAME | {"point": [5, 0, 0]}, "radius_axis": 1, "radius_pipe": 0.5},
+    },
+    {
+        "dtype": "compas.geometry/Polyhedron",
+        "data": {
+            "vertices": [[0, 5, 0], [1, 5, 0], [0, 6, 0], [0, 5, 1]],
+            "faces": [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]],
+        },
+    },
+]
+CONDITIONS = {
+    "displacements": [{"block_index": 3, "translation": [0, 0, 0]}],
+    "point_loads": [{"block_index": 1, "force": [1.0, 0, 0], "point": [0.0, 0, 1]}],
+    "body_forces": [{"acceleration": [0, 0, 0.1]}],
+}
 BRICKS = "2x4 (0,0,0)\n2x4 (2,0,0)\n2x4 (1,0,1)\n1x2 (1,0,2)\n"
 LDRAW = "0 FILE main.ldr\n1 4 0 -24 0 1 0 0 0 1 0 0 0 1 3001.dat\n1 4 0 -48 0 1 0 0 0 1 0 0 0 1 3003.dat\n"
 
@@ -167,6 +194,16 @@ def _structures(assembly: Assembly, scratch: Path) -> Iterator[tuple[str, Kind]]
         yield form, _kind(path, _read_structure)
         if form != "compas":
             yield f"interfaces of {form}", _kind(path, partial(load_structure, interfaces="compare"))
+    law = {"dtype": "x/Law", "data": {"mu": 0.6, "c": 1e3, "t_c": 0.0}}
+    problem = {
+        "model": to_compas(assembly, "dem"), "contact_properties": {"data": {"contact_model": law}},
+        "boundary_conditions": [{"data": CONDITIONS}],
+    }  # fmt: skip
+    for name, content in (
+        ("compas problem", {"dtype": "compas_dem.problem/Problem", "data": problem}),
+        ("compas shapes", SHAPES),
+    ):
+        yield name, Kind(json.dumps(content).encode(), "a.json", _read_structure, {})
     yield "bricks", Kind(BRICKS.encode(), "a.txt", _read_structure, {})
     yield "ldraw", Kind(LDRAW.encode(), "a.ldr", _read_structure, {})
 
@@ -463,7 +500,8 @@ def examine(kind: Kind, path: Path) -> str:
             kind.read(path)
     except FalseworkError as error:
         text = str(error)
-        return "" if text and "\n" not in text else f"not one line: {text!r}"
+        wrong = "in the words of Python" if PYTHON.search(text) else "" if text and "\n" not in text else "not one line"
+        return f"{wrong}: {text!r}" if wrong else ""
     except MemoryError:
         return "MemoryError"
     except Exception as error:

@@ -335,13 +335,12 @@ def _checked(plan: RobotPlan, assembly: Assembly, cell: Cell, arguments: Argumen
     """Check a schedule, nominal and under any delays, and simulate delayed runs of it."""
     runs = simulate(plan, runs=arguments.delayed)
     if arguments.no_check:
-        return {"check": None, "delayed": arguments.delayed, "out_of_order": runs.out_of_order, "stuck": runs.stuck}
+        return {"check": None, "delayed": arguments.delayed, "out_of_order": runs.out_of_order}
     report = check_robot_plan(plan, assembly, cell)
     return {
         "check": report.good and runs.good,
         "delayed": arguments.delayed,
         "out_of_order": runs.out_of_order,
-        "stuck": runs.stuck,
         "outside": runs.outside,
         "problems": [str(problem) for problem in report.problems[:3]],
     }
@@ -396,7 +395,6 @@ def _under_delays(plan: RobotPlan, assembly: Assembly, cell: Cell, arguments: Ar
         "proof_cpu_seconds": round(cpu, 2),
         "delayed": arguments.delayed,
         "out_of_order": runs.out_of_order,
-        "stuck": runs.stuck,
         "outside": runs.outside,
         "delayed_makespan": spread(runs.makespans.tolist()),
         "removed": len(chosen),

@@ -38,7 +38,7 @@ CORE = ("errors", "utils", "geometry", "assembly", "stability", "search", "repla
 # Sub-packages of each room, likewise. Modules at the root of a room may use them, and be used by them.
 SUBPACKAGES = {
     "utils": ("files", "cache", "display"),
-    "geometry": ("mesh", "contact", "settling", "clearance", "paths"),
+    "geometry": ("gltf", "mesh", "contact", "settling", "clearance", "paths"),
     "assembly": ("library",),
     "stability": ("second_order", "cpu", "contact", "gpu", "reference", "margins", "judges"),
     "search": ("problem", "together", "beam", "margins", "plans", "regrasp", "device"),
@@ -59,6 +59,7 @@ SUBPACKAGES = {
         "planning",
     ),
     "viewer": ("pictures", "web", "page", "cells"),
+    "interop": ("compas",),
 }
 MOST_MODULES = 16
 """In one folder; `cli` has a module for each command."""

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from falsework.errors import InputError
+
 fuzz = pytest.importorskip("fuzz_readers", reason="the fuzzer forks, which needs POSIX")
 
 COUNT, SEED, PIECES = 500, 20, 10
@@ -54,6 +56,9 @@ def test_the_fuzzer_notices(found: dict[str, fuzz.Kind], tmp_path: Path) -> None
     def fail(_: Path) -> None:
         raise KeyError("defect")
 
+    def repeat(_: Path) -> None:
+        raise InputError("a.json is damaged (KeyError: 'defect'); write it again")
+
     def kind(read: object) -> fuzz.Kind:
         return fuzz.Kind(b"{}", "a.json", read, {})
 
@@ -61,6 +66,7 @@ def test_the_fuzzer_notices(found: dict[str, fuzz.Kind], tmp_path: Path) -> None
     path.write_bytes(b"{}")
     assert fuzz.examine(kind(fail), path) == "KeyError: 'defect'"
     assert fuzz.in_process_of_its_own(kind(fail), path) == "KeyError: 'defect'"
+    assert fuzz.examine(kind(repeat), path).startswith("in the words of Python: ")
     assert fuzz.in_process_of_its_own(kind(lambda _: bytearray(1 << 40)), path) == "MemoryError"
     assert fuzz.in_process_of_its_own(kind(lambda _: fuzz.os.abort()), path) == "SIGABRT"
     outside = tmp_path.parent / "outside"

@@ -96,6 +96,10 @@ class Components(unittest.TestCase):
         self.run_script("falsework_plan.py")
         self.assertEqual(self.service.questions("/replan")[1]["robots"], 2)
 
+    def test_a_plan_without_a_reserve_says_why(self) -> None:
+        self.service.answers["/replan"] = {**self.service.answers["/replan"], "unreserved": "it slides"}
+        self.assertEqual(self.run_script("falsework_plan.py").outcome, "found, without a reserve: it slides")
+
     def test_pictures_of_a_step_and_of_the_plan(self) -> None:
         for step in (1, None):
             found = self.run_script("falsework_plan.py", step=step, draw=True)

@@ -69,6 +69,7 @@ class Asked(unittest.TestCase):
             "direction": "assembly",
             "moving": [],
             "plans": [{**PLAN, "steps": steps}],
+            "unreserved": "the target is not stable with friction divided by 1.1",
         }
         self.service.answers["/replan"] = answer
         plan = Structure(pair(), unit="m", url=self.service.url).plan(holds={"force": 5000.0}, reserve=1.1)
@@ -76,6 +77,7 @@ class Asked(unittest.TestCase):
         self.assertEqual((question["holds"], question["reserve"]), ({"force": 5000.0}, 1.1))
         words = ["insert top", "release top; robot presses base with 5 N"]
         self.assertEqual([step.words for step in plan.steps], words)
+        self.assertEqual((plan.found, plan.reason), (True, "the target is not stable with friction divided by 1.1"))
 
     def test_taking_apart_undoes_the_last_step_first(self) -> None:
         self.service.answers["/replan"] = {**self.service.answers["/replan"], "direction": "disassembly"}

@@ -108,7 +108,7 @@ def test_setting_is_linear_between_its_steps() -> None:
     ("entries", "materials", "message"),
     [
         ([{"cohesion": -1.0}], None, "joints[0].cohesion is -1.0; give a number >= 0 (Pa)"),
-        ([{"tension": float("nan")}], None, "joints[0].tension is not finite"),
+        ([{"tension": float("nan")}], None, "joints[0].tension is nan; give a number >= 0"),
         ([{"friction": 1e9}], None, "joints[0].friction is 1000000000.0; give a number <= 100000000 (coefficient)"),
         ([{"tension": 1e13}], None, "joints[0].tension is 10000000000000.0; give a number <= 1000000000000 (Pa)"),
         ([{"friction": "rough"}], None, "joints[0].friction is 'rough'; give a number (coefficient)"),

@@ -67,7 +67,7 @@ def test_a_wrong_line_is_a_fault_of_its_own(case: str, paper: Paper) -> None:
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ('{"question": "plan/contact', "not valid JSON; it may be cut short"),
+        ('{"question": "plan/contact', "it is not valid JSON at line 1, column 14; it may be truncated"),
         ("[1, 2]", "not a JSON object"),
         ('{"question": "a", "question": "b"}', "entry 'question' twice"),
         ("[" * 100_000 + "]" * 100_000, "nested deeper"),

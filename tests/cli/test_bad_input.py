@@ -85,7 +85,7 @@ def test_folder_without_meshes(refused: Callable[..., None], tmp_path: Path) -> 
 
 def test_damaged_description(refused: Callable[..., None], stack: Path) -> None:
     (stack / "assembly.json").write_text('{"boundary": [0')
-    refused(("cannot read ", "assembly.json: ", "line 1 column 16", "write it again"), stack)
+    refused(("cannot read ", "assembly.json: ", "line 1, column 16", "write it again"), stack)
 
 
 def test_mesh_not_closed(refused: Callable[..., None], stack: Path) -> None:

@@ -160,10 +160,27 @@ def test_the_command_line_takes_it_for_a_structure(tmp_path: Path, capsys: pytes
     assert "furlong" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("kind", ["assembly", "dem"])
+def test_the_name_of_a_structure_comes_back(kind: Any, arch: Assembly, tmp_path: Path) -> None:
+    export(arch.replace(name="north arch"), tmp_path / "out.json", format=COMPAS_FORMATS[kind])
+    assert load_structure(tmp_path / "out.json").name == "north arch"
+    data = json.loads((tmp_path / "out.json").read_text())
+    data["data"].get("attributes", {}).pop("name", "")
+    data["name"] = data["dtype"].partition("/")[2]  # as COMPAS calls what has no name
+    (tmp_path / "out.json").write_text(json.dumps(data))
+    assert load_structure(tmp_path / "out.json").name == "out"
+
+
 def box(**changes: Any) -> dict[str, Any]:
     """A mesh as COMPAS writes it, with changes."""
     mesh = to_compas(load_structure("arch:blocks=3"), "meshes")[0]
     return {**mesh, "data": {**mesh["data"], **changes}}
+
+
+def shape(kind: str, xaxis: list[float] | None = None, **sizes: float) -> str:
+    """A shape of COMPAS in a file."""
+    frame = {"point": [0, 0, 0], "xaxis": xaxis or [1, 0, 0], "yaxis": [0, 1, 0]}
+    return json.dumps([{"dtype": f"compas.geometry/{kind}", "data": {"frame": frame, **sizes}}])
 
 
 def named(name: str, **attributes: Any) -> dict[str, Any]:
@@ -174,22 +191,44 @@ def named(name: str, **attributes: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("content", "kind", "hint"),
     [
-        ("{", InputError, "ValueError|JSONDecodeError"),
+        ("{", InputError, "it is not valid JSON at line 1, column 2; it may be truncated"),
         ('{"dtype": "compas.geometry/Point", "data": [0, 0, 0]}', InputError, "no block"),
         ("[]", InputError, "no block"),
-        (json.dumps([box(vertex=3)]), InputError, "not as COMPAS writes it"),
-        (json.dumps([box(vertex={"0": {"x": "left"}})]), InputError, "not as COMPAS writes it"),
-        (json.dumps([box(vertex={"0": {"x": 1e999}})]), InputError, "no number|not as COMPAS"),
-        (json.dumps([box(face={"0": [0, 1, 77]})]), InputError, "not as COMPAS writes it"),
+        (json.dumps([box(vertex=3)]), InputError, r"\[0\]\.data\.vertex is 3; give an object"),
+        (json.dumps([box(vertex={"0": {"x": "left"}})]), InputError, r"data\.vertex\.0\.x is 'left'; give a number"),
+        (json.dumps([box(vertex={"0": {"x": 1e999}})]), InputError, r"data\.vertex\.0\.x is not finite; give a number"),
+        (
+            json.dumps([box(face={"0": [0, 1, 77]})]),
+            InputError,
+            r"\[0\]\.data\.face\.0 uses the vertex 77, which does not",
+        ),
+        (
+            json.dumps([box(face={"0": [0, 1, True]})]),
+            InputError,
+            r"\[0\]\.data\.face\.0\[2\] is True; give a whole number",
+        ),
+        (json.dumps([box(vertex={"0": {"x": None}})]), InputError, r"data\.vertex\.0\.x is None; give a number"),
+        (
+            json.dumps([box(attributes={"density": "x"})]),
+            InputError,
+            r"attributes\.density is 'x'; give a number \(kg/m3\)",
+        ),
+        (json.dumps([{**box(), "inheritance": 1}]), InputError, r"\[0\]\.inheritance is 1; give a list"),
+        (json.dumps([{**box(), "name": []}]), InputError, r"\[0\]\.name is \[\]; give a number or a text"),
+        (json.dumps([{**box(), "data": 3}]), InputError, r"\[0\]\.data is 3; give an object"),
+        (json.dumps([{"dtype": "compas.datastructures/Mesh"}]), InputError, r"\[0\]\.data is missing"),
+        (shape("Sphere", radius=-1), InputError, r"data\.radius is -1; give a number > 0"),
+        (shape("Box", xsize=1, ysize=1), InputError, r"data\.zsize is missing"),
+        (shape("Sphere", radius=1, xaxis=[0, 2, 0]), InputError, r"the axes of \[0\]\.data\.frame span no plane"),
         (json.dumps([box(face={"0": [0, 1]})]), MeshError, "face"),
         (json.dumps([box(face={})]), MeshError, "no faces"),
         (json.dumps([box(face={"0": [0, 1, 2]})]), MeshError, "not closed"),
-        ("[" * 100_000, InputError, "nested|not as COMPAS"),
+        ("[" * 100_000, InputError, "nested deeper"),
         (json.dumps([named(str(mu), friction=mu) for mu in (0.1, 0.2)]), AssemblyError, "--friction"),
         (
             json.dumps({"dtype": "x/Y", "inheritance": ["compas_model.models/Model"], "data": {}}),
             InputError,
-            "KeyError",
+            r"data\.elements is missing; write it again with compas\.json_dump",
         ),
     ],
 )

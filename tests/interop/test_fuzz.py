@@ -171,7 +171,7 @@ def test_what_is_whole_is_read_and_what_is_cut_is_refused(plan: Plan, small: Ass
     path.write_text(text[: len(text) // 2])
     message = only_one_line(lambda: load_plan(path), path, Plan, plan_again)
     assert message is not None
-    assert message.startswith(f"{path} is not valid JSON")
+    assert message.startswith(f"{path} cannot be read: it is not valid JSON at line 1, column")
     model = tmp_path / "model.json"
     model.write_text(json.dumps(to_compas(small)))
     assert only_one_line(lambda: COMPAS.read(model), model, Assembly, same_parts) is None

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from falsework import Assembly, Plan, export, load_structure
-from falsework.errors import InputError, PlanError
+from falsework.errors import InputError, MeshError, PlanError
 from falsework.interop.gltf import to_gltf
 
 Validate = Callable[[bytes], dict[str, Any]]
@@ -112,6 +112,87 @@ def test_far_from_the_origin_nothing_is_lost(arch: Assembly, tmp_path: Path) -> 
     scene = Scene((tmp_path / "far.glb").read_bytes())
     for part, (_, place) in scene.seen(0.0).items():
         assert np.abs(place - away - arch.mass.center[part]).max() < 1e-6
+
+
+def test_the_name_of_a_structure_comes_back(arch: Assembly, tmp_path: Path) -> None:
+    named = arch.replace(name="north arch")
+    export(named, tmp_path / "out.glb")
+    assert load_structure(tmp_path / "out.glb").name == "north arch"
+    (tmp_path / "assembly.json").write_text('{"name": "ours"}')
+    assert load_structure(tmp_path / "out.glb").name == "ours"  # what is said beside it comes first
+    (tmp_path / "assembly.json").unlink()
+    document = Scene((tmp_path / "out.glb").read_bytes())
+    document.json["asset"]["extras"]["structure"] = " "
+    document.json["buffers"][0]["uri"] = "data:," + base64.b64encode(document.buffer).decode()
+    (tmp_path / "blank.gltf").write_text(json.dumps(document.json))
+    assert load_structure(tmp_path / "blank.gltf").name == "blank"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda file: file.pop("asset"), "asset is missing; it may be damaged; export it again"),
+        (lambda file: file.update(nodes={}), "nodes is {}; give a list"),
+        (
+            lambda file: file["nodes"][1].update(mesh=True),
+            "nodes[1].mesh is True; give a whole number (number of a mesh)",
+        ),
+        (lambda file: file["nodes"][1].update(mesh=-1), "nodes[1].mesh is -1; give a whole number >= 0"),
+        (lambda file: file["nodes"][1].update(mesh=99), "nodes[1].mesh is 99, and the file has 9 meshes"),
+        (
+            lambda file: file["nodes"][1].update(translation=[0, None, 0]),
+            "nodes[1].translation[1] is None; give a number",
+        ),
+        (lambda file: file["nodes"][1].update(scale=[1, 1]), "nodes[1].scale is [1, 1]; give a list of length 3"),
+        (lambda file: file["nodes"][1].update(rotation=[0, 0, 0, float("inf")]), "nodes[1].rotation[3] is not finite"),
+        (lambda file: file["nodes"][1].update(name=["a"]), "nodes[1].name is ['a']; give a text"),
+        (lambda file: file["nodes"][1].update(extensions={"A": 1}), "nodes[1].extensions.A is 1; give an object"),
+        (lambda file: file["meshes"][0].pop("primitives"), "meshes[0].primitives is missing"),
+        (lambda file: file["scenes"][0]["nodes"].append("1"), "scenes[0].nodes[9] is '1'; give a whole number"),
+        (lambda file: file["accessors"][0].update(count=1.5), "accessors[0].count is 1.5; give a whole number"),
+        (lambda file: file["accessors"][0].update(count=2**62), "grows to 4611686018427388"),
+        (lambda file: file["accessors"][0].update(type=None), "accessors[0].type is None; give a text"),
+        (
+            lambda file: file["accessors"][0].update(componentType=5),
+            "accessors[0].componentType is 5; give one of 5120,",
+        ),
+        (lambda file: file["accessors"][1].update(componentType=5126), "accessors[1].componentType of corners is 5126"),
+        (lambda file: file["accessors"][1].update(count=35), "primitives[0] has 35 corners, which make no triangles"),
+        (lambda file: file["bufferViews"][0].update(byteLength="8"), "bufferViews[0].byteLength is '8'; give a whole"),
+        (lambda file: file["buffers"][0].update(uri="data:,$"), "the data in buffers[0].uri are not in base64"),
+        (
+            lambda file: file["buffers"][0].update(uri="data:,AAAA"),
+            "accessors[0] go beyond the end of their view or of",
+        ),
+    ],
+)
+def test_what_is_damaged_is_named(change: Callable[[Any], Any], message: str, arch: Assembly, tmp_path: Path) -> None:
+    document = json.loads(to_gltf(arch, kind="gltf"))
+    change(document)
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    with pytest.raises(MeshError) as caught:
+        load_structure(tmp_path / "a.gltf")
+    assert message in str(caught.value)
+    assert "a.gltf" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"glTF\2\0\0\0", "it ends within its header"),
+        (b"glTF\2\0\0\0\0\0\0\0", "it has no JSON"),
+        (b"glTF\2\0\0\0\0\0\0\0\7\0\0\0JSON{", "it ends 6 bytes too soon"),
+        (b"glTF\3\0\0\0\0\0\0\0", "its version of glTF is 3, not 2"),
+        (b"{", "it is not valid JSON at line 1, column 2; it may be truncated"),
+        (b"\xff", "it is neither a binary glTF file nor text in UTF-8"),
+        (b"[]", "the content is []; give an object"),
+    ],
+)
+def test_what_is_no_gltf_is_named(content: bytes, message: str, tmp_path: Path) -> None:
+    (tmp_path / "a.glb").write_bytes(content)
+    with pytest.raises(MeshError) as caught:
+        load_structure(tmp_path / "a.glb")
+    assert str(caught.value).startswith(f"cannot read {tmp_path / 'a.glb'}: {message}")
 
 
 @pytest.mark.parametrize("kind", ["glb", "gltf"])

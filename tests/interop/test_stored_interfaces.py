@@ -139,7 +139,7 @@ def test_given_contacts_are_kept_or_refused(written: Path, tmp_path: Path) -> No
     with pytest.raises(InputError, match="cannot keep"):
         save_assembly(stored, tmp_path / "folder")
     for name, form in (("out.glb", None), ("out.usda", None), ("out.json", "compas"), ("out.json", "compas-dem")):
-        with pytest.warns(ExportWarning, match="have no given contacts: those of arch are left out"):
+        with pytest.warns(ExportWarning, match="have no given contacts: those of arch:blocks=7 are left out"):
             export(stored, tmp_path / name, format=form)
     export(stored, tmp_path / "out.json", format="compas-assembly")
     again = COMPAS.read(tmp_path / "out.json", interfaces="stored")

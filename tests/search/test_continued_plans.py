@@ -22,10 +22,11 @@ from falsework import (
     load_structure,
     replan,
 )
-from falsework.assembly import with_props
+from falsework.assembly import HELD, with_props
 from falsework.errors import InputError, StateError
 from falsework.replanning import SiteSteps
 from falsework.replanning.named_state import named_state
+from falsework.replanning.replanner import ReplanResult, replan_with_reserve
 from falsework.replanning.request import Request
 from falsework.replanning.request_replayer import RequestReplayer
 from falsework.search.plans.plan_check import validate_plan
@@ -330,3 +331,60 @@ def test_states_by_parts(given: Any, values: list[int]) -> None:
 def test_what_is_no_state(given: Any, message: str) -> None:
     with pytest.raises((StateError, InputError), match=message):
         named_state(given, load_structure("arch:blocks=3"))
+
+
+def test_requests_are_asked_again_without_the_reserve_where_no_plan_keeps_it() -> None:
+    """The arch slides with a friction of 0.3 / 1.1, a held part of it does not; each request has one answer."""
+    arch = load_structure("arch:blocks=5", friction=0.3)
+    one = arch.boundary * 2
+    one[0] = HELD
+    requests = [Request("empty", target=target, deadline=60.0) for target in (one, "complete")]
+    made: list[float] = []
+
+    def replanner(stability: StabilitySettings) -> Replanner:
+        made.append(stability.reserve)
+        return Replanner(arch, None, StabilityOracle(arch, stability))
+
+    told: dict[int, ReplanResult] = {}
+    answers = replan_with_reserve(
+        requests,
+        StabilitySettings(reserve=1.1),
+        replanner,
+        finished=lambda number, answer: told.update({number: answer}),
+    )
+    assert made == [1.1, 1.0]
+    assert [answer.unwrap().claim.reserve for answer in answers] == [1.1, 1.0]
+    assert [answer.unreserved for answer in answers] == ["", "the target is not stable with friction divided by 1.1"]
+    assert [told[number] for number in (0, 1)] == answers
+
+
+@pytest.mark.parametrize("criterion", ["contact", "equilibrium"])
+def test_the_rest_of_the_plan_is_tried_first(criterion: Any) -> None:
+    """It is the answer while it stands and keeps the rules of the request, and no search is needed for that."""
+    stability = StabilitySettings(criterion=criterion)
+    old = find_plans(ARCH, stability=stability, robots=2).plans[0]
+    replanner = Replanner(ARCH, None, StabilityOracle(ARCH, stability))
+    for step in (0, 5, len(old) - 1):
+        answer = replanner.replan(plan=old, step=step)
+        assert answer.decided_by == "rest of the plan"
+        assert answer.unwrap().actions.tolist() == old.actions.tolist()
+        assert answer.search is None
+        assert validate_plan(answer.unwrap(), ARCH, stability).good
+    answer = replanner.replan(plan=old, step=5, target=old.states[7])  # where the plan does not end
+    assert answer.found
+    assert answer.decided_by != "rest of the plan"
+    late = int(old.actions[6] % ARCH.part_count)
+    (need,) = replanner.replan(plan=old, step=2, missing=[late], robots=3).unwrap().needs
+    assert need.after_parts >= int((old.actions[2:6] >= ARCH.part_count).sum())
+
+
+def test_the_rest_of_a_plan_that_falls_now_is_no_answer(plan: Plan) -> None:
+    """With less friction the arch slides, and with a reserve of fifty none of its parts stay."""
+    answer = replan(plan, step=4, structure=ARCH, stability=StabilitySettings(reserve=50.0))
+    assert answer.unwrap().claim.reserve == 1.0
+    slippery = ARCH.replace(friction=0.2)
+    stability = StabilitySettings.from_claim(plan.claim)
+    moved = replace(plan, identity=slippery.identity, friction=slippery.friction)
+    answer = Replanner(slippery, None, StabilityOracle(slippery, stability)).replan(plan=moved, step=4)
+    assert answer.decided_by != "rest of the plan"
+    assert not answer.found

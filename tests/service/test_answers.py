@@ -15,6 +15,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from falsework import Plan, StabilityOracle, StabilitySettings, find_plans
 from falsework.assembly import complete_state, empty_state
 from falsework.assembly.props import with_props
+from falsework.search.find import PLANS
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
 from falsework.search.plans.plan_model import plan_schema
@@ -67,12 +68,28 @@ def test_a_plan_leads_where_it_shall_and_every_state_stands(
     assert validate_plan(plan, live.assembly).good
 
 
-def test_a_refusal_names_the_reserve_that_was_asked_for(live: Any) -> None:
-    """Without it there is a plan."""
+def test_where_no_plan_keeps_the_reserve_there_is_one_without_and_why(live: Any) -> None:
+    """As `falsework replan` has it."""
     asked = {"state": "complete", "direction": "disassembly", "reserve": 50, "deadline": 60_000}
     answer = live.post("/replan", asked).json()
+    (plan,) = plans_of(answer)
+    assert plan.claim.reserve == 1.0
+    assert answer["unreserved"] == "the state is not stable with friction divided by 50"
+    assert validate_plan(plan, live.assembly).good
+    answer = live.post("/replan", {**asked, "robots": 1}).json()
     assert answer["outcome"] == "proved_impossible"
-    assert answer["reason"] == "the state is not stable with friction divided by 50"
+    assert answer["reason"] != answer["unreserved"]
+
+
+def test_the_reserve_is_that_of_the_command_and_that_of_a_plan_goes_on(live: Any) -> None:
+    answer = live.post("/replan", {"state": "empty", "direction": "assembly"}).json()
+    (plan,) = plans_of(answer)
+    assert (plan.claim.reserve, answer["unreserved"]) == (PLANS.reserve, "")
+    (other,) = plans_of(live.post("/replan", {"state": "empty", "direction": "assembly", "reserve": 1.2}).json())
+    for sent, given, kept in ((plan, {}, 1.1), (other, {}, 1.2), (other, {"reserve": 1.0}, 1.0)):
+        asked = {"plan": plan_to_dict(sent), "step": 2, "deadline": 60_000, **given}
+        (found,) = plans_of(live.post("/replan", asked).json())
+        assert found.claim.reserve == kept
 
 
 def test_robots_and_reserve_are_those_of_the_request(live: Any) -> None:
@@ -81,13 +98,13 @@ def test_robots_and_reserve_are_those_of_the_request(live: Any) -> None:
     force = 20 * 9.81 * float(live.assembly.mass.mass.max())
     asked = [
         {},
-        {"holds": {"force": force, "stiffness": None, "mode": "locked"}, "reserve": 1.1},
+        {"holds": {"force": force, "stiffness": None, "mode": "locked"}, "reserve": 1.2},
         {"holds": {"stiffness": 2e6}},
     ]
     with ThreadPoolExecutor(len(asked)) as pool:
         replies = list(pool.map(lambda entries: live.post("/replan", {**usual, **entries}), asked))
     usual_robots, strong, soft = (plans_of(reply.json())[0] for reply in replies)
-    assert (usual_robots.claim.reserve, strong.claim.reserve, soft.claim.reserve) == (1.0, 1.1, 1.0)
+    assert (usual_robots.claim.reserve, strong.claim.reserve, soft.claim.reserve) == (1.1, 1.2, 1.1)
     assert (strong.claim.holds.force, strong.claim.holds.stiffness) == (force, np.inf)
     assert strong.claim.holds.mode == "locked"
     assert soft.claim.holds == replace(usual_robots.claim.holds, stiffness=2e6)

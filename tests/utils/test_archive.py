@@ -78,23 +78,36 @@ def test_arrays_far_larger_than_the_file_are_not_read(tmp_path: Path, peak: Peak
 
 
 @pytest.mark.parametrize(
-    "entries",
+    ("entries", "what"),
     [
-        {"values": b"raw"},
-        {"values.npy": b"raw"},
-        {"values.npy": numbers([1.0, 2.0])[:-1]},
-        {"values.npy": numbers([1.0, 2.0]) + b"0"},
-        {"values.npy": numbers([1.0, 2.0]).replace(b"(2,)", b"(3,)")},
-        {"values.npy": numbers([1.0, 2.0]).replace(b"<f8", b"|O8")},
-        {"header.npy": numbers(np.array(json.dumps({"format": FORM})))},
+        ({"values": b"raw"}, "its entry 'values' is no array"),
+        ({"values.npy": b"raw"}, "its array 'values.npy' is damaged"),
+        ({"values.npy": numbers([1.0, 2.0])[:-1]}, "its array 'values.npy' is damaged"),
+        ({"values.npy": numbers([1.0, 2.0]) + b"0"}, "its array 'values.npy' is damaged"),
+        ({"values.npy": numbers([1.0, 2.0]).replace(b"(2,)", b"(3,)")}, "its array 'values.npy' is damaged"),
+        ({"values.npy": numbers([1.0, 2.0]).replace(b"<f8", b"|O8")}, "its array 'values.npy' is damaged"),
+        ({"header.npy": numbers(np.array(json.dumps({"format": FORM})))}, "an entry occurs twice"),
     ],
     ids=["raw", "raw named array", "short", "long", "larger", "objects", "header twice"],
 )
-def test_entries_that_are_no_arrays(tmp_path: Path, entries: dict[str, bytes]) -> None:
+def test_entries_that_are_no_arrays(tmp_path: Path, entries: dict[str, bytes], what: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a name that is there twice
         write(tmp_path / "some.npz", entries)
-    with pytest.raises(InputError, match=r"some\.npz is damaged or not a some/1 file"):
+    with pytest.raises(InputError, match=rf"some\.npz is damaged or not a some/1 file: {what}; write it again"):
+        read_archive(tmp_path / "some.npz", FORM)
+
+
+def test_what_is_no_archive_or_has_no_header(tmp_path: Path) -> None:
+    (tmp_path / "some.npz").write_bytes(b"PK")
+    with pytest.raises(InputError, match=r"not a some/1 file: it is no whole \.npz; write it again"):
+        read_archive(tmp_path / "some.npz", FORM)
+    write(tmp_path / "some.npz", {}, header="{")
+    with pytest.raises(InputError, match="its header cannot be read: it is not valid JSON at line 1, column 2"):
+        read_archive(tmp_path / "some.npz", FORM)
+    with zipfile.ZipFile(tmp_path / "some.npz", "w") as out:
+        out.writestr("values.npy", numbers([1.0]))
+    with pytest.raises(InputError, match="not a some/1 file: it has no header; write it again"):
         read_archive(tmp_path / "some.npz", FORM)
 
 

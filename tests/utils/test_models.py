@@ -10,7 +10,7 @@ import pytest
 from msgspec import Meta
 
 from falsework.errors import InputError
-from falsework.utils.models import FileModel, model_schema, plain, read_model
+from falsework.utils.models import FileModel, ForeignModel, model_schema, plain, read_model
 
 
 class Wheel(FileModel, frozen=True):
@@ -19,6 +19,22 @@ class Wheel(FileModel, frozen=True):
     radius: Annotated[float, Meta(gt=0)]
     """Radius, m. Without the tyre."""
     kind: Literal["spoked", "solid"] = "solid"
+
+
+class Spare(ForeignModel, frozen=True, rename="camel"):
+    """Spare parts."""
+
+    spare_wheel: Wheel | None = None
+    """Its wheel."""
+    sizes: dict[str, list[float]] | None = None
+    owners: list[int | str] | None = None
+
+
+class Store(ForeignModel, frozen=True):
+    """Store of another program."""
+
+    spares: dict[str, Spare]
+    """By their names."""
 
 
 class Cart(FileModel, frozen=True):
@@ -52,7 +68,7 @@ def test_what_is_right_is_read() -> None:
         ({"wheels": [{"radius": "x"}]}, "wheels[0].radius is 'x'; give a number (radius, m)"),
         ({"wheels": [{"radius": 1.0}, {"radius": 0}]}, "wheels[1].radius is 0; give a number > 0 (radius, m)"),
         ({"wheels": [{"radius": True}]}, "wheels[0].radius is True; give a number (radius, m)"),
-        ({"wheels": [{"radius": math.nan}]}, "wheels[0].radius is not finite; give a number"),
+        ({"wheels": [{"radius": math.nan}]}, "wheels[0].radius is nan; give a number > 0 (radius, m)"),
         ({"place": [0.0, math.inf]}, "place[1] is not finite; give a number"),
         ({"place": [1.0]}, "place is [1.0]; give a list of length 2"),
         ({"wheels": [{}]}, "wheels[0].radius is missing; write it again"),
@@ -71,6 +87,29 @@ def test_what_is_wrong_is_named(change: dict[str, Any], message: str) -> None:
         read(GOOD | change)
     assert str(caught.value).startswith(f"cart.json: {message}")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("spares", "message"),
+    [
+        ({"a": {}, "left side": 3}, "spares.left side is 3; give an object"),
+        ({"a": {"sizes": {"x": [1], "y": [2, True], "z": [""]}}}, "spares.a.sizes.y[1] is True; give a number"),
+        ({"a": {"spareWheel": 1}}, "spares.a.spareWheel is 1; give an object (its wheel)"),
+        ({"a": {"spareWheel": {}}}, "spares.a.spareWheel.radius is missing; write it again"),
+        ({"a": {"owners": [1, "b", True]}}, "spares.a.owners[2] is True; give a whole number or a text"),
+        ({"a": {}, "b": {"sizes": {"x": [math.inf]}}}, "spares.b.sizes.x[0] is not finite; give a number"),
+        ({"k" * 99: 1}, f"spares.{'k' * 56}.. is 1; give an object"),
+    ],
+)
+def test_what_is_wrong_below_keys_of_a_file_is_named(spares: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_model(Store, {"spares": spares}, "a.json: ", InputError, remedy="; write it again")
+    assert str(caught.value).startswith(f"a.json: {message}")
+
+
+def test_further_keys_of_other_programs_may_be_anything() -> None:
+    data = {"spares": {"a": {"sizes": {"x": [1, 2.5]}, "more": math.nan, "else": {"deep": [None]}}}, "more": 1}
+    assert read_model(Store, data, "a.json: ", InputError) == Store({"a": Spare(sizes={"x": [1.0, 2.5]})})
 
 
 @pytest.mark.parametrize(("data", "found"), [([], "[]"), (3, "3"), (None, "None"), ("cart", "'cart'")])

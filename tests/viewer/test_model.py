@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from falsework import Direction, StabilitySettings, find_plans, load_structure, replan
-from falsework.assembly import HELD, INSTALLED, REMOVED
+from falsework.assembly import HELD, INSTALLED, REMOVED, empty_state
 from falsework.errors import InputError, StateError
 from falsework.search.plans.plan_check import validate_plan
 from falsework.search.plans.steps import NO_ROBOT
@@ -384,6 +384,17 @@ def test_a_structure_without_a_plan_gets_one(arch) -> None:
     whole = ViewerState(Timeline.from_state(assembly, plan.states[-1]))  # as it is shown without a plan
     assert whole.replan().plan is not None
     np.testing.assert_array_equal(whole.timeline.states[[0, -1]], plan.states[[0, -1]])
+
+
+@pytest.mark.parametrize(("friction", "reserve"), [(0.4, 1.1), (0.3, 1.0)])
+def test_a_first_plan_keeps_the_reserve_of_the_command_or_says_why_not(friction: float, reserve: float) -> None:
+    """The arch of five slides with a friction of 0.27, which is 0.3 divided by 1.1."""
+    assembly = load_structure("arch:blocks=5", friction=friction)
+    answer = ViewerState(Timeline.from_state(assembly, empty_state(assembly.boundary))).replan()
+    assert answer.plan is not None
+    assert answer.plan.claim.reserve == reserve
+    why = "No plan was found that keeps the reserve: the target is not stable with friction divided by 1.1."
+    assert (why in answer.words) == (reserve == 1.0)
 
 
 def test_probabilities_are_those_of_the_policy(arch, policy) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from http.client import HTTPConnection
 
 import pytest
@@ -38,8 +39,12 @@ def test_a_page_begins_at_the_step_of_its_model(timeline: Timeline) -> None:
         opened.close()
 
 
-def handshake(port: int, host: str, origin: str | None) -> int:
-    """Status that an upgrade request gets; `PORT` in the names is the port."""
+def handshake(port: int, host: str, origin: str | None, during: Callable[[], None] | None = None) -> int:
+    """Status that an upgrade request gets; `PORT` in the names is the port. Nothing is read after that.
+
+    Args:
+        during: called while the connection is open.
+    """
     headers = {
         "Host": host.replace("PORT", str(port)),
         "Connection": "Upgrade",
@@ -53,9 +58,25 @@ def handshake(port: int, host: str, origin: str | None) -> int:
     connection = HTTPConnection("127.0.0.1", port, timeout=10)
     try:
         connection.request("GET", "/", headers=headers)
-        return connection.getresponse().status
+        status = connection.getresponse().status
+        if during is not None:
+            during()
+        return status
     finally:
         connection.close()
+
+
+def test_a_client_that_does_not_read_delays_no_end(timeline: Timeline) -> None:
+    """It never confirms that the connection ends."""
+    opened, seconds = Page(ViewerState(timeline), port=PORT + 2), []
+
+    def close() -> None:
+        begun = time.perf_counter()
+        opened.close()
+        seconds.append(time.perf_counter() - begun)
+
+    assert handshake(opened.port, "localhost:PORT", None, close) == 101
+    assert seconds[0] < 4  # viser gives up after six, and leaves the server running
 
 
 def test_foreign_hosts_and_origins_are_refused(page: Page) -> None:

@@ -120,7 +120,8 @@ def assemble(
     placed = [part for part in range(len(items)) if state[part] != REMOVED and part not in held]
     lines = [f"{number}: {done.words}" for number, done in enumerate(plan.steps, 1)]
     picture = _saved(structure.picture(plan=plan.plan, step=None if step is None else place)) if draw else None
-    return Assembly("found", lines, [items[part] for part in placed], [items[part] for part in held], picture)
+    outcome = f"found, without a reserve: {plan.reason}" if plan.reason else "found"
+    return Assembly(outcome, lines, [items[part] for part in placed], [items[part] for part in held], picture)
 
 
 def _open(

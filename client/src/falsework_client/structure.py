@@ -92,7 +92,7 @@ class Plan:
     outcome: str
     """`found`, `proved_impossible`, `not_found`, or `not_yet` if the time was too short."""
     reason: str
-    """Why there is no plan."""
+    """Why there is no plan, or why the one that there is keeps no reserve; empty otherwise."""
     plan: dict[str, Any] | None
     """Contents of a plan file, which every command of falsework reads; None if no plan was found."""
     steps: tuple[Step, ...]
@@ -202,8 +202,9 @@ class Structure:
             fixed: parts that must not be held or removed.
             removable_only_if_clear: whether parts move along free straight lines only.
             holds: what robots that hold parts can do: any of `stiffness` in N/m, `force` in N, `moment` in N m and
-                `press`, whether they may press; the defaults of the service if None.
-            reserve: number by which friction is divided; 1 if None.
+                `mode`, such as `locked` for robots that never press; the defaults of the service if None.
+            reserve: number by which friction is divided; that of `falsework plan`, 1.1, if None. If no plan keeps it,
+                there is one without, and `reason` says why.
             seconds: until the answer, 60 at most.
 
         Raises:
@@ -237,7 +238,8 @@ class Structure:
                 for press in ([] if undone else step.get("presses", []))
             )
             steps.append(Step(do, step["part"], self.names[step["part"]], tuple(now), presses, number))
-        return Plan(answer["outcome"], answer["reason"], record, tuple(steps), start, tuple(answer["moving"]))
+        unreserved = answer.get("unreserved", "")  # services before 0.2 fell back on nothing
+        return Plan(answer["outcome"], unreserved, record, tuple(steps), start, tuple(answer["moving"]))
 
     def picture(
         self,

@@ -17,7 +17,6 @@ from falsework.assembly.loads import GRAVITY, Loads
 from falsework.assembly.model import DENSITY, FRICTION, Assembly
 from falsework.assembly.part_numbers import boundary_ids
 from falsework.errors import AssemblyError, InputError, MeshError
-from falsework.geometry.arrays import points_of
 from falsework.geometry.contact.interfaces import ContactSettings
 from falsework.geometry.mesh.polygon import triangles_of
 from falsework.geometry.mesh.read import read_surfaces, unit_length
@@ -82,6 +81,8 @@ class Draft:
     """Whether its format is one of models with clearance, whose parts settle if they do not rest as modelled."""
     says_unit: bool = True
     """Whether the file, or who read it, says the unit."""
+    name: str = ""
+    """Name of the structure, if the file gives one."""
 
     @staticmethod
     def from_blocks(
@@ -101,13 +102,7 @@ class Draft:
         stored = []
         for interface in interfaces:
             one, two = (number_of.get(key, -1) for key in interface["keys"])
-            try:
-                points = points_of(interface["points"]) * scale
-            except (TypeError, ValueError):
-                raise AssemblyError(
-                    f"{path}: corners of the interface between {interface['keys'][0]} and {interface['keys'][1]} are "
-                    "not points with three coordinates; write the model again"
-                ) from None
+            points = np.array(interface["points"], dtype=np.float64).reshape(-1, 3) * scale
             stored.append(StoredInterface((one, two), points, np.asarray(interface["normal"])))
         return Draft(path, scale, tuple(blocks), tuple(stored))
 
@@ -141,7 +136,8 @@ class Draft:
             )
             for surface in surfaces
         ]
-        return Draft(path, scale, tuple(blocks), says_unit=unit is not None or bool(stated))
+        name = next((surface.structure for surface in surfaces if surface.structure), "")
+        return Draft(path, scale, tuple(blocks), says_unit=unit is not None or bool(stated), name=name)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -180,6 +176,7 @@ class Draft:
             ground: add a fixed slab under the lowest point, as the last part. It is added with a warning where neither
                 a boundary is given nor a part is a support.
             interfaces: source of the contacts; `compare` finds them and warns where the stored ones differ.
+            name: that of the file if none is given, and without one that of its path.
             settle: as for `Assembly.from_meshes`. If not given, parts of a file in which nothing is fixed, or whose
                 format has fits, settle with a warning if they do not rest where they are.
         """
@@ -202,7 +199,7 @@ class Draft:
             boundary=fixed if boundary is None else boundary,
             density=self._density() if density is None else density,
             friction=next(iter(frictions), FRICTION) if friction is None else friction,
-            name=name or (self.path.resolve().name if self.path.is_dir() else self.path.stem),
+            name=name or self.name.strip() or (self.path.resolve().name if self.path.is_dir() else self.path.stem),
             ground=ground or unsaid,
             contact_settings=contact_settings or ContactSettings(),
             contacts=interface_contacts(meshes, self.interfaces) if interfaces == "stored" else None,

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from tyro.conf import Positional, arg
 
 from falsework.cli.arguments import parse_limits, spell_options
-from falsework.cli.command import UNSET, ConeOption, JudgingCommand, LoadOptions
+from falsework.cli.claim_options import ClaimOptions
+from falsework.cli.command import UNSET, Command, LoadOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import exit_of_good
 from falsework.cli.planning import judge_text, load_record, load_text
@@ -41,7 +42,7 @@ def _state_words(state: Sequence[int], assembly: Assembly) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckPlan(JudgingCommand):
+class CheckPlan(Command):
     """Verify every step of a plan, up to the first that fails.
 
     The options, not the file, set the criterion; a plan that claims less is refused. A checker that shares no code with
@@ -52,15 +53,7 @@ class CheckPlan(JudgingCommand):
     too. Exit code 1 at the first step that fails; 3 if all is well, but only with such options of the plan.
     """
 
-    rare: ClassVar[tuple[str, ...]] = (
-        "cone",
-        "tolerance",
-        "gravity",
-        "force_bound",
-        "reserve",
-        "hold_force",
-        "margin",
-    )
+    rare: ClassVar[tuple[str, ...]] = ("hold_force",)
 
     examples: ClassVar[tuple[str, ...]] = (
         "falsework check plan.json",
@@ -78,21 +71,11 @@ class CheckPlan(JudgingCommand):
     reading: LoadOptions
     accept_overrides: bool = False
     """Accept the options of the structure that the plan records, as if all were given."""
-    cone: ConeOption = None
-    tolerance: float = 1e-4
-    """Largest acceleration of a part in a stable state, as a share of gravity."""
-    gravity: float = 9.81
-    """m/s2."""
-    force_bound: float = 1e3
-    """Bound on the sum of all normal forces, in weights of the structure."""
-    reserve: Annotated[float, arg(metavar="FACTOR")] = 1.0
-    """Least reserve of the plan: number by which it divides friction."""
+    claim: ClaimOptions
     hold_force: Annotated[str | None, arg(metavar="FORCE", help_behavior_hint="(default: that of the plan)")] = None
     """Largest force of a robot on a part that it holds, such as 300N; no robot may bear more in any state."""
     hold_moment: Annotated[str | None, arg(metavar="MOMENT", help_behavior_hint="(default: that of the plan)")] = None
     """Largest moment of a robot about the centre of mass of a part that it holds, such as 40Nm."""
-    margin: Annotated[str | None, arg(metavar="MARGINS", help_behavior_hint="(default: those of the plan)")] = None
-    """Margins that every state must keep, such as friction=1.25,tilt=2deg,push=20N; see `falsework plan --help`."""
     replay: bool = False
     """Also replay the plan with contact history, and print one line per step. A plan that
     fails with another stiffness ratio, release increment or initial friction is reported as marginal, and fails the
@@ -107,29 +90,19 @@ class CheckPlan(JudgingCommand):
 
     def run(self, output: Output) -> Exit:
         """Load, compare, verify, replay."""
-        from falsework.search.margins.demands import Demands
         from falsework.search.plans.plan_check import validate_plan
         from falsework.search.plans.plan_file import load_plan
         from falsework.search.plans.plan_source import structure_to_check
         from falsework.stability.holds import HoldSettings
-        from falsework.stability.settings import StabilitySettings
 
-        if self.replay and self.criterion != "contact":
+        if self.replay and self.claim.criterion != "contact":
             raise InputError("the criterion equilibrium has no contact history; leave out --replay or --criterion")
         limits = parse_limits(self.hold_force, self.hold_moment)
         for name, limit in zip(("--hold-force", "--hold-moment"), limits, strict=True):
             if limit == 0:
                 raise InputError(f"{name} is 0, which limits nothing; give more than 0, or leave it out")
-        settings = StabilitySettings(
-            criterion=self.criterion,
-            cone=self.cone,
-            tolerance=self.tolerance,
-            gravity=self.gravity,
-            force_bound=self.force_bound,
-            reserve=self.reserve,
-            holds=HoldSettings(float("inf"), *limits),
-        )
-        demands = None if self.margin is None else Demands.from_text(self.margin)
+        settings = self.claim.settings(holds=HoldSettings(float("inf"), *limits))
+        demands = self.claim.demands()
         plan = load_plan(self.plan)
         assembly, overrides = structure_to_check(plan, self.plan, self.structure, **self.reading.given())
         with output.count("checking", "state") as progress:
@@ -187,7 +160,7 @@ class CheckPlan(JudgingCommand):
                 f"{claim.force_bound:g}); no part is out of balance by more than "
                 f"{format_quantity(found.residual, 'share')} of its weight"
             )
-            demanded = self.margin or (plan.margins and str(plan.margins.demands))
+            demanded = self.claim.margin or (plan.margins and str(plan.margins.demands))
             if demanded:
                 output.say(f"every state keeps {demanded}")
             if plan.margins is not None and plan.margins.measured:

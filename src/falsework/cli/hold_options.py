@@ -45,7 +45,7 @@ class HoldOptions:
 
     def settings(self, criterion: Criterion, cone: Cone | None = None, solver: SolverName = "cpu") -> StabilitySettings:
         """Return the settings of stability."""
-        from falsework.search.find import PLANS
+        from falsework.search.find import RESERVES
         from falsework.stability.holds import HoldSettings
         from falsework.stability.settings import StabilitySettings
 
@@ -54,7 +54,7 @@ class HoldOptions:
             raise InputError("under equilibrium robots hold with any force; leave out the options of holds")
         if self.reserve is not None and not self.reserve >= 1:
             raise InputError(f"--reserve is {self.reserve:g}; give 1 for none, or more")
-        reserve = self.reserve or (PLANS.reserve if criterion == "contact" else 1.0)
+        reserve = self.reserve or RESERVES[criterion]
         holds = HoldSettings(**given)
         return StabilitySettings(criterion=criterion, cone=cone, solver=solver, reserve=reserve, holds=holds)
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from falsework.robots.plans.robot_forces import GripLoad
     from falsework.robots.plans.robot_plan import RobotPlan
     from falsework.robots.schedule.simulation import SimulationReport
+    from falsework.search.plans.plan_report import PlanReport
 
 _AT_HOME = 1e-6
 """Joint values that differ by no more are equal, rad or m."""
@@ -112,13 +113,13 @@ def problem_record(problem: PlanProblem) -> dict[str, Any]:
     return {names.get(name, name): value for name, value in asdict(problem).items()}
 
 
-def check_texts(name: str, report: CheckReport, states: int | None) -> list[str]:
+def check_texts(name: str, report: CheckReport, states: PlanReport | None) -> list[str]:
     """Return what the check of a good plan has established, in sentences.
 
     Args:
-        states: number of its states that were found stable; None if that was not checked.
+        states: check of its states; None if they were not checked.
     """
-    stable = "" if states is None else f", all {states} states are stable"
+    stable = "" if states is None else f", all {states.states} states are {states.claim.proves}"
     links = ", ".join(f"{robot} as {shapes}" for robot, shapes in report.links.items())
     found = [
         f"{name}: no collision in {report.samples} configurations of {report.trajectories} motions (links of "
@@ -135,7 +136,7 @@ def check_texts(name: str, report: CheckReport, states: int | None) -> list[str]
 def runs_record(runs: SimulationReport, longest_delay: float) -> dict[str, Any]:
     """Return the record of delayed runs."""
     spread = zip(("least", "median", "most"), runs.spread, strict=True)
-    record = {name: getattr(runs, name) for name in ("out_of_order", "stuck", "outside")}
+    record = {name: getattr(runs, name) for name in ("out_of_order", "outside")}
     record |= {"runs": len(runs.makespans), "longest_delay": longest_delay}
     return {**record, "makespan_s": {name: round(value, 3) for name, value in spread}}
 
@@ -145,8 +146,8 @@ def runs_text(runs: SimulationReport, longest_delay: float) -> str:
     what = f"{len(runs.makespans)} runs with motions up to {longest_delay:.0%} longer"
     if not runs.good:
         return (
-            f"of {what} {runs.out_of_order} reach states in another order, {runs.stuck} end in a deadlock, and "
-            f"{runs.outside} leave the checked positions"
+            f"of {what} {runs.out_of_order} reach states in another order, and {runs.outside} leave the checked "
+            "positions"
         )
     least, median, most = runs.spread
     return f"{what} take {least:.1f} to {most:.1f} s, median {median:.1f} s"

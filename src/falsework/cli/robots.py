@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from tyro.conf import Positional, arg
 
 from falsework.cli.arguments import spell_options
+from falsework.cli.claim_options import ClaimOptions
 from falsework.cli.command import UNSET, Command, LoadOptions
 from falsework.cli.exit_code import Exit
 from falsework.cli.output import exit_of_good
@@ -38,10 +39,11 @@ class CheckRobots(Command):
     arms have no meshes, so their convex pieces are checked. Limits of position, velocity and acceleration and the
     continuity of motions are checked too. A plan with a schedule is checked as a whole as well: every 0.01 s all that
     moves against all else; and for any delays the order of the states, and all positions of two arms that can coincide,
-    between samples too. The exact solver checks the stability of the states. Forces and moments that robots bear for
-    held parts are compared with the limits of their grippers. Options of the structure that the plan records, such as
-    its friction, count only if they are given here too. Exit code 1 if anything is wrong; 3 if all is well, but only
-    with such options of the plan.
+    between samples too. States are checked as by `falsework check`, those of joined parts also as loose ones: the
+    options set the criterion, and a plan that claims less is refused. Forces and moments that robots bear for held
+    parts are compared with the limits of their grippers. Options of the structure that the plan records, such as its
+    friction, count only if they are given here too. Exit code 1 if anything is wrong; 3 if all is well, but only with
+    such options of the plan.
     """
 
     rare: ClassVar[tuple[str, ...]] = ("resolution", "delays", "max_delay")
@@ -64,10 +66,11 @@ class CheckRobots(Command):
     reading: LoadOptions
     accept_overrides: bool = False
     """Accept the options of the structure that the plan records, as if all were given."""
+    claim: ClaimOptions
     resolution: float = 0.01
     """Largest joint step between two samples, rad."""
     delays: Annotated[int | None, arg(metavar="RUNS", help_behavior_hint=UNSET)] = None
-    """Simulate the schedule this often with random delays too: deadlocks, order of the states, makespans, and whether
+    """Simulate the schedule this often with random delays too: order of the states, makespans, and whether
     every run keeps to the checked positions."""
     max_delay: Annotated[float, arg(metavar="SHARE")] = 1.0
     """Largest share by which a motion takes longer in these runs; each has its own."""
@@ -80,15 +83,17 @@ class CheckRobots(Command):
         """Load, compare, verify."""
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.checks.check import check_robot_plan
+        from falsework.robots.checks.check_plan import check_states
         from falsework.robots.plans.robot_forces import grip_loads, overloads
         from falsework.robots.plans.robot_plan import acts
         from falsework.robots.plans.robot_plan_file import load_robot_plan
         from falsework.robots.schedule.simulation import simulate
-        from falsework.search.plans.plan_check import validate_plan
         from falsework.search.plans.plan_source import structure_to_check
 
         if self.delays is None and self.max_delay != 1.0:
             raise InputError("--max-delay is for delayed runs; give their number too, such as --delays 1000")
+        if self.motions_only and self.claim != ClaimOptions():
+            raise InputError("--motions-only checks no states; leave it out, or --criterion and what goes with it")
         plan = load_robot_plan(self.plan)
         assembly, overrides = structure_to_check(plan.plan, self.plan, self.structure, **self.reading.given())
         place = self.cell or plan.cell_place(self.plan)
@@ -105,7 +110,9 @@ class CheckRobots(Command):
         runs = None
         if self.delays is not None and report.good:
             runs = simulate(plan, runs=self.delays, most=self.max_delay)
-        stable = None if self.motions_only else validate_plan(plan.plan, assembly)
+        stable = (
+            None if self.motions_only else check_states(plan, assembly, self.claim.settings(), self.claim.demands())
+        )
         loads = [] if report.loads is None else list(report.loads)
         if report.loads is None and stable is not None and stable.good:
             loads = grip_loads(plan, assembly, cell)
@@ -119,6 +126,7 @@ class CheckRobots(Command):
                 "overrides": overrides,
                 "unverified": open_claims,
                 "stable": None if stable is None else stable.good,
+                "claim": None if stable is None else stable.claim.to_dict(),
                 **check_record(report),
                 "holds": holds,
                 "overloads": [problem_record(problem) for problem in heavy],
@@ -140,7 +148,7 @@ class CheckRobots(Command):
         output.say(scope_text(plan, assembly, cell, place))
         if overrides:
             output.say(f"options of the structure that the plan sets: {spell_options(overrides)}")
-        for text in check_texts(str(self.plan), report, None if stable is None else stable.states):
+        for text in check_texts(str(self.plan), report, stable):
             output.say(text)
         if runs is not None:
             output.say(runs_text(runs, self.max_delay))

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-
-from falsework.utils.quantity import is_number
 
 Array = NDArray[np.float64]
 
@@ -27,18 +24,6 @@ class Rows:
     def join(cls, tables: Sequence[Self]) -> Self:
         """Return all rows of several tables, one after the other."""
         return cls(*(np.concatenate([getattr(one, column.name) for one in tables]) for column in fields(cls)))
-
-
-def points_of(values: Iterable[Any]) -> Array:
-    """Return points that a file has as lists of numbers, shape (points, 3).
-
-    Raises:
-        ValueError: one is not three finite numbers, which texts, true and false are not, though NumPy converts them.
-    """
-    points = [[*point] for point in values]
-    if not all(len(point) == 3 and all(is_number(x) and math.isfinite(x) for x in point) for point in points):
-        raise ValueError("a point is not three numbers")
-    return np.array(points, dtype=np.float64).reshape(-1, 3)
 
 
 def read_only(*arrays: Any) -> tuple[Any, ...]:

@@ -12,7 +12,7 @@ from falsework.errors import PlanError
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.steps import no_such_step
 from falsework.search.problem.result import Route
-from falsework.search.problem.task import STAGE, Task
+from falsework.search.problem.task import STAGE, Direction, Task
 from falsework.search.together.exits import exit_path
 from falsework.stability.contact.history import Presses
 
@@ -44,6 +44,21 @@ class ExecutedSteps:
         there = self.plan.states[: self.steps + 1, part] != REMOVED
         placing = np.flatnonzero(there[1:] & ~there[:-1])
         return int(placing[-1]) + 1 if len(placing) else None
+
+    def rest(self, task: Task) -> Route | None:
+        """Return what is left of the plan, in the order of disassembly; None if a task allows it not, or only by sets.
+
+        Args:
+            task: of what follows, whose target is the state that is reached.
+        """
+        states, actions = self.plan.states[self.steps :][::-1], self.plan.actions[self.steps :][::-1]
+        if task.allow_regrasp or task.together is not None or not len(actions):
+            return None
+        if not (np.array_equal(states[0], task.start) and task.contains(states).all()):
+            return None
+        legal = task.moves(states[:-1], Direction.DISASSEMBLY)[np.arange(len(actions)), actions]
+        one_each = task.follow(states[:-1], actions, Direction.DISASSEMBLY) == states[1:]
+        return Route(states.copy(), actions.copy()) if legal.all() and one_each.all() else None
 
     def extended(self, rest: Route) -> Route:
         """Return the route of these steps and those that follow, in the order of disassembly.

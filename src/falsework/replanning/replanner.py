@@ -8,6 +8,7 @@ is a plan of proven states, a proof that there is none, or the statement that no
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -245,21 +246,70 @@ def replan(
     stability = stability or (PLANS if plan is None else StabilitySettings.from_claim(plan.claim))
     request.task(assembly)  # bad input is refused before anything is loaded
 
-    def ask(oracle: StabilityOracle, deadline: float | None) -> ReplanResult:
-        replanner = Replanner(assembly, policy, oracle, settings=settings)
-        return replanner.replan_many([replace(request, deadline=deadline)])[0]
+    if oracle is not None:
+        return Replanner(assembly, policy, oracle, settings=settings).replan_many([request])[0]
 
-    deadline = request.deadline
-    if oracle is not None or stability.reserve == 1.0:
-        return ask(oracle or StabilityOracle(assembly, stability), deadline)
-    answer = ask(StabilityOracle(assembly, stability), None if deadline is None else FIRST_SHARE * deadline)
-    left = None if deadline is None else deadline - answer.seconds
-    stands = answer.found and all(replayed.stands is not False for replayed in answer.replays)
-    if stands or (left is not None and left <= 0):
-        return answer
-    again = ask(StabilityOracle(assembly, replace(stability, reserve=1.0)), left)
-    best = again if again.found or not answer.found else answer
-    return replace(best, seconds=answer.seconds + again.seconds, unreserved=answer.reason)
+    def replanner(stability: StabilitySettings) -> Replanner:
+        return Replanner(assembly, policy, StabilityOracle(assembly, stability), settings=settings)
+
+    return replan_with_reserve([request], stability, replanner)[0]
+
+
+def replan_with_reserve(
+    requests: Sequence[Request],
+    stability: StabilitySettings,
+    replanner: Callable[[StabilitySettings], Replanner],
+    *,
+    finished: Finished | None = None,
+) -> list[ReplanResult]:
+    """Answer requests with the reserve that is asked for, and those for which no plan keeps it once more without.
+
+    Half of each deadline is left for that; loading a replanner does not count.
+
+    Args:
+        requests: as for `Replanner.replan_many`.
+        replanner: makes a replanner, with the reserve or without, or returns one that was made before.
+        finished: as for `Replanner.replan_many`.
+    """
+    if stability.reserve == 1.0:
+        return replanner(stability).replan_many(requests, finished=finished)
+    answers: dict[int, ReplanResult] = {}
+    again: dict[int, Request] = {}
+    keeping = replanner(stability)
+    begun = time.perf_counter()
+
+    def first(number: int, answer: ReplanResult) -> None:
+        deadline = requests[number].deadline
+        stands = answer.found and all(replayed.stands is not False for replayed in answer.replays)
+        answers[number] = answer
+        if not stands and (deadline is None or answer.seconds < deadline):
+            again[number] = requests[number]
+        elif finished is not None:
+            finished(number, answer)
+
+    hurried = [
+        replace(request, deadline=None if request.deadline is None else FIRST_SHARE * request.deadline)
+        for request in requests
+    ]
+    keeping.replan_many(hurried, finished=first)
+    if not again:
+        return [answers[number] for number in range(len(requests))]
+    numbers, passed = list(again), time.perf_counter() - begun
+
+    def second(place: int, answer: ReplanResult) -> None:
+        number = numbers[place]
+        before = answers[number]
+        best = answer if answer.found or not before.found else before
+        answers[number] = replace(best, seconds=before.seconds + answer.seconds, unreserved=before.reason)
+        if finished is not None:
+            finished(number, answers[number])
+
+    rest = [
+        replace(request, deadline=None if request.deadline is None else max(request.deadline - passed, 1e-3))
+        for request in again.values()
+    ]
+    replanner(replace(stability, reserve=1.0)).replan_many(rest, finished=second)
+    return [answers[number] for number in range(len(requests))]
 
 
 def _subject(subject: AnyStructure | Plan, structure: AnyStructure | None) -> tuple[Plan | None, Assembly]:

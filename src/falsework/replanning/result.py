@@ -27,6 +27,8 @@ class Stage(StrEnum):
     """No stage found an answer."""
     RULES = "rules"
     """The state is the target already, or one of the two is not stable."""
+    PLAN = "rest of the plan"
+    """The rest of the plan that is carried out."""
     GREEDY = "policy greedy"
     """The most probable actions of the policy."""
     SAMPLED = "policy sampled"

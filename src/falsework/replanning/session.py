@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from falsework.replanning.result import ReplanResult, Stage
 from falsework.replanning.session_oracle import SessionOracle
 from falsework.search.plans.alternatives import Alternatives, choose_alternatives
 from falsework.search.plans.plan import Plan
-from falsework.search.problem.deadline import Deadline
+from falsework.search.problem.deadline import Deadline, DeadlineExceeded
 from falsework.search.problem.result import Outcome, Route, SearchResult
 from falsework.search.problem.task import Direction, Task
 from falsework.search.together.moves import graph_with_sets
@@ -221,6 +222,15 @@ class ReplanSession:
             self.infeasible = True
         elif self.task.is_done:
             self.found([Route(self.task.start[None].copy(), np.zeros(0, dtype=np.int64))], Stage.RULES)
+        elif self.built is not None and (rest := self.built.rest(self.task)) is not None:
+            self._go_on_with(rest)
+
+    def _go_on_with(self, rest: Route) -> None:
+        """Take the rest of the plan that is carried out, if it still stands and there is time to see that."""
+        with suppress(DeadlineExceeded):
+            stable = self.replayer is not None or self.oracle.verdicts(rest.states).stable.all()
+            if stable and self.oracle.keeps(rest.states).all():
+                self.found([rest], Stage.PLAN)
 
     def answer(self) -> ReplanResult:
         """Prove the plans found and return the result."""

@@ -51,6 +51,8 @@ FIRST_SHARE = 0.5
 """Share of a deadline for plans with the reserve; the rest is for plans without, where there are none."""
 PLANS = StabilitySettings(reserve=1.1)
 """Stability of plans by default: parts come to rest with friction divided by 1.1, and with the true one."""
+RESERVES = {"contact": PLANS.reserve, "equilibrium": 1.0}
+"""Reserve of plans by default, by their criterion."""
 Backend = Literal["cpu", "cuda"]
 """Device that solves for the verdicts of a search: the processor, or a GPU for those asked for in batches."""
 _SHORT = 10_000

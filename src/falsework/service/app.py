@@ -87,12 +87,15 @@ def _add_questions(app: FastAPI, assembly: Assembly, pool: Pool, settings: Servi
         def payload(wanted: ReplanRequest) -> dict[str, Any]:
             if wanted.plan is not None and wanted.state is not UNSET:
                 raise InputError("state: a plan with its step says what the state is; leave one of the two out")
-            given = {name: value for name, value in structs.asdict(wanted).items() if name != "deadline"}
+            given = {
+                name: value
+                for name, value in structs.asdict(wanted).items()
+                if name != "deadline" and value is not UNSET  # as by default, or as in the plan
+            }
             given["removable_only_if_clear"] |= settings.removable_only_if_clear
             given["since"] = SiteSteps(**structs.asdict(wanted.since))
             if wanted.plan is not None:
                 given["state"] = None
-                given = {name: value for name, value in given.items() if value is not UNSET}  # those of the plan
             else:
                 given["robots"] = settings.robots if wanted.robots is UNSET else wanted.robots
                 start = "complete" if wanted.state is UNSET else wanted.state

@@ -368,6 +368,7 @@ def not_yet(seconds: float, criterion: Criterion) -> bytes:
         "reason": f"the deadline of {round(1000 * seconds)} ms passed; more time may find a plan",
         "moving": [],
         "plans": [],
+        "unreserved": "",
         "replays": [],
         "distances": [],
     }

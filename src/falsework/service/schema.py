@@ -101,8 +101,8 @@ class ReplanRequest(FileModel, frozen=True):
     """Move parts along collision-free straight lines only; so too where the run that is served does."""
     holds: Holds | UnsetType = UNSET
     """What robots that hold parts can do."""
-    reserve: Annotated[float, Meta(ge=1, le=MOST_RESERVE)] = 1.0
-    """Number by which friction is divided."""
+    reserve: Annotated[float, Meta(ge=1, le=MOST_RESERVE)] | UnsetType = UNSET
+    """Number by which friction is divided; by default that of the plan, else 1.1 under the criterion contact."""
     seed: Annotated[int, Meta(ge=0, lt=2**31)] = 0
     """Same seed, same answer."""
     deadline: Annotated[int, Meta(ge=SHORTEST_DEADLINE, le=round(1000 * LONGEST_DEADLINE))] | None = None
@@ -176,6 +176,8 @@ class ReplanAnswer(FileModel, frozen=True):
     moving: list[Count]
     """Parts that move where the search ended."""
     plans: list[PlanFile]
+    unreserved: str
+    """Why no plan keeps the reserve that was asked for, so that those here keep none; empty if they keep it."""
     replays: list[ReplayRecord]
     """One for each plan under the criterion contact. Changes of settings are not tried."""
     distances: list[list[NotNegative]]

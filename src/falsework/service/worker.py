@@ -14,6 +14,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -24,6 +25,7 @@ from falsework.assembly.model import Assembly
 from falsework.assembly.props import with_props
 from falsework.assembly.state import States, complete_state
 from falsework.errors import DependencyError, InputError, PlanError
+from falsework.search.find import RESERVES
 from falsework.search.plans.plan import Plan
 from falsework.search.plans.plan_check import check_identity
 from falsework.search.plans.plan_file import plan_from_dict, plan_to_dict
@@ -43,8 +45,8 @@ NOT_YET = "not_yet"
 """Outcome of a request whose deadline passed before a plan was found; it proves nothing."""
 REMEMBERED = 400_000
 """Verdicts after which a worker empties its caches, to bound its memory."""
-_KEPT = 4
-"""Replanners that a worker keeps, each for other robots or another reserve."""
+_KEPT = 6
+"""Replanners that a worker keeps, each for other robots or another reserve; an answer may take two."""
 _BACKGROUND = 5
 """Niceness of the planning processes, so that the process that answers clients goes first."""
 _MOVES = 0.05
@@ -88,8 +90,8 @@ class Item:
 
     number: int
     payload: Any
-    """Fields of `falsework.replanning.request.Request` with the `holds` and the `reserve` of the settings of stability
-    and the `SiteSteps` since the plan; or of `PictureRequest` with the state as an array; or for stability
+    """Fields of `falsework.replanning.request.Request` with the `holds` and perhaps the `reserve` of the settings of
+    stability and the `SiteSteps` since the plan; or of `PictureRequest` with the state as an array; or for stability
     `(states, explain)`."""
     seconds: float
     """Time that is left for it."""
@@ -190,10 +192,12 @@ class _Planner:
 
     def __init__(self, config: WorkerConfig) -> None:
         os.nice(_BACKGROUND)
-        self._assembly, self._settings = config.assembly, one_thread(config.criterion)
+        self._assembly = config.assembly
+        self._settings = replace(one_thread(config.criterion), reserve=RESERVES[config.criterion])
         self._policy, self.policy = _load_policy(config)
         self._replanners: OrderedDict[tuple[str, StabilitySettings], Replanner] = OrderedDict()
-        self._replanner(self._assembly, self._settings)
+        for reserve in dict.fromkeys((1.0, self._settings.reserve)):
+            self._replanner(self._assembly, replace(self._settings, reserve=reserve))
 
     def _replanner(self, assembly: Assembly, settings: StabilitySettings) -> Replanner:
         """Return the replanner for a structure with some props, some robots and a reserve; the last few are kept."""
@@ -219,33 +223,34 @@ class _Planner:
             except InputError as error:
                 pipe.send(Done(item.number, 422, refusal(str(error)), "refused"))
                 continue
-            stability = {name: payload.pop(name) for name in ("holds", "reserve") if name in payload}
             settings = self._settings
-            if (plan := payload.get("plan")) is not None:  # its gravity and tolerance, and its holds
+            if (plan := payload.get("plan")) is not None:  # its gravity and tolerance, its holds and reserve
                 own = StabilitySettings.from_claim(plan.claim, settings.criterion)
-                settings = replace(own, numerics=settings.numerics)
-            settings = replace(settings, **stability)
-            some = groups.setdefault((assembly.identity, settings), (assembly, []))[1]
-            some.append(replace(item, payload=payload))
+                reserve = own.reserve if plan.claim.criterion == own.criterion else settings.reserve
+                settings = replace(own, numerics=settings.numerics, reserve=reserve)
+            for name in payload.keys() & {"holds", "reserve"}:
+                settings = replace(settings, **{name: payload.pop(name)})
+            groups.setdefault((assembly.identity, settings), (assembly, []))[1].append(replace(item, payload=payload))
         for (_, settings), (assembly, some) in groups.items():
             try:
-                replanner = self._replanner(assembly, settings)
+                self._replanner(assembly, settings)
             except InputError as error:  # they cannot carry a part
                 for item in some:
                     pipe.send(Done(item.number, 422, refusal(f"holds: {error}"), "refused"))
                 continue
             passed = time.monotonic() - begun
-            self._answer(replanner, [replace(item, seconds=item.seconds - passed) for item in some], pipe)
+            self._answer(assembly, settings, [replace(item, seconds=item.seconds - passed) for item in some], pipe)
 
-    def _answer(self, replanner: Replanner, items: Sequence[Item], pipe: Connection) -> None:
+    def _answer(self, assembly: Assembly, settings: StabilitySettings, items: Sequence[Item], pipe: Connection) -> None:
         """Answer the requests together, or each by itself if one of them breaks the batch."""
+        from falsework.replanning.replanner import replan_with_reserve
         from falsework.replanning.request import Request
 
         good: list[tuple[Item, Request]] = []
         for item in items:
             request = Request(**item.payload, deadline=max(item.seconds, 0.001))
             try:
-                request.task(replanner.assembly)
+                request.task(assembly)
             except InputError as error:
                 pipe.send(Done(item.number, 422, refusal(str(error)), "refused"))
             else:
@@ -259,17 +264,17 @@ class _Planner:
             pipe.send(Done(item.number, 200, body, answer.decided_by.value))
 
         try:
-            replanner.replan_many([request for _, request in good], finished=finished)
+            asked, replanner = [request for _, request in good], partial(self._replanner, assembly)
+            replan_with_reserve(asked, settings, replanner, finished=finished)
         except Exception as error:
             if len(items) == 1:
                 log.exception("a request failed")
-                pipe.send(
-                    Done(items[0].number, 500, refusal(f"the request failed inside ({type(error).__name__})"), "failed")
-                )
+                reason = f"the request failed inside ({type(error).__name__})"
+                pipe.send(Done(items[0].number, 500, refusal(reason), "failed"))
                 return
             for item, _ in good:
                 if item.number in open_items:
-                    self._answer(replanner, [item], pipe)
+                    self._answer(assembly, settings, [item], pipe)
 
 
 class _Painter:
@@ -369,6 +374,7 @@ def replan_record(answer: ReplanResult, criterion: Criterion) -> dict[str, Any]:
         "reason": answer.reason,
         "moving": list(answer.moving),
         "plans": [plan_to_dict(plan) for plan in answer.plans],
+        "unreserved": answer.unreserved,
         "replays": [replayed.to_dict() for replayed in answer.replays],
         "distances": np.round(answer.distance, 4).tolist(),
     }

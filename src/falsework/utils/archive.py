@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from falsework.errors import InputError
 from falsework.utils.files.output_file import write_whole
 from falsework.utils.json_text import parse_json
+from falsework.utils.models import shown
 
 _HEADER = "header"
 _ROOM, _EXPANSION = 1 << 28, 256
@@ -62,7 +63,12 @@ def read_archive(
                     f"{path} has {path.stat().st_size} bytes and claims arrays of {sizes}, more than the {most} that "
                     f"are read from such a file; it is damaged or not a {form} file; write it again"
                 )
-            header = parse_json(str(_read_entry(archive, entries.pop(f"{_HEADER}.npy"))[()]))
+            if (described := entries.pop(f"{_HEADER}.npy", None)) is None:
+                raise ValueError("it has no header")
+            try:
+                header = parse_json(str(_read_entry(archive, described)[()]))
+            except ValueError as error:
+                raise ValueError(f"its header cannot be read: {error}") from None
             _check_format(path, header, form)
             found = {name.removesuffix(".npy") for name in entries}
             if names is not None and found != names:
@@ -73,8 +79,10 @@ def read_archive(
         raise
     except FileNotFoundError:
         raise InputError(f"there is no file {path}") from None
-    except Exception as error:  # NumPy and the unpackers below it fail in many ways on a damaged file
-        raise InputError(f"{path} is damaged or not a {form} file ({type(error).__name__}); write it again") from None
+    except ValueError as error:
+        raise InputError(f"{path} is damaged or not a {form} file: {error}; write it again") from None
+    except Exception:  # zipfile and the unpackers below it fail in many ways on a damaged file
+        raise InputError(f"{path} is damaged or not a {form} file: it is no whole .npz; write it again") from None
 
 
 def read_array(path: Path | str) -> NDArray[Any]:
@@ -108,9 +116,12 @@ def _check_format(path: Path, header: Any, form: str) -> None:
 
 def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
     if not entry.filename.endswith(".npy"):
-        raise ValueError(f"{entry.filename} is no array")
+        raise ValueError(f"its entry {shown(entry.filename)} is no array")
     with archive.open(entry) as file:
-        return _read_numbers(file, entry.file_size)
+        try:
+            return _read_numbers(file, entry.file_size)
+        except Exception:  # NumPy fails in many ways on a damaged header
+            raise ValueError(f"its array {shown(entry.filename)} is damaged") from None
 
 
 def _read_numbers(file: IO[bytes], size: int) -> NDArray[Any]:

@@ -47,9 +47,7 @@ def read_json(path: Path | str, kind: str = "JSON file", remedy: str = "write it
     except OSError as error:
         raise PlanError(f"{path} cannot be read: {error.strerror}; name another file") from None
     except UnicodeDecodeError:
-        raise PlanError(f"{path} is not valid JSON: it is no text; name another file") from None
-    except json.JSONDecodeError:
-        raise PlanError(f"{path} is not valid JSON; it may be truncated; {remedy}") from None
+        raise PlanError(f"{path} cannot be read: it is no text in UTF-8; name another file") from None
     except ValueError as error:
         raise PlanError(f"{path} cannot be read: {error}; {remedy}") from None
 

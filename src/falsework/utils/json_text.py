@@ -14,10 +14,13 @@ def parse_json(text: str) -> Any:
 
     Raises:
         ValueError: it is no JSON, has more than `LEVELS` levels, an integer that does not fit into 64 bits, or an
-            object with two entries of the same name.
+            object with two entries of the same name; the message begins with "it" or "an object in it".
     """
     try:
         data = json.loads(text, parse_int=_integer, object_pairs_hook=_object)
+    except json.JSONDecodeError as error:
+        place = f"line {error.lineno}, column {error.colno}"
+        raise ValueError(f"it is not valid JSON at {place}; it may be truncated") from None
     except RecursionError:
         raise ValueError(f"it is nested deeper than {LEVELS} levels") from None
     level = [data]

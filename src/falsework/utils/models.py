@@ -5,11 +5,13 @@ from __future__ import annotations
 import ast
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from bisect import bisect_left
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
-from functools import cache
+from functools import cache, reduce
 from inspect import cleandoc, getsource
 from itertools import pairwise
+from operator import getitem
 from os import PathLike, fspath
 from typing import Any, TypeVar
 
@@ -41,6 +43,13 @@ class FileModel(Struct, forbid_unknown_fields=True, frozen=True, omit_defaults=T
     """
 
 
+class ForeignModel(FileModel, forbid_unknown_fields=False, frozen=True):
+    """Base of models of what other programs write, as far as it is used: further keys may be anything.
+
+    They are in no schema.
+    """
+
+
 def read_model(
     kind: type[Kind], data: Any, about: str, error: Callable[[str], InputError], where: str = "", remedy: str = ""
 ) -> Kind:
@@ -59,9 +68,10 @@ def read_model(
             expected; also if a number is not finite.
     """
     try:
-        if place := _not_finite(data):
-            raise error(f"{about}{_join(where, place)} is not finite; give a number")
-        return convert(data, kind)
+        model = convert(data, kind)
+        if place := _not_finite(to_builtins(model), where):
+            raise error(f"{about}{place} is not finite; give a number")
+        return model
     except UnicodeEncodeError:
         raise error(f"{about}a text in it holds half a character; write it as UTF-8") from None
     except ValidationError as wrong:
@@ -101,7 +111,8 @@ def model_schemas(kinds: Iterable[type[FileModel]], references: str) -> dict[str
 
 
 def _below(model: type) -> list[type]:
-    return [found for below in model.__subclasses__() for found in (below, *_below(below))]
+    kinds = [below for below in model.__subclasses__() if below is not ForeignModel]
+    return [found for below in kinds for found in (below, *_below(below))]
 
 
 @cache
@@ -154,6 +165,18 @@ def check_options(taker: Callable[..., Any], given: Iterable[str], passed_on: It
         raise InputError(f"{taker.__name__}: the option {odd} {unknown_key(odd, known)}")
 
 
+def path_to(place: str, step: int | str) -> str:
+    """Return the path of an entry of a list or an object, as messages show it.
+
+    Args:
+        place: path of the list or object; empty for all of the content.
+    """
+    if isinstance(step, int):
+        return f"{place}[{step}]"
+    name = shown(step)[1:-1]
+    return f"{place}.{name}" if place else name
+
+
 def shown(value: Any) -> str:
     """Return a value of a file as messages repeat it: short, and without control characters."""
     text = ascii(value)
@@ -168,18 +191,20 @@ def _type_info(kind: Any) -> Any:
 def _message(kind: Any, data: Any, text: str, where: str, remedy: str) -> str:
     """Return the message of msgspec with the value that was found, and what is expected there."""
     what, _, path = text.partition(" - at `")
-    steps = re.findall(r"\.(\w+)|\[(\d+)\]", path.partition("[...]")[0])
     place, value, known, purpose = where, data, _type_info(kind), ""
-    for name, number in steps:
+    taken: list[int | str] = []
+    for name, number in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", path):
         purpose = _purpose(known, name)
-        place = f"{place}[{number}]" if number else _join(place, name)
-        value, known = value[int(number) if number else name], _inside(known, name)
+        step = name or (_wrong_key(kind, data, taken, text) if number == "..." else int(number))
+        place = path_to(place, step)
+        taken.append(step)
+        value, known = value[step], _inside(known, name)
     key = re.search(r"field `(.+)`", what)
     if key and what.startswith("Object missing"):
-        return f"{_join(place, key[1])} is missing{remedy}"
+        return f"{path_to(place, key[1])} is missing{remedy}"
     if key:
         fields = [field.encode_name for entry in _kinds(known) for field in getattr(entry, "fields", ())]
-        return f"{_join(place, key[1])} {unknown_key(key[1], fields)}{remedy}"
+        return f"{path_to(place, key[1])} {unknown_key(key[1], fields)}{remedy}"
     if what == "Number out of range":
         return f"{place} is {shown(value)}; give a number that fits into 64 bits"
     expected = what.removeprefix("Expected ").partition(", got")[0]
@@ -192,8 +217,32 @@ def _message(kind: Any, data: Any, text: str, where: str, remedy: str) -> str:
     return f"{place or 'the content'} is {shown(value)}; give {expected}"
 
 
-def _join(place: str, name: str) -> str:
-    return f"{place}.{name}" if place and not name.startswith("[") else place + name
+def _wrong_key(kind: Any, data: Any, taken: Sequence[int | str], text: str) -> str:
+    """Return the key of the first wrong entry of an object that messages of msgspec call `[...]`.
+
+    Args:
+        taken: steps from the data to the object.
+        text: message of msgspec, which it repeats for any beginning of the object that has the entry.
+    """
+    entries = list(reduce(getitem, taken, data).items())
+
+    def is_wrong(count: int) -> bool:
+        try:
+            convert(_exchanged(data, taken, dict(entries[:count])), kind)
+        except ValidationError as wrong:
+            return str(wrong) == text
+        return False
+
+    return entries[bisect_left(range(1, len(entries)), True, key=is_wrong)][0]
+
+
+def _exchanged(data: Any, taken: Sequence[int | str], value: Any) -> Any:
+    """Return data with another value at the end of some steps."""
+    if not taken:
+        return value
+    copy = data.copy()
+    copy[taken[0]] = _exchanged(data[taken[0]], taken[1:], value)
+    return copy
 
 
 def _in_words(expected: str) -> str:
@@ -215,7 +264,7 @@ def _inside(kind: Any, name: str) -> Any:
     """Return the type of a field of an object, or without a name, of the elements of a list."""
     for entry in _kinds(kind):
         found = [field.type for field in getattr(entry, "fields", ()) if field.encode_name == name]
-        found += [getattr(entry, "item_type", None)] if not name else []
+        found += [getattr(entry, "item_type", getattr(entry, "value_type", None))] if not name else []
         if found:
             return found[0]
     return None
@@ -229,25 +278,30 @@ def _options(kind: Any) -> tuple[Any, ...]:
 
 def _purpose(kind: Any, name: str) -> str:
     """Return the first clause of the description of a field."""
-    texts = [_field_texts(entry.cls).get(name, "") for entry in _kinds(kind) if hasattr(entry, "fields")]
+    texts = [
+        _field_texts(entry.cls).get(field.name, "")
+        for entry in _kinds(kind)
+        for field in getattr(entry, "fields", ())
+        if field.encode_name == name
+    ]
     text = re.split(r"[.;] |\.$", texts[0] if texts else "")[0]
     text = text[:1].lower() + text[1:] if re.match(r"[A-Z][a-z]{2}", text) else text  # not of units
     return f" ({text})" if 0 < len(text) < _LONG else ""
 
 
-def _not_finite(value: Any, place: str = "") -> str:
+def _not_finite(value: Any, place: str) -> str:
     """Return the path of the first number that is not finite; empty if there is none."""
     if type(value) is float:
         return "" if math.isfinite(value) else place or "the content"
-    if isinstance(value, list):
+    if isinstance(value, (list, tuple)):
         try:  # of lists of numbers, most of a file
             if math.isfinite(sum(value)):
                 return ""
         except (TypeError, OverflowError):
             pass
-        inside: Iterable[tuple[str, Any]] = ((f"{place}[{index}]", entry) for index, entry in enumerate(value))
+        inside: Iterable[tuple[str, Any]] = ((path_to(place, index), entry) for index, entry in enumerate(value))
     elif isinstance(value, dict):
-        inside = ((_join(place, str(key)), entry) for key, entry in value.items())
+        inside = ((path_to(place, str(key)), entry) for key, entry in value.items())
     else:
         return ""
     return next((found for name, entry in inside if (found := _not_finite(entry, name))), "")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,14 @@ import pytest
 
 pytest.importorskip("pinocchio", reason="checks need Pinocchio; pip install 'falsework[robots]'")
 
+from falsework import load_cell, load_structure, plan_robots
 from falsework.assembly import HELD
+from falsework.assembly.groups import join_parts
 from falsework.cli.main import main
 from falsework.cli.robot_reports import schedule_text
 from falsework.robots import cells, interruption
 from falsework.robots.plans.robot_plan import acts
-from falsework.robots.plans.robot_plan_file import load_robot_plan
+from falsework.robots.plans.robot_plan_file import load_robot_plan, save_robot_plan
 from falsework.robots.plans.timeline import event_times, schedule_of
 from falsework.search.plans.steps import NO_ROBOT
 from falsework.utils.quantity import format_quantity
@@ -186,6 +189,40 @@ def test_a_bad_plan_is_exit_code_one(run: Callable, cell_file: Path, tmp_path: P
     assert code == 1
     assert answer["outcome"] == "refuted"
     assert "the acceleration of joint_" in error
+
+
+def test_the_criterion_of_states_is_that_of_the_caller(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    """As `falsework check` has it: a plan that claims less is refused, with the option that accepts it."""
+    out = tmp_path / "robot_plan.json"
+    assert run("robots", "plan", STACK, "--cell", cell_file, "--out", out, "--criterion", "equilibrium")[0] == 0
+    code, answer, error = run("robots", "check", out, "--json")
+    assert (code, answer["stable"]) == (1, False)
+    assert "the plan claims equilibrium only; plan again, or check it with --criterion equilibrium" in error
+    code, answer, _ = run("robots", "check", out, "--json", "--criterion", "equilibrium")
+    assert (code, answer["stable"], answer["claim"]["criterion"]) == (0, True, "equilibrium")
+    data = json.loads(out.read_text())
+    data["plan"]["stability"]["gravity"] = 1.62
+    out.write_text(json.dumps(data))
+    code, _, error = run("robots", "check", out, "--criterion", "equilibrium")
+    assert (code, "the plan is for a gravity of 1.62 m/s2; 9.81 is asked" in error) == (1, True)
+    assert run("robots", "check", out, "--criterion", "equilibrium", "--gravity", 1.62)[0] == 0
+    code, _, error = run("robots", "check", out, "--motions-only", "--gravity", 1.62)
+    assert (code, "--motions-only checks no states" in error) == (2, True)
+    code, _, error = run("robots", "check", out, "--gravity", "nan")
+    assert (code, "gravity" in error) == (2, True)
+
+
+def test_joined_parts_have_to_stand_loose(run: Callable, cell_file: Path, tmp_path: Path) -> None:
+    """Blocks that only touch are one part for the arm; it carries the lower one by the upper one."""
+    structure, out = load_structure(STACK), tmp_path / "robot_plan.json"
+    groups = [[structure.names[1], structure.names[0]]]
+    found = plan_robots(join_parts(structure, groups), load_cell(cell_file)).value
+    assert found is not None
+    plan = replace(found.plan, source={"built_in": STACK, "groups": groups})
+    save_robot_plan(replace(found, plan=plan), out)
+    code, answer, error = run("robots", "check", out, "--cell", cell_file, "--json")
+    assert (code, answer["stable"], answer["problems"]) == (1, False, [])
+    assert "do not leave together" in error
 
 
 @pytest.mark.parametrize("entry", ["positions", "velocities"])

@@ -1,30 +1,23 @@
-"""Reader of glTF 2.0, as one binary file (.glb) or as text (.gltf)."""
+"""Reader of the shapes in glTF 2.0 files, one binary file (.glb) or text (.gltf)."""
 
 from __future__ import annotations
 
-import base64
-import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NoReturn
-from urllib.parse import unquote
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from falsework.errors import MeshError
+from falsework.geometry.gltf.document import GltfDocument
+from falsework.geometry.gltf.gltf_model import FAN, STRIP, TRIANGLES, GltfNode, GltfPrimitive
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.surface import PartSurface, content_of, joined, warn_of
-from falsework.utils.files.input_file import read_content
-from falsework.utils.json_text import parse_json
 from falsework.utils.quantity import is_number, listed
 
 Array = NDArray[np.float64]
 
-_COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC3": 3}
-_STRIP, _FAN, _TRIANGLES = 5, 6, 4
 _HARMLESS = (
     "KHR_materials_",
     "KHR_texture_",
@@ -36,8 +29,6 @@ _HARMLESS = (
 )
 """Beginnings of the names of extensions that say nothing about the shape."""
 _KNOWN = {"KHR_mesh_quantization", "KHR_node_visibility", "MSFT_texture_dds", "ADOBE_materials_clearcoat_specular"}
-_SHAPED = ("scenes", "nodes", "meshes", "accessors", "bufferViews", "buffers")
-"""Lists of what shapes are made of."""
 _UNIT = 0.01
 """Difference from one up to which the length of a rotation counts as rounded."""
 _LEVELS = 64
@@ -51,32 +42,22 @@ def read_gltf(file: Path) -> list[PartSurface]:
 
     A part is a node; the primitives of its mesh, one for each material, are one surface. The entries `part`,
     `boundary` and `density` in the `extras` of a node, which falsework writes, are its number, whether it is fixed,
-    and its density; `friction` in those of `asset` is the coefficient of all contacts. Hidden nodes, points and lines,
-    other scenes and animations are left out with a warning.
+    and its density; in those of `asset`, `structure` is the name of the whole and `friction` the coefficient of all
+    contacts. Hidden nodes, points and lines, other scenes and animations are left out with a warning.
 
     Raises:
         MeshError: a file that is damaged, that has too many copies of its meshes (see `check_growth`), or whose shape
             depends on what is not read: skins, morph targets, compression, instancing.
     """
-    content = content_of(file)
-    reader = _Reader(file)
-    try:
-        return reader.read(content)
-    except (ValueError, KeyError, IndexError, TypeError, AttributeError, struct.error, OverflowError) as error:
-        if isinstance(error, MeshError):
-            raise
-        why = " ".join(str(error).split())[:80] if type(error) is ValueError else type(error).__name__
-        raise MeshError(
-            f"cannot read {file}: it is no glTF 2.0 file, or is damaged ({why}); export it again"
-        ) from error
+    return _Reader(GltfDocument(file, content_of(file))).read()
 
 
 class _Reader:
-    def __init__(self, file: Path) -> None:
-        self._file = file
-        self._json: dict[str, Any] = {}
-        self._chunk = b""
-        self._buffers: dict[int, bytes] = {}
+    """Reader of the scene of a document."""
+
+    def __init__(self, document: GltfDocument) -> None:
+        self._document, self._file, self._json = document, document.file, document.json
+        self._fail = document.fail
         self._meshes: dict[int, PartSurface | None] = {}
         self._hidden: list[str] = []
         self._flat: list[str] = []
@@ -84,15 +65,12 @@ class _Reader:
         self._lines = 0
         self._count = 0
 
-    def read(self, content: bytes) -> list[PartSurface]:
-        if content[:4] == b"glTF":
-            content = self._chunks(content)
-        self._json = parse_json(content.decode("utf-8-sig"))
-        asset = self._json["asset"]
-        if not str(asset["version"]).startswith("2") or asset.get("minVersion", "2.0") != "2.0":
-            version = asset.get("minVersion", asset["version"])
+    def read(self) -> list[PartSurface]:
+        asset = self._json.asset
+        if not str(asset.version).startswith("2") or str(asset.min_version) != "2.0":
+            version = asset.version if str(asset.min_version) == "2.0" else asset.min_version
             self._fail(f"its version of glTF is {version}, not 2.0", "export it as glTF 2.0")
-        if "plan" in (self._json.get("extras") or {}):
+        if "plan" in _entries(self._json.extras):
             self._fail("it shows a plan in motion", "give the structure of the plan")
         shaping = [name for name in self._extensions() if name not in _KNOWN and not name.startswith(_HARMLESS)]
         if shaping:
@@ -113,196 +91,149 @@ class _Reader:
 
     def _extensions(self) -> list[str]:
         """Return the extensions that the file declares, or uses where shapes are without declaring them."""
-        found = [*self._json.get("extensionsUsed", []), *self._json.get("extensionsRequired", [])]
-        holders = [entry for kind in _SHAPED for entry in self._json.get(kind, [])]
-        holders += [primitive for mesh in self._json.get("meshes", []) for primitive in mesh["primitives"]]
-        for holder in holders:
-            found += holder.get("extensions") or {}
+        found = [*self._json.extensions_used, *self._json.extensions_required]
+        for holder in self._json.shaped():
+            found += holder.extensions or {}
         return list(dict.fromkeys(found))
-
-    def _chunks(self, content: bytes) -> bytes:
-        """Return the JSON of a binary file, and keep its buffer."""
-        version, _ = struct.unpack_from("<II", content, 4)
-        if version != 2:
-            self._fail(f"its version of glTF is {version}, not 2", "export it as glTF 2.0")
-        at, text = 12, b""
-        while at + 8 <= len(content):
-            size, kind = struct.unpack_from("<I4s", content, at)
-            chunk = content[at + 8 : at + 8 + size]
-            if len(chunk) < size:
-                raise ValueError("the file ends too soon")
-            if kind == b"JSON" and not text:
-                text = chunk
-            elif kind == b"BIN\0" and not self._chunk:
-                self._chunk = chunk
-            at += 8 + size
-        return text
 
     def _roots(self) -> list[int]:
         """Return the root nodes of the scene."""
-        nodes, scenes = self._json.get("nodes", []), self._json.get("scenes", [])
-        below = {child for node in nodes for child in node.get("children", [])}
+        nodes, scenes = self._json.nodes, self._json.scenes
+        below = {child for node in nodes for child in node.children}
         if not scenes:
             return [number for number in range(len(nodes)) if number not in below]
-        chosen = self._json.get("scene", 0)
-        roots = scenes[chosen].get("nodes", [])
+        chosen = self._json.scene
+        roots = scenes[chosen].nodes
         reached, todo = set(roots), list(roots)
         while todo:
-            fresh = set(nodes[todo.pop()].get("children", [])) - reached
+            fresh = set(nodes[todo.pop()].children) - reached
             reached |= fresh
             todo += fresh
-        lost = [n for n, node in enumerate(nodes) if "mesh" in node and n not in reached]
+        lost = [n for n, node in enumerate(nodes) if node.mesh is not None and n not in reached]
         if lost:
-            names = listed([self._name(nodes[number], number) for number in lost])
+            names = listed([_name(nodes[number], number) for number in lost])
             warn_of(self._file, f"nodes that are not in scene {chosen} were left out: {names}")
         return roots
 
-    def _uses(self, number: int, above: Array, level: int, hidden: bool) -> Iterator[tuple[int, Array, bool]]:
-        """Yield a node and those below it that have a mesh: number, place, and whether it is hidden."""
+    def _uses(self, number: int, above: Array, level: int, hidden: bool) -> Iterator[tuple[int, int, Array, bool]]:
+        """Yield a node and those below it that have a mesh: both numbers, place, and whether it is hidden."""
         self._count += 1
         if level > _LEVELS or self._count > _NODES:
             self._fail("its nodes contain themselves, or are too many", "export it again")
-        node = self._entry("nodes", number)
-        place = above @ _transform(node)
-        hidden = hidden or (node.get("extensions") or {}).get("KHR_node_visibility", {}).get("visible") is False
-        if "mesh" in node:
-            yield number, place, hidden
-        for child in node.get("children", []):
+        node = self._json.nodes[number]
+        place = above @ self._transform(node, number)
+        hidden = hidden or (node.extensions or {}).get("KHR_node_visibility", {}).get("visible") is False
+        if node.mesh is not None:
+            yield number, node.mesh, place, hidden
+        for child in node.children:
             yield from self._uses(child, place, level + 1, hidden)
 
-    def _check_growth(self, uses: Sequence[tuple[int, Array, bool]]) -> None:
+    def _check_growth(self, uses: Sequence[tuple[int, int, Array, bool]]) -> None:
         """Refuse copies of meshes and claims of arrays beyond the size of the files, before any is read."""
-        accessors = self._json.get("accessors", [])
+        accessors = self._json.accessors
         sizes = [
             sum(
-                max(0, int(accessors[index]["count"]))
-                for primitive in mesh["primitives"]
-                for index in (primitive["attributes"].get("POSITION"), primitive.get("indices"))
+                accessors[index].count
+                for primitive in mesh.primitives
+                for index in (primitive.attributes.position, primitive.indices)
                 if index is not None
             )
-            for mesh in self._json.get("meshes", [])
+            for mesh in self._json.meshes
         ]
-        beside = {self._beside(uri) for buffer in self._json.get("buffers", []) if (uri := buffer.get("uri"))}
-        size = sum(file.stat().st_size for file in beside if file is not None)
-        check_growth(self._file, sum(sizes[self._json["nodes"][number]["mesh"]] for number, _, _ in uses), beside=size)
+        count = sum(sizes[mesh] for _, mesh, _, _ in uses)
+        check_growth(self._file, count, beside=self._document.size_beside())
 
-    def _part(self, number: int, place: Array, hidden: bool) -> PartSurface | None:
+    def _part(self, number: int, mesh: int, place: Array, hidden: bool) -> PartSurface | None:
         """Return the surface of a node in its place; None if it is left out."""
-        node = self._entry("nodes", number)
-        name = self._name(node, number)
-        if "skin" in node:
+        node = self._json.nodes[number]
+        name = _name(node, number)
+        if node.skin is not None:
             self._fail(f"node {name} is deformed by a skin", "apply it and export plain meshes")
-        surface = self._mesh(node["mesh"], name, node)
+        if any(node.weights or self._json.meshes[mesh].weights):
+            self._fail(f"node {name} is deformed by morph targets", "apply them and export plain meshes")
+        surface = self._surface(mesh)
         if hidden:
             self._hidden.append(name)
         elif surface is not None and not np.linalg.det(place[:3, :3]):
             self._flat.append(name)
         elif surface is not None:
-            return self._placed(surface, number, node, place)
+            return self._placed(surface, number, mesh, place)
         return None
 
-    def _placed(self, surface: PartSurface, index: int, node: dict[str, Any], place: Array) -> PartSurface:
+    def _placed(self, surface: PartSurface, index: int, mesh: int, place: Array) -> PartSurface:
+        node = self._json.nodes[index]
         points = surface.vertices @ place[:3, :3].T + place[:3, 3]
         faces = surface.faces if np.linalg.det(place[:3, :3]) > 0 else surface.faces[:, ::-1]
-        extras = node.get("extras")
-        extras = extras if isinstance(extras, dict) else {}
-        number, density = extras.get("part"), extras.get("density")
-        friction = (self._json["asset"].get("extras") or {}).get("friction")
+        extras, about = _entries(node.extras), _entries(self._json.asset.extras)
+        number, density, friction = extras.get("part"), extras.get("density"), about.get("friction")
         own = isinstance(number, int) and not isinstance(number, bool)
         if not own and extras.keys() & {"boundary", "density"}:
-            self._lacking.append(self._name(node, index))
+            self._lacking.append(_name(node, index))
         return PartSurface(
-            node.get("name") or self._json["meshes"][node["mesh"]].get("name") or "",
+            node.name or self._json.meshes[mesh].name,
             points[:, [0, 2, 1]] * (1.0, -1.0, 1.0),
             faces,
             support=own and extras.get("boundary") is True,
             number=number if own else None,
             density=float(density) if own and is_number(density) else None,
             friction=float(friction) if own and is_number(friction) else None,
+            structure=structure if own and isinstance(structure := about.get("structure"), str) else "",
             whole=own,
         )
 
-    def _mesh(self, index: int, name: str, node: dict[str, Any]) -> PartSurface | None:
+    def _surface(self, index: int) -> PartSurface | None:
         """Return the surface of a mesh, all primitives together; None if it has no triangles."""
-        mesh = self._entry("meshes", index)
-        if any(node.get("weights") or mesh.get("weights") or ()):
-            self._fail(f"node {name} is deformed by morph targets", "apply them and export plain meshes")
         if index not in self._meshes:
             pieces = []
-            for primitive in mesh["primitives"]:
-                if primitive.get("mode", _TRIANGLES) < _TRIANGLES:
+            for number, primitive in enumerate(self._json.meshes[index].primitives):
+                if primitive.mode < TRIANGLES:
                     self._lines += 1
                     continue
-                points = self._numbers(primitive["attributes"]["POSITION"], "VEC3")
-                pieces.append(PartSurface("", points, self._faces(primitive, len(points))))
+                points = self._document.numbers(primitive.attributes.position, "VEC3")
+                faces = self._faces(primitive, len(points), f"meshes[{index}].primitives[{number}]")
+                pieces.append(PartSurface("", points, faces))
             self._meshes[index] = joined("", pieces) if pieces else None
         return self._meshes[index]
 
-    def _faces(self, primitive: dict[str, Any], count: int) -> NDArray[np.int64]:
+    def _faces(self, primitive: GltfPrimitive, count: int, where: str) -> NDArray[np.int64]:
         corners = np.arange(count)
-        if "indices" in primitive:
-            corners = self._numbers(primitive["indices"], "SCALAR").ravel().astype(np.int64)
-        mode = primitive.get("mode", _TRIANGLES)
-        if mode == _TRIANGLES:
-            faces = corners.reshape(-1, 3)
-        elif mode == _STRIP:
+        if primitive.indices is not None:
+            corners = self._document.numbers(primitive.indices, "SCALAR").ravel().astype(np.int64)
+        if primitive.mode == STRIP:
             faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
             faces[1::2] = faces[1::2][:, [1, 0, 2]]
-        elif mode == _FAN:
-            faces = np.stack([np.full(max(len(corners) - 2, 0), corners[0]), corners[1:-1], corners[2:]], axis=1)
+        elif primitive.mode == FAN:
+            first = np.broadcast_to(corners[:1], max(len(corners) - 2, 0))
+            faces = np.stack([first, corners[1:-1], corners[2:]], axis=1)
+        elif len(corners) % 3:
+            self._fail(f"{where} has {len(corners)} corners, which make no triangles", "export it again")
         else:
-            raise ValueError("an unknown kind of primitive")
-        if len(faces) and (faces.min() < 0 or faces.max() >= count):
-            self._fail("a face uses a vertex that does not exist", "export it again")
-        return faces.astype(np.int64)
+            faces = corners.reshape(-1, 3)
+        if len(faces) and faces.max() >= count:
+            self._fail(f"a face of {where} uses a vertex that does not exist", "export it again")
+        return faces
 
-    def _numbers(self, index: int, kind: str) -> Array:
-        """Return the values of an accessor, shape (count, width)."""
-        accessor = self._entry("accessors", index)
-        if "sparse" in accessor or "bufferView" not in accessor:
-            self._fail("it has sparse accessors", "export it again without them")
-        if accessor["type"] != kind:
-            raise ValueError("values of another type")
-        view = self._entry("bufferViews", accessor["bufferView"])
-        dtype = np.dtype(_COMPONENTS[accessor["componentType"]])
-        width, count = _WIDTHS[kind], accessor["count"]
-        stride = view.get("byteStride") or width * dtype.itemsize
-        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        buffer = self._buffer(view["buffer"])
-        size = (count - 1) * stride + width * dtype.itemsize if count else 0
-        within = accessor.get("byteOffset", 0) + size <= view["byteLength"]
-        if min(start, count, size) < 0 or start + size > len(buffer) or not within:
-            raise ValueError("values beyond the end of their view or of the buffer")
-        values = np.ndarray((count, width), dtype, buffer, start, (stride, dtype.itemsize)).astype(np.float64)
-        if accessor.get("normalized") and dtype.kind != "f":
-            values = np.maximum(values / np.iinfo(dtype).max, -1.0)
-        return values
-
-    def _buffer(self, index: int) -> bytes:
-        """Return a buffer: that in the file, in its text, or in a file beside it."""
-        if index not in self._buffers:
-            uri = self._entry("buffers", index).get("uri")
-            if uri is None:
-                self._buffers[index] = self._chunk
-            elif uri.startswith("data:"):
-                self._buffers[index] = base64.b64decode(uri.partition(",")[2], validate=True)
-            else:
-                beside = self._beside(uri)
-                if beside is None:
-                    self._fail(f"its data are in {uri[:80]!r}, which is no file beside it", "export it as .glb")
-                self._buffers[index] = read_content(beside)
-        return self._buffers[index]
-
-    def _beside(self, uri: str) -> Path | None:
-        """Return the file beside this one that a buffer names; None if it is no such file."""
-        name = unquote(uri).removeprefix("./")
-        beside = self._file.parent / Path(name).name
-        return beside if self._file.suffix.lower() == ".gltf" and beside.name == name and beside.is_file() else None
-
-    def _entry(self, kind: str, index: int) -> dict[str, Any]:
-        if index < 0:
-            raise IndexError(f"entry {index} of {kind}")
-        return self._json[kind][index]
+    def _transform(self, node: GltfNode, number: int) -> Array:
+        """Return the matrix of a node, shape (4, 4)."""
+        if node.matrix is not None:
+            matrix = np.array(node.matrix).reshape(4, 4).T
+            if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0)):
+                self._fail(f"nodes[{number}].matrix is not affine", "export it again")
+            return matrix
+        x, y, z, w = node.rotation
+        if not abs(x * x + y * y + z * z + w * w - 1) <= _UNIT:
+            self._fail(f"nodes[{number}].rotation is no unit quaternion", "export it again")
+        turn = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        matrix = np.eye(4)
+        matrix[:3, :3] = turn * np.array(node.scale)
+        matrix[:3, 3] = node.translation
+        return matrix
 
     def _report(self) -> None:
         """Warn of what was left out."""
@@ -316,36 +247,14 @@ class _Reader:
             )
         if self._lines:
             warn_of(self._file, f"points and lines were left out: {self._lines} primitives")
-        if self._json.get("animations"):
-            warn_of(self._file, f"animations were left out: {len(self._json['animations'])}; parts are read at rest")
-
-    def _name(self, node: dict[str, Any], number: int) -> str:
-        return str(node.get("name") or f"number {number}")
-
-    def _fail(self, what: str, remedy: str) -> NoReturn:
-        raise MeshError(f"cannot read {self._file}: {what}; {remedy}")
+        if self._json.animations:
+            warn_of(self._file, f"animations were left out: {len(self._json.animations)}; parts are read at rest")
 
 
-def _transform(node: dict[str, Any]) -> Array:
-    """Return the matrix of a node, shape (4, 4)."""
-    if "matrix" in node:
-        matrix = np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
-        if not np.allclose(matrix[3], (0.0, 0.0, 0.0, 1.0)):
-            raise ValueError("the matrix of a node is not affine")
-    else:
-        x, y, z, w = np.array(node.get("rotation", (0, 0, 0, 1)), dtype=np.float64)
-        if not abs(x * x + y * y + z * z + w * w - 1) <= _UNIT:
-            raise ValueError("the rotation of a node is no unit quaternion")
-        turn = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-        matrix = np.eye(4)
-        matrix[:3, :3] = turn * np.array(node.get("scale", (1, 1, 1)), dtype=np.float64)
-        matrix[:3, 3] = node.get("translation", (0, 0, 0))
-    if not np.isfinite(matrix).all():
-        raise ValueError("a place that is not a number")
-    return matrix
+def _name(node: GltfNode, number: int) -> str:
+    return node.name or f"number {number}"
+
+
+def _entries(extras: Any) -> dict[str, Any]:
+    """Return the entries of extras, which may be of any kind."""
+    return extras if isinstance(extras, dict) else {}

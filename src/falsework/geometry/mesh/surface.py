@@ -49,6 +49,8 @@ class PartSurface:
     """Coefficient of friction of all contacts, if the file gives it."""
     unit: str = ""
     """Unit that a comment of the file names; empty for none."""
+    structure: str = ""
+    """Name of the structure, if the file gives it."""
     whole: bool = False
     """Whether the file says that this is one part, even if it consists of several solids."""
     error: str = ""

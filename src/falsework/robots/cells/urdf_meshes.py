@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from falsework.errors import CellError, InputError
+from falsework.errors import CellError, FalseworkError, InputError
 from falsework.geometry.arrays import apply
 from falsework.geometry.mesh.bounds import check_growth
 from falsework.geometry.mesh.mesh import TriangleMesh, joined_faces, triangle_normals
@@ -96,9 +96,12 @@ def _read_mesh(
                 points = apply(np.asarray(at, float), np.asarray(shape.vertices, float))
                 made.append((_scaled(found, points, np.asarray(shape.faces), scale), color_of(shape.visual)))
         if sum(len(piece.vertices) for piece, _ in made) < 4:
-            raise InputError("too few vertices")
-    except Exception as error:
-        raise CellError(f"{file}: mesh {found.name} cannot be read: {' '.join(str(error).split())}") from error
+            raise InputError("it has fewer than four vertices; export it again")
+    except FalseworkError as error:
+        raise CellError(f"{file}: mesh {found.name} cannot be read: {error}") from error
+    except Exception as error:  # readers of trimesh fail in many ways
+        kind = found.suffix.lower()
+        raise CellError(f"{file}: mesh {found.name} is damaged, or no {kind} file; export it again") from error
     return made
 
 

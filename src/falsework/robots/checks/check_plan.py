@@ -8,6 +8,7 @@ from typing import overload
 
 from falsework.assembly.groups import groups_of
 from falsework.assembly.load import AnyStructure, as_assembly
+from falsework.assembly.model import Assembly
 from falsework.errors import InputError
 from falsework.robots.cells.cell_file import AnyCell
 from falsework.robots.checks.check import CheckReport, check_robot_plan
@@ -75,11 +76,7 @@ def check(
             raise InputError("a robot plan is checked in a cell; give its name, its file or a Cell")
         structure = as_assembly(assembly)
         motions = check_robot_plan(plan, structure, cell, progress=progress)
-        states = validate_plan(plan.plan, structure, stability, demands=demands)
-        groups = groups_of(structure)
-        if groups is not None and states.good:  # joined parts have to stand loose, too
-            states = validate_plan(loose_plan(plan.plan, groups), groups.loose, stability, demands=demands)
-        return replace(motions, states=states)
+        return replace(motions, states=check_states(plan, structure, stability, demands))
     if not isinstance(plan, Plan):
         raise InputError(
             f"{type(plan).__name__} is no plan; give the structure first, then a plan, such as the value of a result"
@@ -87,3 +84,19 @@ def check(
     if cell is not None:
         raise InputError("a plan without motions needs no cell; leave it out")
     return validate_plan(plan, assembly, stability, demands=demands, progress=progress)
+
+
+def check_states(
+    plan: RobotPlan, assembly: Assembly, stability: StabilitySettings, demands: Demands | None
+) -> PlanReport:
+    """Check the stability of the states of a robot plan; joined parts have to stand loose, too.
+
+    Args:
+        stability: criterion that the states must satisfy.
+        demands: margins that every state must keep; those that the plan was made to keep if not given.
+    """
+    states = validate_plan(plan.plan, assembly, stability, demands=demands)
+    groups = groups_of(assembly)
+    if groups is None or not states.good:
+        return states
+    return validate_plan(loose_plan(plan.plan, groups), groups.loose, stability, demands=demands)

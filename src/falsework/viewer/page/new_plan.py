@@ -44,6 +44,7 @@ def new_plan(answer: ReplanResult, assembly: Assembly, seconds: float, old: Plan
         texts.append(f"{name} is needed at step {before + need.after_steps + 1}, {after}.")
     if answer.open_replay:
         texts.append(f"{answer.open_replay[:1].upper()}{answer.open_replay[1:]}.")
+    texts += [f"No plan was found that keeps the reserve: {answer.unreserved}."] if answer.unreserved else []
     texts += [] if old is None else _weaker(plan, old)
     if old is None:
         texts.append("There was no plan before.")

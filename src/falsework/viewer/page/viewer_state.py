@@ -328,6 +328,7 @@ class ViewerState:
     def replan(self) -> NewPlan:
         """Replan from the marked state, and show the new plan if there is one."""
         from falsework.replanning.replanner import replan
+        from falsework.search.find import RESERVES
 
         begun = time.perf_counter()
         with self.lock:
@@ -347,7 +348,7 @@ class ViewerState:
                 done = {"step": place - self.built, "since": self.disruption.since(self.state)}
                 ask = partial(replan, old, **done, structure=assembly, policy=policy)
             else:
-                stability = StabilitySettings(criterion=self.criterion)
+                stability = StabilitySettings(criterion=self.criterion, reserve=RESERVES[self.criterion])
                 if old is not None:  # what robots can do, and the ways of parts, stay as they were
                     stability = StabilitySettings.from_claim(old.claim)
                     question |= {"removable_only_if_clear": old.removable_only_if_clear, **exit_rules(old)}

@@ -24,6 +24,8 @@ LOCAL = ("localhost", "127.0.0.1", "::1")
 """Names of this machine that are unreachable from others."""
 WILDCARDS = ("0.0.0.0", "::")
 """Wildcard addresses: all addresses of this machine."""
+_GOODBYE = 0.5
+"""Seconds that a browser has to confirm the end of a connection; one that does not read never does."""
 _SERVING = threading.Lock()
 
 
@@ -121,7 +123,7 @@ def start_server(
                 response.headers["X-Content-Type-Options"] = "nosniff"
             return response
 
-        return plain(*arguments, process_request=checked, **options)
+        return plain(*arguments, process_request=checked, close_timeout=_GOODBYE, **options)
 
     with _SERVING, unannounced():
         sockets.serve = serve  # type: ignore[assignment]

@@ -1,0 +1,1 @@
+"""Contents of glTF 2.0 files."""
