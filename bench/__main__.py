@@ -41,6 +41,7 @@ from benchmarks.record import commit, processor, versions
 from falsework import __version__
 from falsework.assembly.model import Assembly
 from falsework.errors import FalseworkError, InputError
+from falsework.utils.files.output_file import check_writable
 
 DONE, NO, WRONG = 0, 1, 2
 
@@ -223,6 +224,8 @@ class Check(Selection):
         if not answers and not found.faults:
             raise InputError(f"{self.submission} answers no question that was asked for; leave out --only and --line")
         path = record_path(self.submission)
+        if self.record:
+            check_writable(path)
         known = still_true(read_record(path), found) if path.exists() else {}
         if self.new:
             answers = {name: answer for name, answer in answers.items() if name not in known}
@@ -361,6 +364,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return command.run()
     except FalseworkError as error:
         say(f"bench: {error}", error=True)
+        return WRONG
+    except OSError as error:
+        say(f"bench: {error.filename or 'a file'}: {error.strerror or error}; name another place", error=True)
         return WRONG
     except KeyboardInterrupt:
         return 130

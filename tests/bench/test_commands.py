@@ -42,6 +42,18 @@ def test_from_questions_to_judgements(tmp_path: Path, data: Path, capsys: pytest
     assert "1 solved of 1 judged" in capsys.readouterr().out
 
 
+def test_a_place_that_cannot_be_written_is_one_line(
+    tmp_path: Path, data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    for out in (tmp_path / "file" / "mine.jsonl", tmp_path):
+        run = ["run", "falsework", "--out", str(out), "--only", f"*/{CATENARY}*", "--data", str(data)]
+        assert main(run) == WRONG
+        captured = capsys.readouterr()
+        assert (captured.out, captured.err.count("\n")) == ("", 1)
+        assert captured.err.startswith(f"bench: {tmp_path}")
+
+
 def test_a_refuted_answer_is_no(paper: Paper, capsys: pytest.CaptureFixture[str]) -> None:
     paper.add(f"plan/contact/{STACK}/2", steps=[["insert", 1], ["release", 1]])
     assert main(["check", str(paper.path), "--data", str(paper.data)]) == NO

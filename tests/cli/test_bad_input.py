@@ -261,6 +261,17 @@ def test_place_that_cannot_be_written(falsework: Run, stack: Path, tmp_path: Pat
     expect(finished, 2, "cannot write ", "plan.json: there is no folder ", "make it first")
 
 
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs a file system that refuses files")
+def test_places_are_tried_before_the_work(falsework: Run, write_structure: Write, stack: Path, tmp_path: Path) -> None:
+    """A structure that leans has no plan, which a command would say with another exit code if it searched first."""
+    leaning = write_structure(tmp_path / "leaning", [BOTTOM, ((1.2, 0, 1), (4.2, 1, 2))])
+    for command, name in (("plan", "plan.json"), ("graph", "graph.npz")):
+        for place in (f"/proc/{name}", f"/sys/{name}"):
+            expect(falsework(command, leaning, "--out", place), 2, f"cannot write {place}: ")
+    expect(falsework("export", stack, "--out", "/proc/parts"), 2, "cannot write into /proc/parts: ")
+    expect(falsework("picture", stack, "--out", "/proc/picture.png"), 2, "cannot write /proc/picture.png: ")
+
+
 @pytest.mark.parametrize("options", [(), ("--sets", "64,128")])
 def test_archives_are_not_written_under_names_of_other_files(
     options: tuple[str, ...], falsework: Run, tmp_path: Path

@@ -18,7 +18,7 @@ import pytest
 
 from falsework.errors import InputError
 from falsework.utils.files import output_file
-from falsework.utils.files.output_file import check_writable, path_beside, write_whole
+from falsework.utils.files.output_file import check_folder, check_writable, path_beside, write_whole
 
 posix = pytest.mark.skipif(os.name != "posix", reason="links, pipes and devices of POSIX")
 
@@ -142,6 +142,32 @@ def test_interruptions_leave_the_old_file(tmp_path: Path, error: BaseException) 
         write_whole(path, lambda file: broken(error, file))
     assert path.read_text() == "old"
     assert [left.name for left in tmp_path.iterdir()] == ["plan.json"]
+
+
+@pytest.mark.parametrize("place", ["/proc", "/sys"])
+def test_what_a_file_system_refuses_is_known_before_the_work(place: str) -> None:
+    """Where permissions, of root above all, say nothing."""
+    if not Path(place).is_dir():
+        pytest.skip(f"no {place} here")
+    path = Path(place) / "falsework.json"
+    with pytest.raises(InputError, match=re.escape(f"cannot write {path}: ")):
+        check_writable(path)
+    for folder in (path, path / "deeper"):
+        with pytest.raises(InputError, match=re.escape(f"cannot write into {folder}: ")):
+            check_folder(folder)
+
+
+def test_a_check_leaves_nothing_and_makes_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("old")
+    check_writable(tmp_path / "plan.json")
+    check_writable(tmp_path / "file")
+    check_folder(tmp_path / "deep" / "deeper")
+    check_folder(tmp_path)
+    for place in (tmp_path / "file", tmp_path / "file" / "deep"):
+        with pytest.raises(InputError, match=f"cannot write into {re.escape(str(place))}: "):
+            check_folder(place)
+    assert [left.name for left in tmp_path.iterdir()] == ["file"]
+    assert (tmp_path / "file").read_text() == "old"
 
 
 def test_drafts_of_killed_processes_are_removed_by_the_next_write(tmp_path: Path) -> None:

@@ -65,11 +65,13 @@ class Export(Command):
         from falsework.interop.formats import export, format_of, read_exportable
         from falsework.robots.plans.robot_plan import RobotPlan
         from falsework.search.plans.plan import Plan
+        from falsework.utils.files.output_file import check_folder
 
         chosen = self.format or format_of(self.out)
         if chosen == "folder":
             if self.out.exists() and not (self.out.is_dir() and not any(self.out.iterdir())):
                 raise InputError(f"{self.out} exists and is not empty; choose a new folder")
+            check_folder(self.out)
         else:
             writable(self.out)
         subject, assembly = read_exportable(self.structure.spec, self.of, **self.structure.given())

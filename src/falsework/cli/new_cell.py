@@ -50,12 +50,13 @@ class NewCell(Command):
         from falsework.robots.cells.new_cell import new_cell
         from falsework.robots.cells.validate import check_cell
         from falsework.robots.model.part_shapes import place_parts
-        from falsework.utils.files.output_file import write_whole
+        from falsework.utils.files.output_file import check_writable, write_whole
 
         if self.out.suffix.lower() != ".toml":
             raise InputError(f"--out {self.out}: a cell is a TOML file; give a name that ends in .toml")
         if self.out.exists():
             raise InputError(f"--out {self.out} exists; choose another name, so that nothing is lost")
+        check_writable(self.out)
         assembly = None if self.structure is None else load_structure(self.structure, **self.reading.given())
         arms = parse_arms(self.arms)
         text = new_cell(arms, self.out.parent, gripper=self.gripper, assembly=assembly)

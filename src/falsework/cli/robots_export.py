@@ -56,7 +56,9 @@ class ExportRobots(Command):
         from falsework.robots.cells.cell_file import load_cell
         from falsework.robots.exports.export import export_notes, export_plan, structure_for_export
         from falsework.robots.plans.robot_plan_file import load_robot_plan
+        from falsework.utils.files.output_file import check_folder
 
+        check_folder(self.out)
         plan = load_robot_plan(self.plan)
         cell = load_cell(self.cell or plan.cell_place(self.plan))
         shapes, lacking = structure_for_export(plan, self.format, self.plan, self.structure)

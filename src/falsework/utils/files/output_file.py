@@ -50,17 +50,24 @@ def write_whole(path: Path | str, write: Callable[[IO[bytes]], object]) -> None:
 
 
 def check_writable(path: Path) -> None:
-    """Raise where `write_whole` would, without writing."""
+    """Raise where `write_whole` would; only the beginning of a draft is written, and removed."""
     try:
         target = _target(path)
+        if isinstance(target, int) or _is(target, stat.S_ISFIFO):
+            return
+        if not target.parent.is_dir():
+            raise InputError(f"cannot write {path}: there is no folder {target.parent}; make it first")
+        _try(target)
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}; choose another place") from error
-    if isinstance(target, int) or _is(target, stat.S_ISFIFO):
-        return
-    if not target.parent.is_dir():
-        raise InputError(f"cannot write {path}: there is no folder {target.parent}; make it first")
-    if not os.access(target.parent, os.W_OK):
-        raise InputError(f"cannot write {path}: no permission in {target.parent}; choose another place")
+
+
+def check_folder(path: Path) -> None:
+    """Raise where no file can be written into a folder, which is made, with those above it, if it is not there."""
+    try:
+        _try(next(place for place in (path, *path.absolute().parents) if place.exists()) / path.name)
+    except OSError as error:
+        raise InputError(f"cannot write into {path}: {error.strerror or error}; choose another place") from error
 
 
 def is_standard_output(path: Path | str) -> bool:
@@ -125,9 +132,22 @@ def _stream(target: Path | int, content: memoryview) -> None:
         file.write(content)
 
 
+def _draft(target: Path) -> Path:
+    return target.with_name(f".{target.name}.{secrets.token_hex(4)}")
+
+
+def _try(target: Path) -> None:
+    """Begin a draft, and remove it: no look at permissions says what a file system lets be written."""
+    draft = _draft(target)
+    try:
+        draft.open("xb").close()
+    finally:
+        draft.unlink(missing_ok=True)
+
+
 def _replace(target: Path, write: Callable[[IO[bytes]], object]) -> None:
     _remove_abandoned(target)
-    draft = target.with_name(f".{target.name}.{secrets.token_hex(4)}")
+    draft = _draft(target)
     file = draft.open("xb")
     try:
         with file:
