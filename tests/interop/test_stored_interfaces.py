@@ -192,3 +192,9 @@ def test_a_problem_without_its_model(tmp_path: Path) -> None:
     (tmp_path / "problem.json").write_text('{"dtype": "compas_dem.problem/Problem", "data": {"model_id": "x"}}')
     with pytest.raises(InputError, match="names a model that is not in it"):
         load_structure(tmp_path / "problem.json")
+    mesh = '{"dtype": "compas.datastructures/Mesh", "data": {"vertex": {}, "face": {}}}'
+    (tmp_path / "problem.json").write_text(f'{{"dtype": "compas_dem.problem/Problem", "data": {{"model": {mesh}}}}}')
+    with pytest.raises(
+        InputError, match=r"data\.model is a compas\.datastructures/Mesh, not a BlockModel; write it again"
+    ):
+        load_structure(tmp_path / "problem.json")

@@ -132,8 +132,7 @@ class _Reader:
         elif _ASSEMBLY in kinds or _is_assembly(content):
             yield from self._assembly(thing, content)
         elif kinds & _MODELS:
-            self._names.append(_own_name(thing, thing.name))
-            yield from self._model(content)
+            yield from self._model(thing, content)
         elif thing.dtype == "compas_dem.problem/Problem":
             yield from self._problem(content)
         elif _ELEMENT in kinds:
@@ -175,8 +174,9 @@ class _Reader:
                 key=(mark, key),
             )
 
-    def _model(self, content: CompasItem) -> Iterator[Block]:
+    def _model(self, thing: model.CompasThing, content: CompasItem) -> Iterator[Block]:
         """Yield elements of a compas_model `Model`, such as a `BlockModel`, where their places in its tree put them."""
+        self._names.append(_own_name(thing, thing.name))
         elements: dict[str, CompasItem] = {}
         content.read(model.CompasModel)
         for step, element in content.at("elements").entries():
@@ -231,19 +231,23 @@ class _Reader:
         problem = content.read(model.CompasProblem)
         if not content.get("model"):
             content.fail("its Problem names a model that is not in it", "write the BlockModel instead")
+        inside = content.at("model")
+        kind = inside.read(model.CompasThing)
+        if not {kind.dtype, *kind.inheritance} & _MODELS:
+            inside.fail(f"{inside.where} is a {kind.dtype}, not a BlockModel")
         law = model.CompasContactLaw()
         if problem.contact_properties is not None:
             properties = content.at("contact_properties").opened()
             if properties.read(model.CompasContactProperties).contact_model is not None:
                 law = properties.at("contact_model").opened().read(model.CompasContactLaw)
         friction = law.mu if law.phi is None else math.tan(math.radians(law.phi))
-        inside = content.at("model").opened()
+        inside = inside.opened()
         nodes: Mapping[str, model.CompasGraphNode] = {}
         if inside.get("graph"):
             nodes = inside.at("graph").opened().read(model.CompasGraph).node
         known = {key: node.element for key, node in nodes.items()}
         held, loads, acceleration = self._conditions(content, known)
-        for block in self._find(content.at("model")):
+        for block in self._model(kind, inside):
             assert isinstance(block.key, tuple)
             attributes = dict(block.attributes)
             given = {"friction": friction, "cohesion": law.c or None, "tension": law.t_c or None}
