@@ -229,8 +229,6 @@ def settle_step(law, before, state, press_part, press_wrench, lost, options, inc
         for j in range(len(ahead)):
             for r in range(6):
                 missing[j, r] -= size * push[j, r]
-        for j in range(len(ahead)):
-            for r in range(6):
                 contact.displacement[j, r] = ahead[j, r]
         if local:
             pairs, _ = load_history(law, near, contact, history, missing, share)
